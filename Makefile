@@ -1,0 +1,44 @@
+# Every target is complete on a fresh machine with Python >= 3.11 and make; all share .venv.
+PYTHON ?= python3
+BIN := .venv/bin
+RUNTIME := .venv/.runtime
+TESTING := .venv/.testing
+CHECKING := .venv/.checking
+
+.PHONY: run test bench check clean fmus
+.DEFAULT_GOAL := run
+
+$(RUNTIME): pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(TESTING): $(RUNTIME)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@
+
+$(CHECKING): $(TESTING)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,check]'
+	@touch $@
+
+fmus: $(RUNTIME)
+	$(BIN)/cosim build --out build
+
+run: fmus
+	$(BIN)/cosim run scenarios/manoeuvre.yaml --out results/manoeuvre --figures
+
+test: $(TESTING)
+	$(BIN)/python -m pytest -n 2
+
+bench: fmus
+	@$(BIN)/cosim bench
+
+check: $(CHECKING)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+clean:
+	rm -rf build results .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

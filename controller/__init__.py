@@ -1,0 +1,1 @@
+"""The flight controller: Kalman filter and LQR, designed offline, run in the loop."""

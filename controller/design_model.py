@@ -1,0 +1,64 @@
+"""Linear design model of the thesis, eqs 5.33 and 5.34, and what each sensor sees of it.
+
+State (x, ẋ, ψ, ψ̇, a): distance along the craft's axis, its rate, heading, yaw rate, thrust acceleration
+(F_Rx + F_Lx)/m. Input (α_R, α_L). The thesis puts the lag on the forward axis only; the plant has it on
+both (its linearisation stands in `plant.linearize`).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+STATES = ("x", "vx", "psi", "psi_dot", "a")
+
+
+class ModelNumbers(Protocol):
+    """The numbers the design model needs, all SI."""
+
+    @property
+    def mass(self) -> float: ...
+    @property
+    def izz(self) -> float: ...
+    @property
+    def arm(self) -> float: ...
+    @property
+    def friction(self) -> float: ...
+    @property
+    def lag(self) -> float: ...
+    @property
+    def thrust_nominal(self) -> float: ...
+
+
+def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
+    """A (5, 5) and B (5, 2) of eqs 5.33/5.34.
+
+    A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ = T_N/(τ·m).
+    Eq E.4 prints 34.27 and 24.17, the values of an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
+    """
+    A = np.zeros((5, 5))
+    A[0, 1] = A[1, 4] = A[2, 3] = 1.0
+    A[1, 1] = -p.friction / p.mass
+    A[4, 4] = -1.0 / p.lag
+    turn = p.arm * p.thrust_nominal / p.izz
+    push = p.thrust_nominal / (p.lag * p.mass)
+    B = np.zeros((5, 2))
+    B[3] = turn, -turn
+    B[4] = push, push
+    return A, B
+
+
+def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
+    """H (3, 5) for the measurements (ψ, ψ̇, a_x), eq 5.43.
+
+    The thesis reads x₅ from the accelerometer. By Newton's law it reads total acceleration,
+    a_x = x₅ − (c/m)·x₂: variant `consistent`, which makes ẋ observable.
+    """
+    H = np.zeros((3, 5))
+    H[0, 2] = H[1, 3] = H[2, 4] = 1.0
+    if estimator == "consistent":
+        H[2, 1] = -p.friction / p.mass
+    return H

@@ -1,0 +1,41 @@
+"""Kalman filter of the thesis (Appendix F) on filterpy, and two variants that are truer to the craft."""
+
+from __future__ import annotations
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from scipy.linalg import expm
+
+from controller.design_model import Matrix, design_model, measurement_matrix
+from controller.gains import Settings
+
+
+def discrete_model(p: Settings) -> tuple[Matrix, Matrix]:
+    """F (5, 5) and G (5, 2) of x̂ₖ₊₁ = F·x̂ₖ + G·uₖ.
+
+    `appendix_f`: F = I + Δt·A, but the acceleration has no memory: last row of F zero, of G T_N/m.
+    `lagged`, `consistent`: eqs E.3/E.4 with their lag, held inputs, exact over Δt.
+    """
+    A, B = design_model(p)
+    dt = p.sample_time
+    if p.estimator == "appendix_f":
+        F, G = np.eye(5) + dt * A, dt * B
+        F[4], G[4] = 0.0, p.thrust_nominal / p.mass
+        return F, G
+    # [F G; 0 I] = exp(Δt·[A B; 0 0])
+    block = np.zeros((7, 7))
+    block[:5, :5], block[:5, 5:] = A, B
+    held = expm(dt * block)
+    return held[:5, :5], held[:5, 5:]
+
+
+def kalman_filter(p: Settings, x_hat: Matrix) -> KalmanFilter:
+    """Filter that knows where it starts: x̂ given, P = 0, V and W of eqs 5.46 and 5.47."""
+    kf = KalmanFilter(dim_x=5, dim_z=3, dim_u=2)
+    kf.x = np.array(x_hat, dtype=float)
+    kf.P = np.zeros((5, 5))
+    kf.F, kf.B = discrete_model(p)
+    kf.H = measurement_matrix(p, p.estimator)
+    kf.Q = np.diag(p.process_variances)
+    kf.R = np.diag(p.measurement_variances)
+    return kf

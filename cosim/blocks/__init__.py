@@ -1,0 +1,1 @@
+"""What the master steps: FMUs, references, playback; and the noise on a connection."""

@@ -1,0 +1,19 @@
+"""Sensor noise on a connection: Gaussian by variance, and bias."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """A random stream of its own for each noise source: adding a source changes no other."""
+    key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
+    return np.random.default_rng([seed, key])
+
+
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
+    """`count` samples of bias + √variance·n, n standard normal, in the unit of the signal."""
+    samples: list[float] = (bias + np.sqrt(variance) * rng.standard_normal(count)).tolist()
+    return samples

@@ -1,0 +1,71 @@
+"""Order of components under Gauss-Seidel.
+
+A component whose outputs depend directly on an input must step after the source of that input and sees
+its new value. Any other input is held: it sees the value of the step's start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
+
+from cosim.blocks.interface import Component
+
+Edge = tuple[str, str, str]  # source component, target component, target input
+
+
+class AlgebraicLoop(Exception):
+    """Components that need each other's value of the same time; `cycle` begins and ends with the same one."""
+
+    def __init__(self, cycle: Sequence[str]) -> None:
+        self.cycle = tuple(cycle)
+        super().__init__(" → ".join(cycle))
+
+
+def stages(
+    components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None
+) -> tuple[tuple[str, ...], tuple[bool, ...], tuple[str, ...]]:
+    """Order of the components, whether each edge is immediate, and notes on what was assumed.
+
+    An order given by the user is kept: edges that run along it are immediate, all others held.
+    """
+    if order is not None:
+        rest = [name for name in components if name not in order]  # sources without inputs
+        place = {name: k for k, name in enumerate((*rest, *order))}
+        immediate = tuple(
+            place[source] < place[target] and components[target].depends_on(name) is not False
+            for source, target, name in edges
+        )
+        return tuple(place), immediate, ()
+    held: set[str] = set()
+    notes: list[str] = []
+    while True:
+        immediate = tuple(
+            target not in held and components[target].depends_on(name) is not False for source, target, name in edges
+        )
+        try:
+            return _sorted(components, edges, immediate), immediate, tuple(notes)
+        except CycleError as error:
+            cycle = list(reversed(error.args[1]))
+            undeclared = sorted(
+                {
+                    target
+                    for source, target, name in edges
+                    if target in cycle and source in cycle and components[target].depends_on(name) is None
+                }
+            )
+            if len(undeclared) != 1:
+                raise AlgebraicLoop(cycle) from None
+            held.add(undeclared[0])
+            notes.append(
+                f"{undeclared[0]} does not declare which outputs depend directly on its inputs; "
+                "taken as none, so that it steps first. State order: if that is wrong"
+            )
+
+
+def _sorted(components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]) -> tuple[str, ...]:
+    sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
+    for (source, target, _), now in zip(edges, immediate, strict=True):
+        if now:
+            sorter.add(target, source)
+    return tuple(sorter.static_order())

@@ -1,0 +1,187 @@
+"""Building the FMUs: sources under a name no other FMU has, packed by pythonfmu, completed, byte-reproducible.
+
+All Python FMUs of a process share `sys.modules`. Each of ours therefore carries its sources in one
+package named by their content: two FMUs never see each other's modules, nor the host's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmus import __version__
+from fmus.description import Description, complete
+from fmus.documentation import write_documentation
+
+ROOT = Path(__file__).resolve().parent.parent
+# What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
+RUNTIME = ("__init__", "ports", "slave")
+ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
+# Modules that need more than the FMU's host has.
+BUILD_TIME = ("linearize", "synthesis")
+EPOCH = (1980, 1, 1, 0, 0, 0)
+ASSETS = Path(__file__).resolve().parent / "assets"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What makes one FMU: its slave class, the packages it carries, and what its description says."""
+
+    slave: str  # "module:Class" within `fmus`
+    packages: tuple[str, ...]
+    about: Description
+    text: str  # documentation: what it is and how to use it, HTML
+    values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
+
+
+def plant_recipe(values: dict[str, float | bool] | None = None) -> Recipe:
+    """The plant, with other defaults where `values` says so (a refined model)."""
+    from fmus.dependencies import direct_dependencies, initial_dependencies
+    from fmus.documentation import PLANT_TEXT
+    from fmus.ports import model_ports
+    from plant.hovercraft import Hovercraft
+
+    model = Hovercraft().with_values(values or {})
+    about = Description(
+        "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
+        model_ports(model),
+        direct_dependencies(model),
+        initial_dependencies(model),
+        step=model.rate,
+        stop=10.0,
+        variable_step=True,
+    )
+    return Recipe("plant_fmu:HovercraftPlant", ("plant",), about, PLANT_TEXT, tuple(sorted((values or {}).items())))
+
+
+def controller_recipe() -> Recipe:
+    """The controller."""
+    from controller.gains import Settings
+    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, controller_ports
+    from fmus.documentation import CONTROLLER_TEXT
+
+    settings = Settings()
+    about = Description(
+        "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation",
+        controller_ports(settings),
+        DEPENDENCIES,
+        INITIAL_DEPENDENCIES,
+        step=settings.sample_time,
+        stop=10.0,
+        variable_step=False,
+    )
+    return Recipe("controller_fmu:HovercraftController", ("plant", "controller"), about, CONTROLLER_TEXT)
+
+
+def build(recipe: Recipe, path: Path) -> Path:
+    """Write one FMU to `path`, whole or not at all; the same sources give the same bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="cosim-build-") as folder:
+        draft = _pack(recipe, Path(folder))
+        members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
+        xml = members.pop("modelDescription.xml")
+        guid = f"{{{_digest(members, xml_of(recipe, xml, ''))[:32]}}}"
+        members["modelDescription.xml"] = xml_of(recipe, xml, guid)
+        _write_zip(draft, members)
+        target = path.with_name(f".{path.name}.draft")
+        target.write_bytes(draft.read_bytes())
+        target.replace(path)
+    return path
+
+
+def xml_of(recipe: Recipe, xml: bytes, guid: str) -> bytes:
+    """The completed model description."""
+    return complete(xml, recipe.about, __version__, guid)
+
+
+def _pack(recipe: Recipe, folder: Path) -> Path:
+    """Sources under their content's name, packed by pythonfmu."""
+    from pythonfmu.builder import FmuBuilder
+
+    sources = dict(_sources(recipe))
+    module, class_name = recipe.slave.split(":")
+    tag = _digest(sources, repr((recipe.slave, recipe.values)).encode())[:12]
+    package = f"{_snake(class_name)}_{tag}"
+    for name, text in sources.items():
+        file = folder / package / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(ABSOLUTE_IMPORT.sub(rf"\1{package}.\2", text.decode()).encode())
+    script = folder / f"{package}_slave.py"
+    script.write_text(_script(recipe, package, module, class_name), encoding="utf-8")
+    documentation = folder / "documentation"
+    write_documentation(documentation, recipe.about, recipe.text, __version__, ROOT / "LICENSE")
+    path, modules = list(sys.path), set(sys.modules)
+    try:
+        draft = folder / "draft.fmu"
+        FmuBuilder.build_FMU(script, draft, [folder / package], documentation)
+        return draft
+    finally:
+        sys.path[:] = path
+        for name in set(sys.modules) - modules:
+            if name.startswith(package):
+                del sys.modules[name]
+
+
+# pythonfmu 0.7.0 runs the script once when it imports it and once more at every instantiation, after which it
+# releases the module's dictionary, which it does not own. The reference added at each run keeps the balance;
+# without it the dictionary of a short script is freed while in use, and the host crashes at its next collection.
+BALANCE = 'globals().setdefault("_references", []).append(globals())'
+
+
+def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
+    """The file pythonfmu loads: the slave class, with other defaults where the recipe has them."""
+    lines = [f"from {package}.fmus.{module} import {class_name} as Base"]
+    if recipe.values:
+        lines.append(f"from {package}.fmus.ports import model_ports")
+    lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
+    if recipe.values:
+        lines += ["", f"    model = Base.model.with_values({dict(recipe.values)!r})", "    ports = model_ports(model)"]
+    return "\n".join([*lines, "", "", BALANCE]) + "\n"
+
+
+def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
+    """Our sources that the FMU carries, by path within its package."""
+    yield "__init__.py", b""
+    module = recipe.slave.split(":")[0]
+    for name in sorted((*RUNTIME, module)):
+        yield f"fmus/{name}.py", (ROOT / "fmus" / f"{name}.py").read_bytes()
+    for package in recipe.packages:
+        for file in sorted((ROOT / package).rglob("*.py")):
+            if file.stem not in BUILD_TIME:
+                yield file.relative_to(ROOT).as_posix(), file.read_bytes()
+
+
+def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
+    with zipfile.ZipFile(archive) as packed:
+        for name in sorted(packed.namelist()):
+            yield name, packed.read(name)
+    if (icon := ASSETS / "model.png").exists():
+        yield "model.png", icon.read_bytes()
+
+
+def _write_zip(path: Path, members: dict[str, bytes]) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, EPOCH)
+            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            packed.writestr(info, members[name])
+
+
+def _digest(members: dict[str, bytes], more: bytes) -> str:
+    """SHA-256 over names and contents."""
+    sha = hashlib.sha256()
+    for name in sorted(members):
+        sha.update(f"{name}\0{len(members[name])}\0".encode())
+        sha.update(members[name])
+    sha.update(more)
+    return sha.hexdigest()
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

@@ -1,0 +1,116 @@
+"""The controller as an FMI slave: Kalman filter on filterpy, LQR, saturation, references in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from controller.gains import Settings
+from controller.loop import Loop
+from fmus.ports import Port, Value, parameter_port
+from fmus.slave import Slave
+from plant.quantities import parameters_of
+
+ESTIMATE = ("x_hat", "vx_hat", "psi_hat", "psi_dot_hat", "a_hat")
+ESTIMATE_UNITS = ("m", "m/s", "rad", "rad/s", "m/s2")
+
+
+def controller_ports(settings: Settings) -> tuple[Port, ...]:
+    """All variables of the controller: inputs first, then outputs, parameters and start values."""
+    duty = settings.duty_nominal
+    return (
+        Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
+        Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
+        Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
+        Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
+        Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
+        Port("duty_right", "output", duty, "%", "duty command of the right motor"),
+        Port("duty_left", "output", duty, "%", "duty command of the left motor"),
+        Port("tilt_right", "output", 0.0, "rad", "tilt command of the right propeller, saturated"),
+        Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
+        Port("x_hat", "output", 0.0, "m", "estimated distance along the craft's own axis"),
+        Port("vx_hat", "output", 0.0, "m/s", "estimated forward velocity"),
+        Port("psi_hat", "output", 0.0, "rad", "estimated heading"),
+        Port("psi_dot_hat", "output", 0.0, "rad/s", "estimated yaw rate"),
+        Port("a_hat", "output", 0.0, "m/s2", "estimated thrust acceleration"),
+        Port("x_sigma", "output", 0.0, "m", "standard deviation of x_hat the filter believes in"),
+        Port("psi_sigma", "output", 0.0, "rad", "standard deviation of psi_hat the filter believes in"),
+        *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
+        Port("estimator", "parameter", settings.estimator, "", "Kalman filter: appendix_f, lagged or consistent"),
+        *(
+            Port(f"{name}_start", "parameter", 0.0, unit, f"start value of {name}; the filter knows where it starts")
+            for name, unit in zip(ESTIMATE, ESTIMATE_UNITS, strict=True)
+        ),
+    )
+
+
+# What each output depends on at a sample. The axes do not couple; the covariance depends on no input.
+FORWARD, TURN = ("ax",), ("psi", "psi_dot")
+DEPENDENCIES: dict[str, tuple[str, ...]] = {
+    "duty_right": (),
+    "duty_left": (),
+    "tilt_right": (*TURN, *FORWARD, "x_ref", "psi_ref"),
+    "tilt_left": (*TURN, *FORWARD, "x_ref", "psi_ref"),
+    "x_hat": FORWARD,
+    "vx_hat": FORWARD,
+    "a_hat": FORWARD,
+    "psi_hat": TURN,
+    "psi_dot_hat": TURN,
+    "x_sigma": (),
+    "psi_sigma": (),
+}
+# And in initialization mode, where the filter makes no update and P = 0.
+INITIAL_DEPENDENCIES: dict[str, tuple[str, ...]] = {
+    "duty_right": ("duty_nominal",),
+    "duty_left": ("duty_nominal",),
+    **{
+        f"tilt_{side}": (
+            "x_ref",
+            "psi_ref",
+            "tilt_max",
+            *(f"k_{row}_{j}" for j in range(1, 6)),
+            *(f"{name}_start" for name in ESTIMATE),
+        )
+        for row, side in ((1, "right"), (2, "left"))
+    },
+    **{name: (f"{name}_start",) for name in ESTIMATE},
+    "x_sigma": (),
+    "psi_sigma": (),
+}
+
+
+class HovercraftController(Slave):
+    """Sampled controller: a communication step is one sample."""
+
+    ports = controller_ports(Settings())
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Filter at `*_hat_start`, P = 0, no update: u₀ = sat(−K·(x̂₀ − x_ref))."""
+        names = {p.name for p in parameters_of(Settings)} | {"estimator"}
+        values: dict[str, Any] = {name: v for name, v in given.items() if name in names}
+        settings = replace(Settings(), **values)
+        x_hat = [float(given.get(f"{name}_start", 0.0)) for name in ESTIMATE]
+        _, _, _, x_ref, psi_ref = self.inputs
+        self.loop = Loop(settings, x_hat, x_ref, psi_ref)
+        self._publish()
+
+    def advance(self, t: float, h: float) -> None:
+        """One sample."""
+        sample = self.loop.settings.sample_time
+        if abs(h - sample) > 1e-6 * sample:
+            raise ValueError(f"step of {h} s; the controller is sampled at {sample} s (parameter sample_time)")
+        psi, psi_dot, ax, x_ref, psi_ref = self.inputs
+        self.loop.step((psi, psi_dot, ax), x_ref, psi_ref)
+        self._publish()
+
+    def snapshot(self) -> Any:
+        """Estimate, covariance, last command."""
+        return self.loop.snapshot()
+
+    def restore(self, snapshot: Any) -> None:
+        """Bit for bit."""
+        self.loop.restore(snapshot)
+
+    def _publish(self) -> None:
+        duty = self.loop.settings.duty_nominal
+        self.set_outputs([duty, duty, *self.loop.command, *self.loop.estimate, *self.loop.sigma])

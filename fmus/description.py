@@ -1,0 +1,91 @@
+"""What pythonfmu leaves out of a model description: units, limits, dependencies, initial unknowns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+
+from fmus.ports import Port
+from fmus.units import UNITS, unit_definitions
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a model description says beside the variables' names and start values."""
+
+    description: str
+    ports: Sequence[Port]
+    dependencies: Mapping[str, Sequence[str]]
+    initial_dependencies: Mapping[str, Sequence[str]]
+    step: float
+    stop: float
+    variable_step: bool
+
+
+def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
+    """Model description with everything an engineer expects to find, from the one pythonfmu wrote."""
+    root = fromstring(xml)
+    root.attrib.pop("generationDateAndTime", None)  # two builds of one source are the same bytes
+    root.attrib |= {
+        "guid": guid,
+        "description": about.description,
+        "author": "The cosim authors",
+        "version": version,
+        "license": "MIT",
+        "copyright": "The cosim authors",
+    }
+    capabilities = _child(root, "CoSimulation")
+    capabilities.attrib |= {
+        "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
+    experiment = Element(
+        "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
+    )
+    root.insert(list(root).index(_child(root, "ModelVariables")), experiment)
+    for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):
+        _complete_variable(variable, port)
+    root.remove(_child(root, "ModelStructure"))
+    root.append(_structure(about))
+    indent(root)
+    text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _complete_variable(variable: Element, port: Port) -> None:
+    """Unit, display unit and limits; start values with every digit (pythonfmu prints 16 of 17)."""
+    node = variable[0]
+    if port.kind != "Real":
+        return
+    if port.unit:
+        node.set("unit", port.unit)
+        if display := UNITS[port.unit].display:
+            node.set("displayUnit", display[0])
+    for name, limit in zip(("min", "max"), port.bounds, strict=True):
+        if math.isfinite(limit):
+            node.set(name, repr(float(limit)))
+    if "start" in node.attrib:
+        node.set("start", repr(float(port.start)))
+
+
+def _structure(about: Description) -> Element:
+    """ModelStructure: outputs and initial unknowns, each with what it really depends on."""
+    index = {port.name: str(k + 1) for k, port in enumerate(about.ports)}
+    structure = Element("ModelStructure")
+    for tag, dependencies in (("Outputs", about.dependencies), ("InitialUnknowns", about.initial_dependencies)):
+        group = SubElement(structure, tag)
+        for port in about.ports:
+            if port.causality == "output":
+                known = sorted((index[name] for name in dependencies[port.name]), key=int)
+                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(known))
+    return structure
+
+
+def _child(root: Element, tag: str) -> Element:
+    node = root.find(tag)
+    assert node is not None
+    return node

@@ -1,0 +1,55 @@
+"""The plant as an FMI slave. Needs Python's standard library and pythonfmu's own module, nothing else."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from fmus.ports import Value, model_ports
+from fmus.slave import Slave, tuples
+from plant.hovercraft import Hovercraft
+from plant.integrate import Moment, Stepper
+from plant.model import Model
+
+
+class ModelSlave(Slave):
+    """Any `plant.model.Model` as a slave. Dormant effects are left out when the parameters are fixed."""
+
+    model: ClassVar[Model]
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Build the craft from what was set; what was not follows from it (a thrust from the nominal duty)."""
+        starts = {name.removesuffix("_start"): v for name, v in given.items() if name.endswith("_start")}
+        signals = {q.name for q in self.model.inputs}
+        model = self.model.with_values(
+            {name: v for name, v in given.items() if not name.endswith("_start") and name not in signals}
+        )
+        self.stepper = Stepper(model)
+        self.moment = self.stepper.start(self.start_time, starts)
+        for vr, (q, start) in enumerate(zip(model.inputs, model.start_command(), strict=True)):
+            if q.name not in given:
+                self.values[vr] = start
+        self._publish()
+
+    def advance(self, t: float, h: float) -> None:
+        """Integrate over the step; the host keeps the time."""
+        moment = Moment(t, self.moment.state, self.moment.memory)
+        self.moment = self.stepper.step(moment, self.inputs, h)
+        self._publish()
+
+    def snapshot(self) -> Any:
+        """Time, continuous state, memory."""
+        return [self.moment.t, self.moment.state, self.moment.memory]
+
+    def restore(self, snapshot: Any) -> None:
+        """Bit for bit."""
+        self.moment = Moment(*tuples(snapshot))
+
+    def _publish(self) -> None:
+        self.set_outputs(self.stepper.output(self.moment.t, self.moment.state, self.inputs))
+
+
+class HovercraftPlant(ModelSlave):
+    """The hovercraft with its whole catalogue of effects, dormant."""
+
+    model = Hovercraft()
+    ports = model_ports(model)

@@ -1,0 +1,1 @@
+"""Physics of the thrust-vectoring hovercraft: equations stand here once and need nothing but Python."""

@@ -1,0 +1,141 @@
+"""Effects between a command and the propeller: delay, play, offset, dead band, then the lag and its rate limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from plant.effects.terms import HovercraftEffect, Pair
+from plant.model import Number, Values
+from plant.namespaces import Namespace
+from plant.quantities import Quantity, parameter
+
+
+def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
+    """`value` no lower than `low` and no higher than `high`."""
+    return m.minimum(m.maximum(value, low), high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorDelay(HovercraftEffect):
+    """All four commands arrive T later: u(t) → u(t − T).
+
+    Over a substep the mean of the delayed command acts, so that its impulse is exact for any T. The
+    memory is the history of commands, (time from which it holds, command), oldest first.
+    """
+
+    name = "actuator_delay"
+    equation = "u(t) → u(t − T), all four commands"
+    memory = (
+        Quantity("duty_right", "%", "right duty that acts until the delay has passed"),
+        Quantity("duty_left", "%", "left duty that acts until the delay has passed"),
+        Quantity("tilt_right", "rad", "right tilt command that acts until the delay has passed"),
+        Quantity("tilt_left", "rad", "left tilt command that acts until the delay has passed"),
+    )
+    longest = 0.5
+
+    time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, doc="delay T")
+
+    def remember(self, t: Number, start: Values) -> Values:
+        return ((t - self.longest, start),)
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        history = memory if memory[-1][1] is command else (*memory, (t, command))
+        begin, end = t - self.time, t + h - self.time
+        mean = [0.0] * len(command)
+        for k, (since, value) in enumerate(history):
+            until = history[k + 1][0] if k + 1 < len(history) else t + h
+            since = since if k else begin  # the oldest command has always been there
+            overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h
+            mean = [a + overlap * v for a, v in zip(mean, value, strict=True)]
+        while len(history) > 1 and history[1][0] <= t + h - self.longest:
+            history = history[1:]
+        return tuple(mean), history
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoBacklash(HovercraftEffect):
+    """Play of total width w on the tilt commands: p ← clip(p, α_cmd − w/2, α_cmd + w/2)."""
+
+    name = "servo_backlash"
+    equation = "p ← clip(p, α_cmd − w/2, α_cmd + w/2), p in place of α_cmd"
+    memory = (
+        Quantity("play_right", "rad", "right tilt command after the play"),
+        Quantity("play_left", "rad", "left tilt command after the play"),
+    )
+
+    width: float = parameter(0.0, unit="rad", bounds=(0, 0.5), neutral=0.0, doc="total width w of the play")
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        half = 0.5 * self.width
+        play = tuple(clip(m, p, a - half, a + half) for p, a in zip(memory, command[2:], strict=True))
+        return (*command[:2], *play), play
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiltOffset(HovercraftEffect):
+    """Servo horns mounted askew: α_cmd,R + r, α_cmd,L + l."""
+
+    name = "tilt_offset"
+    equation = "α_cmd,R + r, α_cmd,L + l"
+
+    right: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, doc="offset r of the right tilt")
+    left: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, doc="offset l of the left tilt")
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        duty_right, duty_left, tilt_right, tilt_left = command
+        return (duty_right, duty_left, tilt_right + self.right, tilt_left + self.left), memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoDeadBand(HovercraftEffect):
+    """Dead band around neutral: α_cmd − w·sign(α_cmd), 0 inside ±w."""
+
+    name = "servo_dead_band"
+    equation = "α_cmd − w·sign(α_cmd), 0 inside ±w"
+
+    width: float = parameter(0.0, unit="rad", bounds=(0, 0.3), neutral=0.0, doc="half width w of the band")
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        w = self.width
+        # α − clip(α, ±w) is the equation without a branch
+        return (*command[:2], *(a - clip(m, a, -w, w) for a in command[2:])), memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorSecondOrder(HovercraftEffect):
+    """Second-order tilt in place of the first-order lag: α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ (§4.5.4 saw its overshoot)."""
+
+    name = "actuator_second_order"
+    equation = "α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ in place of the first-order tilt lag"
+    states = (
+        Quantity("tilt_rate_right", "rad/s", "rate of the right tilt"),
+        Quantity("tilt_rate_left", "rad/s", "rate of the left tilt"),
+    )
+
+    natural_frequency: float = parameter(
+        0.0, unit="rad/s", bounds=(0, 200), neutral=0.0, doc="natural frequency ωₙ; 0 = off"
+    )
+    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 5), doc="damping ratio ζ")
+
+    def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
+        w, zeta = self.natural_frequency, self.damping_ratio
+        right, left = states
+        return (right, left), tuple(
+            w * w * (target - alpha) - 2.0 * zeta * w * own
+            for target, alpha, own in zip(command, tilt, states, strict=True)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoRateLimit(HovercraftEffect):
+    """Slew limit after the lag: |α̇_i| ≤ r. Under load far below the 7.5 rad/s of the data sheet is possible."""
+
+    name = "servo_rate_limit"
+    equation = "|α̇_i| ≤ r, after the lag"
+
+    rate: float = parameter(0.0, unit="rad/s", bounds=(0, 50), neutral=0.0, doc="largest tilt rate r; 0 = off")
+
+    def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
+        r = self.rate
+        right, left = rate
+        return (clip(m, right, -r, r), clip(m, left, -r, r)), ()

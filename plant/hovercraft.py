@@ -1,0 +1,209 @@
+"""The thrust-vectoring hovercraft: parameters, quantities and the one body of its equations.
+
+Equation numbers are those of J. Jorquera Grau, "Testing Bench Design and Tilting Propeller System
+Identification for the Development and Control of a Thrust-vectoring Hovercraft", SDSM&T, 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from plant.effects import CATALOGUE
+from plant.effects.terms import HovercraftEffect, Motion
+from plant.model import Equations, Model, Number, Values, overrides
+from plant.namespaces import SCALAR, Namespace
+from plant.powertrain import ground_effect, lag, thrust_out_of_ground
+from plant.quantities import Quantity, parameter
+from plant.rigid_body import thrust_vector, world_velocity
+
+DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
+
+STATES = (
+    Quantity("x", "m", "distance travelled along the craft's own axis"),
+    Quantity("y", "m", "distance drifted to the craft's right"),
+    Quantity("x_world", "m", "position along world X (forward at psi = 0)"),
+    Quantity("y_world", "m", "position along world Y (left at psi = 0)"),
+    Quantity("psi", "rad", "heading, positive to the left, continuous"),
+    Quantity("vx", "m/s", "forward velocity"),
+    Quantity("vy", "m/s", "velocity to the right"),
+    Quantity("psi_dot", "rad/s", "yaw rate, positive to the left"),
+    Quantity("phi", "rad", "roll angle, positive with the right side up"),
+    Quantity("phi_dot", "rad/s", "roll rate"),
+    Quantity("thrust_right", "N", "right thrust after the lag, without ground effect"),
+    Quantity("thrust_left", "N", "left thrust after the lag, without ground effect"),
+    Quantity("tilt_right", "rad", "right propeller tilt after the lag"),
+    Quantity("tilt_left", "rad", "left propeller tilt after the lag"),
+)
+INPUTS = (
+    Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL),
+    Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL),
+    Quantity("tilt_right", "rad", "tilt command of the right propeller, positive forward"),
+    Quantity("tilt_left", "rad", "tilt command of the left propeller, positive forward"),
+)
+OUTPUTS = (
+    *STATES[:5],
+    STATES[8],
+    *STATES[5:8],
+    STATES[9],
+    Quantity("ax", "m/s2", "what the accelerometer reads forward: contact force / mass"),
+    Quantity("thrust_right", "N", "right thrust with ground effect"),
+    Quantity("thrust_left", "N", "left thrust with ground effect"),
+    Quantity("tilt_right_actual", "rad", "right propeller tilt"),
+    Quantity("tilt_left_actual", "rad", "left propeller tilt"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hovercraft(Model):
+    """Two tilting propellers on an air table; see `equations` for the model."""
+
+    title = "Thrust-vectoring hovercraft"
+    base_states, inputs, outputs, catalogue = STATES, INPUTS, OUTPUTS, CATALOGUE
+
+    mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
+    izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")
+    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(1e-4, 1), doc="roll inertia, eq 5.4")
+    arm: float = parameter(0.17145, unit="m", bounds=(0.01, 2), doc="lateral arm from CoM to each propeller, §5.2")
+    propeller_radius: float = parameter(0.127, unit="m", bounds=(0.01, 1), doc="propeller radius, §3.5")
+    height: float = parameter(0.095, unit="m", bounds=(0.01, 5), doc="propeller height over the table, §4.4")
+    thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
+    thrust_slope: float = parameter(
+        359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20; fitted on 6-7 %"
+    )
+    ground_effect_exponent: float = parameter(
+        1.902, unit="1", bounds=(0.5, 5), doc="exponent of the ground effect, eq 4.28"
+    )
+    lag: float = parameter(0.0884, unit="s", bounds=(0.005, 2), doc="first-order lag of thrust and tilt, eq 4.29")
+    friction: float = parameter(
+        0.25, unit="N.s/m", bounds=(0, 10), doc="viscous table friction, §5.5; sideways by our choice"
+    )
+    gravity: float = parameter(9.81, unit="m/s2", bounds=(0.1, 30), doc="gravity")
+    duty_nominal: float = parameter(
+        DUTY_NOMINAL, unit="%", bounds=(0, 100), doc="duty at which the craft hovers, eqs 4.20 and 5.36"
+    )
+    table_roll_stiffness: float = parameter(
+        5.0,
+        unit="N.m/rad",
+        bounds=(0, 1e4),
+        doc="roll stiffness of the air cushion; not in the thesis, §4.2 implies it",
+    )
+    table_roll_damping: float = parameter(
+        0.45, unit="N.m.s/rad", bounds=(0, 100), doc="roll damping of the air cushion; not in the thesis"
+    )
+    roll_ground_effect: bool = parameter(
+        True, unit="", doc="ground effect of each propeller at its own height; the thesis takes one height"
+    )
+
+    def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
+        """Both propellers spin at the nominal duty: T_i = T_OGE(δ_N), eq 4.20."""
+        thrust = thrust_out_of_ground(m, self.duty_nominal, self.thrust_offset, self.thrust_slope, self.gravity)
+        return {"thrust_right": thrust, "thrust_left": thrust}
+
+    def start_input(self) -> dict[str, Number]:
+        """An unconnected plant hovers."""
+        return {"duty_right": self.duty_nominal, "duty_left": self.duty_nominal}
+
+    def equations(self, m: Namespace) -> Equations:
+        """Bind the equations to a namespace.
+
+        Power-train (eqs 4.20, 4.28, 4.29), right/left i ∈ {R, L}:
+            τ·Ṫ_i = T_OGE(δ_i) − T_i
+            τ·α̇_i = α_i,cmd − α_i
+            F_ix = T_i·Γ(z_i)·sin α_i,  F_iz = T_i·Γ(z_i)·cos α_i,  z_R/L = z ± L·sin φ
+        Rigid body (eqs 5.9-5.14; roll support and −c·vy are ours):
+            m·v̇x = F_Rx + F_Lx − c·vx
+            m·v̇y = −(F_Rz + F_Lz)·sin φ − c·vy
+            Izz·ψ̈ = L·(F_Rx − F_Lx)
+            Ixx·φ̈ = L·(F_Rz − F_Lz) − k_t·φ − d_t·φ̇
+        Output: a_x = contact force forward / m. Effects add to tilt rate, thrust, wrench and acceleration.
+        """
+        mass, izz, ixx, arm, tau, c = self.mass, self.izz, self.ixx, self.arm, self.lag, self.friction
+        z, radius, exponent = self.height, self.propeller_radius, self.ground_effect_exponent
+        offset, slope, g = self.thrust_offset, self.thrust_slope, self.gravity
+        k_t, d_t, own_height = self.table_roll_stiffness, self.table_roll_damping, self.roll_ground_effect
+        awake = self.awake
+        first = _first_states(awake)
+        tilt_terms = tuple((e, first[e.name]) for e in overrides(awake, "tilt_rate", HovercraftEffect))
+        thrust_terms = overrides(awake, "thrust_factor", HovercraftEffect)
+        wrench_terms = overrides(awake, "wrench", HovercraftEffect)
+        acceleration_terms = overrides(awake, "acceleration", HovercraftEffect)
+        added = sum(len(e.states) for e in awake)
+
+        def thrusts(t: Number, state: Values) -> tuple[Number, Number]:
+            """Both thrusts [N] in ground effect."""
+            phi, right, left = state[8], state[10], state[11]
+            if own_height:
+                rise = arm * m.sin(phi)
+                right = right * ground_effect(m, z + rise, radius, exponent)
+                left = left * ground_effect(m, z - rise, radius, exponent)
+            else:
+                gain = ground_effect(m, z, radius, exponent)
+                right, left = right * gain, left * gain
+            for term in thrust_terms:
+                factor_right, factor_left = term.thrust_factor(m, t, state[5])
+                right, left = right * factor_right, left * factor_left
+            return right, left
+
+        def contact(t: Number, state: Values) -> tuple[Number, Number, Number, Number]:
+            """Forward and rightward force [N], yaw and roll moment [N m] that the body feels."""
+            right, left = thrusts(t, state)
+            vx, vy, psi_dot, phi, phi_dot = state[5:10]
+            right_x, right_z = thrust_vector(m, right, state[12])
+            left_x, left_z = thrust_vector(m, left, state[13])
+            forward = right_x + left_x - c * vx
+            rightward = -(right_z + left_z) * m.sin(phi) - c * vy
+            yaw = arm * (right_x - left_x)
+            roll = arm * (right_z - left_z) - k_t * phi - d_t * phi_dot
+            if wrench_terms:
+                motion = Motion(vx, vy, psi_dot, right_x + left_x, right_z + left_z)
+                for term in wrench_terms:
+                    d_forward, d_rightward, d_yaw, d_roll = term.wrench(m, motion)
+                    forward, rightward = forward + d_forward, rightward + d_rightward
+                    yaw, roll = yaw + d_yaw, roll + d_roll
+            return forward, rightward, yaw, roll
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            psi, vx, vy, psi_dot = state[4:8]
+            duty_right, duty_left, tilt_right, tilt_left = command
+            forward, rightward, yaw, roll = contact(t, state)
+            ax, ay = forward / mass, rightward / mass
+            for term in acceleration_terms:
+                d_ax, d_ay = term.acceleration(m, g, psi, vx, vy, psi_dot)
+                ax, ay = ax + d_ax, ay + d_ay
+            rate = (lag(tilt_right, state[12], tau), lag(tilt_left, state[13], tau))
+            extra = [0.0] * added
+            for term, k in tilt_terms:
+                own = state[14 + k : 14 + k + len(term.states)]
+                rate, own_rate = term.tilt_rate(m, rate, (tilt_right, tilt_left), state[12:14], own)
+                extra[k : k + len(own)] = own_rate
+            return (
+                vx,
+                vy,
+                *world_velocity(m, psi, vx, vy),
+                psi_dot,
+                ax,
+                ay,
+                yaw / izz,
+                state[9],
+                roll / ixx,
+                lag(thrust_out_of_ground(m, duty_right, offset, slope, g), state[10], tau),
+                lag(thrust_out_of_ground(m, duty_left, offset, slope, g), state[11], tau),
+                *rate,
+                *extra,
+            )
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            x, y, x_world, y_world, psi, vx, vy, psi_dot, phi, phi_dot = state[:10]
+            ax = contact(t, state)[0] / mass
+            return (x, y, x_world, y_world, psi, phi, vx, vy, psi_dot, phi_dot, ax, *thrusts(t, state), *state[12:14])
+
+        return Equations(derivative, output)
+
+
+def _first_states(effects: tuple[HovercraftEffect, ...]) -> dict[str, int]:
+    """Where each effect's own states begin, counted from the end of the base states."""
+    first, count = {}, 0
+    for effect in effects:
+        first[effect.name] = count
+        count += len(effect.states)
+    return first

@@ -1,0 +1,162 @@
+"""What a model is: states, inputs, outputs, parameters, effects and one body of equations.
+
+The integrator, the FMU, the linearisation and the fits ask a model for nothing more. An effect is a
+term the base model lacks: dormant at its neutral value, in which case it is left out of the
+equations altogether and costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+from plant.namespaces import SCALAR, Namespace
+from plant.quantities import Parameter, Quantity, parameters_of
+
+# A number is a float, an array or a symbol, whichever the namespace handed in works on.
+Number = Any
+Values = tuple[Number, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parametric:
+    """A frozen dataclass of parameters that refuses values out of bounds, all of them at once."""
+
+    def __post_init__(self) -> None:
+        faults = [fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
+        if faults:
+            raise ValueError("; ".join(faults))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(Parametric):
+    """A term that may carry continuous states, and memory updated once a substep.
+
+    name:   how the catalogue and the FMU (`name.parameter`) call it
+    states: continuous states the effect adds to the model's
+    memory: what it remembers between substeps; each has a start value `name.memory_start`
+    """
+
+    name: ClassVar[str]
+    equation: ClassVar[str]
+    states: ClassVar[tuple[Quantity, ...]] = ()
+    memory: ClassVar[tuple[Quantity, ...]] = ()
+
+    @property
+    def dormant(self) -> bool:
+        """Every parameter that has a neutral value is at it. (Arrays and symbols count as awake.)"""
+        awake = (p for p in parameters_of(self) if p.neutral is not None)
+        return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
+
+    def remember(self, t: Number, start: Values) -> Values:
+        """Memory at time `t` [s] from the start values of `memory`."""
+        return start
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        """Command that acts over the substep from `t` to `t + h` [s], and the memory after it."""
+        return command, memory
+
+
+def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
+    """The effects whose class gives `hook` a body of its own, in order."""
+    return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
+
+
+class Equations(NamedTuple):
+    """The body, bound to a namespace and to parameter values.
+
+    derivative: (t, state, command) → d state / d t; state and result are tuples, effect states last
+    output:     (t, state, command) → outputs
+    """
+
+    derivative: Callable[[Number, Values, Values], Values]
+    output: Callable[[Number, Values, Values], Values]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Parametric):
+    """Base of every model: declared quantities, parameters as fields, effects that add up."""
+
+    title: ClassVar[str]
+    base_states: ClassVar[tuple[Quantity, ...]]
+    inputs: ClassVar[tuple[Quantity, ...]]
+    outputs: ClassVar[tuple[Quantity, ...]]
+    catalogue: ClassVar[tuple[type[Effect], ...]]
+    substep: ClassVar[float] = 0.005  # longest integration substep [s]
+    rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
+
+    effects: tuple[Any, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        strangers = [type(e).__name__ for e in self.effects if type(e) not in self.catalogue]
+        if strangers:
+            raise ValueError(f"not in the catalogue of {type(self).__name__}: {', '.join(strangers)}")
+        in_order = sorted(self.effects, key=lambda e: self.catalogue.index(type(e)))
+        object.__setattr__(self, "effects", tuple(in_order))
+
+    def equations(self, m: Namespace) -> Equations:
+        """Bind the one body of equations to a namespace."""
+        raise NotImplementedError
+
+    def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
+        """Start value of each base state that is not simply its quantity's."""
+        return {}
+
+    def start_input(self) -> dict[str, Number]:
+        """Start value of each input that is not simply its quantity's."""
+        return {}
+
+    # -- the same for every model -------------------------------------------------------------
+
+    @property
+    def awake(self) -> tuple[Any, ...]:
+        """The effects that act, in catalogue order."""
+        return tuple(e for e in self.effects if not e.dormant)
+
+    @property
+    def states(self) -> tuple[Quantity, ...]:
+        """Base states, then those of the effects that act, named `effect.state`."""
+        return self.base_states + tuple(
+            Quantity(f"{e.name}.{s.name}", s.unit, s.doc, s.start) for e in self.awake for s in e.states
+        )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the base model."""
+        return parameters_of(self)
+
+    def with_effect(self, effect: Any) -> Self:
+        """Another model with the effect added, or put in place of one of the same kind."""
+        others = tuple(e for e in self.effects if type(e) is not type(effect))
+        return replace(self, effects=(*others, effect))
+
+    def with_values(self, values: Mapping[str, Number]) -> Self:
+        """Another model with `parameter` and `effect.parameter` values; raises KeyError on an unknown name."""
+        known = {p.name for p in self.parameters}
+        base = {name: v for name, v in values.items() if name in known}
+        grouped: dict[str, dict[str, Number]] = {}
+        for name in values.keys() - base.keys():
+            effect, _, parameter_name = name.partition(".")
+            grouped.setdefault(effect, {})[parameter_name] = values[name]
+        model = replace(self, **base)
+        kinds = {kind.name: kind for kind in self.catalogue}
+        present = {e.name: e for e in self.effects}
+        for name, changes in grouped.items():
+            term = present.get(name) or kinds[name]()
+            if unknown := changes.keys() - {p.name for p in parameters_of(term)}:
+                raise KeyError(f"{name}.{sorted(unknown)[0]}")
+            model = model.with_effect(replace(term, **changes))
+        return model
+
+    def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
+        """Initial state from start values by state name (`x`, `actuator_second_order.tilt_rate_right`)."""
+        values = values or {}
+        own = self.start_state(m)
+        return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)
+
+    def start_command(self) -> Values:
+        """Inputs at their start values."""
+        own = self.start_input()
+        return tuple(own.get(q.name, q.start) for q in self.inputs)

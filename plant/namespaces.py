@@ -1,0 +1,60 @@
+"""Function namespaces handed to the equations, so that one body serves a float, an array and a symbol."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+
+class Namespace(Protocol):
+    """What an equation may call. Numbers are floats, arrays of any one shape, or symbols."""
+
+    def sin(self, x: Any) -> Any: ...
+    def cos(self, x: Any) -> Any: ...
+    def tanh(self, x: Any) -> Any: ...
+    def exp(self, x: Any) -> Any: ...
+    def sqrt(self, x: Any) -> Any: ...
+    def maximum(self, a: Any, b: Any) -> Any: ...
+    def minimum(self, a: Any, b: Any) -> Any: ...
+    def where(self, condition: Any, then: Any, otherwise: Any) -> Any: ...
+
+
+class ScalarNamespace:
+    """Python floats by `math`: what the FMU runs on."""
+
+    sin = staticmethod(math.sin)
+    cos = staticmethod(math.cos)
+    tanh = staticmethod(math.tanh)
+    exp = staticmethod(math.exp)
+    sqrt = staticmethod(math.sqrt)
+    maximum = staticmethod(max)
+    minimum = staticmethod(min)
+
+    @staticmethod
+    def where(condition: Any, then: Any, otherwise: Any) -> Any:
+        return then if condition else otherwise
+
+
+SCALAR: Namespace = ScalarNamespace()
+
+
+def arrays() -> Namespace:
+    """NumPy arrays: a thousand craft at once."""
+    import numpy
+
+    return numpy
+
+
+class SymbolNamespace:
+    """SymPy expressions: Jacobians, generated code, which output depends on what."""
+
+    def __init__(self) -> None:
+        import sympy
+
+        self.sin, self.cos, self.tanh = sympy.sin, sympy.cos, sympy.tanh
+        self.exp, self.sqrt = sympy.exp, sympy.sqrt
+        self.maximum, self.minimum = sympy.Max, sympy.Min
+        self._piecewise = sympy.Piecewise
+
+    def where(self, condition: Any, then: Any, otherwise: Any) -> Any:
+        return self._piecewise((then, condition), (otherwise, True))

@@ -1,0 +1,24 @@
+"""Power-train of one tilting propeller: thrust line, ground effect, lag, thrust vector (thesis ch. 4)."""
+
+from __future__ import annotations
+
+from plant.model import Number
+from plant.namespaces import Namespace
+
+
+def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Number, gravity: Number) -> Number:
+    """Static thrust [N] out of ground effect, eq 4.20: T_OGE = max(0, a + b·δ)·g/1000; δ in %, a and b in gf."""
+    return m.maximum(0.0, offset + slope * duty) * gravity / 1000.0
+
+
+def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> Number:
+    """Thrust gain Γ at height z [m], eqs 4.23 and 4.28: Γ = 1/(1 − (R/4z)^k), z no lower than R/2.
+
+    The print of eq 4.11 has a plus sign; the thesis' own code and Γ/m = 1.620 of eq E.2 need the minus.
+    """
+    return 1.0 / (1.0 - (radius / (4.0 * m.maximum(z, 0.5 * radius))) ** exponent)
+
+
+def lag(target: Number, value: Number, time_constant: Number) -> Number:
+    """Rate of a first-order lag, eq 4.29: ẋ = (x_target − x)/τ."""
+    return (target - value) / time_constant

@@ -1,0 +1,69 @@
+"""What the equations speak of: quantities with a unit, and parameters declared once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, dataclass, field, fields
+from typing import Any
+
+INFINITY = math.inf
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A state, input, output or remembered value: name, SI unit, meaning, start value."""
+
+    name: str
+    unit: str
+    doc: str
+    start: float = 0.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A declared parameter: everything there is to know of it but its value.
+
+    `neutral` is the value at which an effect is dormant (None: the parameter only shapes the effect).
+    """
+
+    name: str
+    default: float | bool
+    unit: str
+    doc: str
+    bounds: tuple[float, float] = (-INFINITY, INFINITY)
+    neutral: float | None = None
+
+    def fault(self, value: object) -> str | None:
+        """Say what is wrong with `value`, or None. Arrays and symbols are taken as they are."""
+        if isinstance(self.default, bool):
+            return None if isinstance(value, bool) else f"{self.name} is {value!r}; it is true or false"
+        if isinstance(value, (bool, str)) or value is None:
+            return f"{self.name} is {value!r}; it is a number [{self.unit}]"
+        if not isinstance(value, (int, float)):
+            return None
+        low, high = self.bounds
+        if not (math.isfinite(value) and low <= value <= high):
+            return f"{self.name} is {value!r}; it lies in [{low:g}, {high:g}] {self.unit}".rstrip()
+        return None
+
+
+def parameter(
+    default: float | bool,
+    *,
+    unit: str,
+    doc: str,
+    bounds: tuple[float, float] = (-INFINITY, INFINITY),
+    neutral: float | None = None,
+) -> Any:
+    """Declare a dataclass field as a parameter: `friction: float = parameter(0.25, unit="N.s/m", doc=…)`."""
+    return field(default=default, metadata={"parameter": Parameter("", default, unit, doc, bounds, neutral)})
+
+
+def parameters_of(owner: Any) -> tuple[Parameter, ...]:
+    """Parameters declared by a dataclass or an instance of one, in order."""
+    return tuple(_named(f) for f in fields(owner) if "parameter" in f.metadata)
+
+
+def _named(declared: Field[Any]) -> Parameter:
+    p: Parameter = declared.metadata["parameter"]
+    return Parameter(declared.name, p.default, p.unit, p.doc, p.bounds, p.neutral)
