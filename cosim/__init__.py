@@ -1,0 +1,1 @@
+"""Co-simulation of FMUs: scenario, system, master, results, report."""

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed
+from cosim.errors import CosimError, CriterionMissed, InputError
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -40,7 +40,7 @@ def main(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    pass
+    """Options that stand before the command."""
 
 
 @app.command()
@@ -78,11 +78,16 @@ def run(
 def build(
     out: Out = Path("build"),
 ) -> None:
-    """Build plant.fmu and controller.fmu."""
+    """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml."""
+    from fmus.build import HEAVY, controller_recipe, plant_recipe
     from fmus.build import build as build_fmu
-    from fmus.build import controller_recipe, plant_recipe
 
-    for recipe, name in ((plant_recipe(), "plant.fmu"), (controller_recipe(), "controller.fmu")):
+    recipes = {
+        "plant.fmu": plant_recipe(),
+        "controller.fmu": controller_recipe(),
+        "plant-heavy.fmu": plant_recipe(HEAVY),
+    }
+    for name, recipe in recipes.items():
         say(f"built {build_fmu(recipe, out / name)}")
 
 
@@ -95,6 +100,16 @@ def check(
 
     check_files(files)
     say(f"no fault in {', '.join(map(str, files))}")
+
+
+@app.command()
+def bench() -> None:
+    """Measure this machine: one JSON line of ratios."""
+    import json
+
+    from cosim.bench import bench as measure
+
+    say(json.dumps(measure()))
 
 
 @contextmanager
@@ -132,7 +147,7 @@ def entry() -> None:
     try:
         app(standalone_mode=True)
     except CosimError as error:
-        typer.echo(f"error: {error}" if error.exit_code != 2 else str(error), err=True)
+        typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         sys.exit(error.exit_code)
 
 

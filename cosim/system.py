@@ -77,7 +77,7 @@ class _Builder:
 
     def __init__(self, file: ScenarioFile, designed: Mapping[str, Mapping[str, float]]) -> None:
         self.file, self.scenario, self.designed = file, file.scenario, designed
-        self.faults: list[Fault] = []
+        self.faults: list[Fault] = list(file.faults)
         self.warnings: list[str] = []
         self.components: dict[str, Component] = {}
         self.fmus: dict[str, tuple[Path, Any]] = {}
@@ -85,7 +85,8 @@ class _Builder:
     def build(self) -> System:
         for name, component in self.scenario.components.items():
             self._component(name, component)
-        whole = len(self.components) == len(self.scenario.components)
+        whole = len(self.components) == len(self.scenario.components) and not self.file.broken
+        self._check_design()
         first, columns, units = self._lay_out()
         transfers = [
             t for k, c in enumerate(self.scenario.connections) if (t := self._transfer(k, c, first)) is not None
@@ -177,6 +178,7 @@ class _Builder:
         return first, tuple(columns), units
 
     def _transfer(self, k: int, connection: Connection, first: Mapping[str, int]) -> Transfer | None:
+        k = self.file.connection_lines[k]
         source = self._end(("connections", k, "from"), connection.source, "outputs", "inputs")
         target = self._end(("connections", k, "to"), connection.target, "inputs", "outputs")
         if source is None or target is None:
@@ -186,7 +188,8 @@ class _Builder:
             self.faults.append(
                 self.file.fault(
                     ("connections", k),
-                    f"unit mismatch: {connection.source} [{source_signal.unit}] to {connection.target} [{target_signal.unit}]",
+                    f"unit mismatch: {connection.source} [{source_signal.unit}] to "
+                    f"{connection.target} [{target_signal.unit}]",
                 )
             )
         noise = connection.noise if self.scenario.noise else None
@@ -195,6 +198,8 @@ class _Builder:
 
     def _end(self, where: Place, text: str, side: str, other_side: str) -> tuple[Component, int, Signal] | None:
         name, _, variable = text.partition(".")
+        if name in self.file.broken:  # its own fault is told already
+            return None
         if name not in self.scenario.components:
             self.faults.append(
                 self.file.fault(where, f'no component "{name}"{did_you_mean(name, self.scenario.components)}')
@@ -211,19 +216,28 @@ class _Builder:
             message = f"{text} is one of the {other_side} of {name}; an output goes to an input"
         else:
             known = [s.name for s in signals]
-            message = f'{name} has no {side[:-1]} "{variable}" of type Real{did_you_mean(variable, known)}; its {side}: {", ".join(known) or "none"}'
+            message = f'{name} has no {side[:-1]} "{variable}" of type Real{did_you_mean(variable, known)}'
+            message += f" (its {side}: {', '.join(known) or 'none'})"
         self.faults.append(self.file.fault(where, message))
         return None
 
     def _check_sources(self) -> None:
         seen: dict[str, str] = {}
-        for k, connection in enumerate(self.scenario.connections):
+        for k, connection in zip(self.file.connection_lines, self.scenario.connections, strict=True):
             if connection.target in seen:
                 message = (
                     f"two sources for {connection.target}: {seen[connection.target]} and {connection.source}; keep one"
                 )
                 self.faults.append(self.file.fault(("connections", k, "to"), message))
             seen.setdefault(connection.target, connection.source)
+
+    def _check_design(self) -> None:
+        design = self.scenario.design
+        if design is None or design.component in self.file.broken:
+            return
+        if not isinstance(self.scenario.components.get(design.component), FmuComponent):
+            message = f'design is for component "{design.component}", which is no FMU of components'
+            self.faults.append(self.file.fault(("design",), message))
 
     def _check_signals_of_criteria(self, columns: set[str], whole: bool) -> None:
         for kind, k, criterion in self.scenario.goals:
@@ -260,8 +274,8 @@ class _Builder:
             order, immediate, notes = stages(self.components, edges, self.scenario.order)
         except AlgebraicLoop as loop:
             message = (
-                f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the same time. "
-                f"State the order of the components (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
+                f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the "
+                f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
             )
             self.faults.append(self.file.fault(("connections",), message))
             return (), ()

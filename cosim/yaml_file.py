@@ -89,13 +89,13 @@ class YamlFile:
         kind, given = error["type"], error.get("input")
         if kind == "extra_forbidden":
             known = _known_keys(model, location[:-1])
-            message = (
-                f'unknown key "{location[-1]}"{did_you_mean(str(location[-1]), known)} known here: {", ".join(known)}'
-            )
-            return self.fault(location, message.replace('?"', '?"'), key=True)
+            message = f'unknown key "{location[-1]}"{did_you_mean(str(location[-1]), known)}'
+            return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
         if kind == "missing":
             return self.fault(location[:-1], f'"{name}" is missing; add it')
-        detail = str(error["msg"]).removeprefix("Value error, ")
+        detail = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "it should be")
+        if kind.startswith("bool"):
+            detail = "it is on or off"
         shown = repr(given) if isinstance(given, (str, int, float, bool)) or given is None else type(given).__name__
         return self.fault(location, f"{name} is {shown}: {detail[:1].lower() + detail[1:]}")
 
@@ -116,7 +116,7 @@ def plain(node: Any) -> Any:
 
 def _is_tag(part: str | int) -> bool:
     """Pydantic puts the name of a union's branch into the location; it is no part of the file."""
-    return isinstance(part, str) and (part.endswith("]") or part[:1].isupper() or part in {"float", "str", "bool"})
+    return isinstance(part, str) and (part.endswith(("]", "»")) or part in {"float", "str", "bool"})
 
 
 def _known_keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:

@@ -11,7 +11,7 @@ import re
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +40,16 @@ class Recipe:
     values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
 
 
-def plant_recipe(values: dict[str, float | bool] | None = None) -> Recipe:
+# A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
+HEAVY = {
+    "mass": 0.8,
+    "izz": 0.0116,
+    "actuator_second_order.natural_frequency": 16.0,
+    "actuator_second_order.damping_ratio": 0.5,
+}
+
+
+def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
     """The plant, with other defaults where `values` says so (a refined model)."""
     from fmus.dependencies import direct_dependencies, initial_dependencies
     from fmus.documentation import PLANT_TEXT

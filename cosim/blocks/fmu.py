@@ -11,6 +11,7 @@ import math
 import shutil
 import tempfile
 import zipfile
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from cosim.errors import FmuError, SimulationError
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 FATAL = 4
+KEPT_MESSAGES = 50  # of a talkative FMU, the last ones
 TERMINATED = 3  # fmi2StatusKind
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 EXCHANGE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
@@ -73,7 +75,7 @@ class FmuBlock:
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
-        self.log: list[str] = []
+        self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
         reals = [v for v in description.modelVariables if v.type == "Real"]
         inputs = [v for v in reals if v.causality == "input"]
         inputs.sort(key=lambda v: v.name not in connected)  # connected ones first, so that one call sets them
@@ -126,7 +128,7 @@ class FmuBlock:
                 unzipDirectory=str(self._folder),
                 instanceName=self.name,
             )
-            self._fmu.instantiate(callbacks=self._callbacks())
+            self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)  # or it gives no reasons
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
             self._fmu = None
             raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
@@ -234,7 +236,7 @@ class FmuBlock:
         if status == FATAL:
             self._fmu = None
         elif function == "fmi2DoStep" and self._ended():
-            reason = "the FMU ended the simulation early"
+            reason += ": the FMU ended the simulation early"
         if words := self.last_words():
             reason += f": {words}"
         raise SimulationError(self.name, self._time, reason)

@@ -1,0 +1,232 @@
+"""Benchmarks as ratios: both sides interleaved in one process, medians of each, for machines are shared and noisy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from controller.gains import Settings
+from controller.loop import Loop
+from cosim.blocks.fmu import FmuBlock, read_description
+from cosim.blocks.noise import gaussian, stream
+from cosim.master import PROGRESS_EVERY, simulate
+from cosim.scenario import ScenarioFile
+from cosim.system import System, build_system
+from fmus.build import build, controller_recipe, plant_recipe
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+
+H = 0.02
+STEPS = 1000
+ROUNDS = 9
+IMPORTS = "import numpy, fmpy, filterpy.kalman"
+NOISE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479}
+
+SCENARIO = """
+name: bench
+duration: {duration}
+step: 0.02
+seed: 1
+design: {{estimator: appendix_f}}
+components:
+  plant: {{fmu: plant.fmu, start: {{x_start: 1, psi_start: 1}}}}
+  controller: {{fmu: controller.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}
+  reference: {{block: reference, signals: {{x_ref: {{unit: m}}, psi_ref: {{unit: rad}}}}}}
+connections:
+  - {{from: plant.psi, to: controller.psi, noise: {{variance: 2.613e-5}}}}
+  - {{from: plant.psi_dot, to: controller.psi_dot, noise: {{variance: 4.564e-4}}}}
+  - {{from: plant.ax, to: controller.ax, noise: {{variance: 0.04479}}}}
+  - {{from: reference.x_ref, to: controller.x_ref}}
+  - {{from: reference.psi_ref, to: controller.psi_ref}}
+  - {{from: controller.duty_right, to: plant.duty_right}}
+  - {{from: controller.duty_left, to: plant.duty_left}}
+  - {{from: controller.tilt_right, to: plant.tilt_right}}
+  - {{from: controller.tilt_left, to: plant.tilt_left}}
+"""
+IDLE_SLAVE = '''
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class {name}(Fmi2Slave):
+    """Does nothing."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        for k in range({inputs}):
+            setattr(self, f"u{{k}}", 0.0)
+            self.register_variable(Real(f"u{{k}}", causality=Fmi2Causality.input))
+        for k in range({outputs}):
+            setattr(self, f"y{{k}}", 0.0)
+            self.register_variable(Real(f"y{{k}}", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        return True
+'''
+
+
+def bench() -> dict[str, float]:
+    """Every ratio, by the name the issues and the README use."""
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
+        place = Path(folder)
+        build(plant_recipe(), place / "plant.fmu")
+        build(controller_recipe(), place / "controller.fmu")
+        (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H))
+        (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H))
+        (place / "one.yaml").write_text(SCENARIO.format(duration=H))
+        figures = {
+            "loop_over_plain": loop_over_plain(place / "loop.yaml"),
+            "fmpy_over_ours_overhead": fmpy_over_ours(place),
+            "dormant_over_base": dormant_over_base(),
+            "startup_over_import": startup_over_import(place),
+            "ten_times_the_steps": ten_times_the_steps(place),
+        }
+    return {name: round(value, 3) for name, value in figures.items()}
+
+
+def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = ROUNDS) -> float:
+    """Median time of `ours` over that of `other`, run in turn; each returns its own seconds."""
+    ours(), other()
+    pairs = [(ours(), other()) for _ in range(rounds)]
+    return median(a for a, _ in pairs) / median(b for _, b in pairs)
+
+
+def loop_seconds(system: System, steps: int) -> float:
+    """Seconds the master takes for the steps alone, loading and unloading left out."""
+    marks: list[float] = []
+    simulate(system, steps, H, lambda k: marks.append(time.perf_counter()))
+    return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY)
+
+
+def loop_over_plain(scenario: Path) -> float:
+    """Master with both FMUs over the same plant and controller as plain functions."""
+    file = ScenarioFile(scenario)
+    return ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
+
+
+def plain_seconds() -> float:
+    """The loop as plain functions: same noise, same signals recorded."""
+    stepper = Stepper(Hovercraft())
+    moment = stepper.start(0.0, {"x": 1.0, "psi": 1.0})
+    loop = Loop(Settings(), (1.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0)
+    duty = loop.settings.duty_nominal
+    noise = [gaussian(stream(1, name), variance, 0.0, STEPS + 1) for name, variance in NOISE.items()]
+    psi_noise, psi_dot_noise, ax_noise = noise
+    table = np.zeros((STEPS + 1, 37))
+    command = (duty, duty, *loop.command)
+    began = time.perf_counter()
+    for k in range(1, STEPS + 1):
+        moment = stepper.step(moment, command, H)
+        y = stepper.output(moment.t, moment.state, command)
+        measured = (y[4] + psi_noise[k], y[8] + psi_dot_noise[k], y[10] + ax_noise[k])
+        command = (duty, duty, *loop.step(measured, 0.0, 0.0))
+        table[k] = (*command, *y, *measured, 0.0, 0.0, *command, *loop.estimate, *loop.sigma, 0.0, 0.0)
+    return time.perf_counter() - began
+
+
+def fmpy_over_ours(place: Path) -> float:
+    """A plain FMPy loop over our master, on two FMUs that do nothing."""
+    from pythonfmu.builder import FmuBuilder
+
+    for name, inputs, outputs in (("IdleA", 5, 12), ("IdleB", 12, 5)):
+        script = place / f"{name.lower()}.py"
+        script.write_text(IDLE_SLAVE.format(name=name, inputs=inputs, outputs=outputs))
+        FmuBuilder.build_FMU(script, place / f"{name.lower()}.fmu")
+    links = [f"  - {{from: a.y{k}, to: b.u{k}}}" for k in range(12)] + [
+        f"  - {{from: b.y{k}, to: a.u{k}}}" for k in range(5)
+    ]
+    text = f"name: idle\nduration: {STEPS * H}\nstep: 0.02\norder: [a, b]\ncomponents:\n"
+    text += "  a: {fmu: idlea.fmu}\n  b: {fmu: idleb.fmu}\nconnections:\n" + "\n".join(links) + "\n"
+    (place / "idle.yaml").write_text(text)
+    file = ScenarioFile(place / "idle.yaml")
+    return ratio(
+        lambda: fmpy_seconds(place / "idlea.fmu", place / "idleb.fmu"), lambda: loop_seconds(build_system(file), STEPS)
+    )
+
+
+def fmpy_seconds(path_a: Path, path_b: Path) -> float:
+    """getReal, setReal, doStep through FMPy's methods; the same signals recorded."""
+    blocks = [FmuBlock("a", path_a, read_description(path_a), {}, frozenset())]
+    blocks += [FmuBlock("b", path_b, read_description(path_b), {}, frozenset())]
+    slaves: list[Any] = []
+    for block in blocks:
+        block.bind(_row(len(block.inputs) + len(block.outputs)), 0)
+        block.open(0.0, STEPS * H)
+        block.start()
+        slaves.append(block._fmu)
+    a, b = slaves
+    a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
+    table = np.zeros((STEPS + 1, 34))
+    values_b = b.getReal(b_out)
+    began = time.perf_counter()
+    for k in range(STEPS):
+        t = k * H
+        a.setReal(a_in, values_b)
+        a.doStep(t, H)
+        values_a = a.getReal(a_out)
+        b.setReal(b_in, values_a)
+        b.doStep(t, H)
+        old_b, values_b = values_b, b.getReal(b_out)
+        table[k + 1] = (*old_b, *values_a, *values_a, *values_b)
+    seconds = time.perf_counter() - began
+    for block in blocks:
+        block.close()
+    return seconds
+
+
+def _row(count: int) -> Any:
+    import ctypes
+
+    return (ctypes.c_double * max(1, count))()
+
+
+def dormant_over_base() -> float:
+    """A plant step with the whole catalogue dormant over one built without effects."""
+    command = (6.4, 6.38, 0.1, 0.05)
+
+    def seconds(craft: Hovercraft) -> float:
+        stepper = Stepper(craft)
+        moment = stepper.start()
+        began = time.perf_counter()
+        for _ in range(200):
+            moment = stepper.step(moment, command, H)
+        return time.perf_counter() - began
+
+    dormant = Hovercraft(effects=tuple(kind() for kind in Hovercraft.catalogue))
+    return ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=31)
+
+
+def startup_over_import(place: Path) -> float:
+    """A one-step run without report over the imports it cannot do without; gains are cached before."""
+    run = [
+        sys.executable,
+        "-m",
+        "cosim.cli",
+        "run",
+        str(place / "one.yaml"),
+        "--no-report",
+        "--out",
+        str(place / "out"),
+    ]
+
+    def seconds(command: list[str]) -> float:
+        began = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True)
+        return time.perf_counter() - began
+
+    return ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
+
+
+def ten_times_the_steps(place: Path) -> float:
+    """Time of ten times the steps over the time of the steps."""
+    short, long = ScenarioFile(place / "loop.yaml"), ScenarioFile(place / "long.yaml")
+    return ratio(
+        lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=3
+    )

@@ -1,0 +1,88 @@
+"""Numbers for the page's script: thinned, rounded, and safe inside a script element."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.report.panels import DEGREES, Panel
+from cosim.report.roles import Craft, Signal
+from cosim.report.svg import Rows
+from cosim.report.topview import estimated_track, horizontal_thrust, newtons_per_decimetre, true_track
+
+SHOWN_DECIMALS = {"m": 3, "m/s": 3, "°": 2, "°/s": 1, "N": 3, "%": 2}
+Numbers = list[float | None]
+
+
+def sample_rows(count: int, limit: int) -> Rows:
+    """Every n-th row and the last, at most about `limit`."""
+    rows = np.arange(0, count, max(1, math.ceil(count / limit)))
+    return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
+
+
+def decimals(values: Signal) -> int:
+    """Decimals that keep four digits of the largest value."""
+    good = values[np.isfinite(values)]
+    largest = float(np.max(np.abs(good))) if good.size else 0.0
+    return 3 if largest == 0 else min(9, max(0, 3 - math.floor(math.log10(largest))))
+
+
+def rounded(values: Signal, digits: int) -> Numbers:
+    """Plain numbers; what cannot be drawn becomes null, whole numbers lose their `.0`."""
+    numbers: Numbers = []
+    for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
+        short = round(value, digits) if good else None
+        numbers.append(int(short) if short is not None and short == int(short) and abs(short) < 1e15 else short)
+    return numbers
+
+
+class Series:
+    """Signals the script can read out at any time, each under a short key."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+        self.entries: dict[str, dict[str, Any]] = {}
+
+    def add(self, panel: Panel) -> list[str]:
+        """Keys of the traces of a panel."""
+        keys = []
+        for trace in panel.traces:
+            key = f"k{len(self.entries)}"
+            values = trace.values[self.rows]
+            digits = decimals(values)
+            shown = min(digits, SHOWN_DECIMALS.get(panel.unit, 6))
+            self.entries[key] = {"v": rounded(values, digits), "d": shown, "h": int(trace.held)}
+            keys.append(key)
+        return keys
+
+
+def poses(craft: Craft, rows: Rows) -> dict[str, Any]:
+    """What moves in the picture: millimetres and degrees of craft and ghost, arrows and tilts."""
+    entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
+    for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
+        if track is not None:
+            entry[f"{prefix}u"] = rounded(-1000 * track.y[rows], 0)
+            entry[f"{prefix}v"] = rounded(-1000 * track.x[rows], 0)
+            entry[f"{prefix}a"] = rounded(-DEGREES * track.psi[rows], 1)
+    for side in ("right", "left"):
+        force, tilt = horizontal_thrust(craft, side), craft.signal(f"tilt_{side}_actual")
+        if force is not None and tilt is not None:
+            entry[f"force_{side}"] = rounded(force[rows], 4)
+            entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)
+    return entry
+
+
+def to_json(time: Signal, series: Series, crafts: Sequence[Craft]) -> str:
+    """Everything the script needs; `<`, `>` and `&` are escaped so that no text can end the script element."""
+    rows = series.rows
+    data = {
+        "t": rounded(time[rows], 6),
+        "series": series.entries,
+        "crafts": [poses(craft, rows) for craft in crafts],
+    }
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,0 +1,212 @@
+"""Panels as SVG paths and ticks, made on the server so that the page needs no script to be read.
+
+The curves live in a box of WIDTH × HEIGHT whole numbers that the browser stretches to any size; lines keep their
+width and the labels are HTML beside it, so the text is as legible at 400 px as at 1400 px.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.report.panels import Panel, Trace
+from cosim.report.roles import Signal
+
+WIDTH, HEIGHT = 4000, 1000
+Rows = NDArray[np.intp]
+Whole = NDArray[np.int64]
+WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A label at a place along the axis, in percent of it."""
+
+    at: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A range of values and where its labels go."""
+
+    low: float
+    high: float
+    ticks: tuple[Tick, ...]
+
+    def whole(self, values: Signal, size: int) -> Whole:
+        """Values as whole numbers 0 … size along the axis."""
+        share = (values - self.low) / (self.high - self.low)
+        return np.rint(np.clip(share, -9, 10) * size).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One drawn line."""
+
+    label: str
+    style: str
+    path: str
+    key: str
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A panel ready to be set: curves, band and limits in the box, ticks in percent."""
+
+    title: str
+    unit: str
+    curves: tuple[Curve, ...]
+    band: str
+    band_label: str
+    limits: tuple[int, ...]
+    limit_label: str
+    x: Axis
+    y: Axis
+    zero: int | None
+    summary: str
+
+
+def extent(signals: Sequence[Signal]) -> tuple[float, float] | None:
+    """Least and largest finite value."""
+    kept = [values[np.isfinite(values)] for values in signals]
+    kept = [values for values in kept if values.size]
+    return (min(float(v.min()) for v in kept), max(float(v.max()) for v in kept)) if kept else None
+
+
+def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
+    """An axis over low … high with about `count` round ticks."""
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
+        room = 0.1 * abs(low) or 1.0
+        low, high = low - room, high + room
+    step = round_step((high - low) / count, angle)
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    decimals += 0 if abs(step * 10**decimals - round(step * 10**decimals)) < 1e-6 else 1
+    places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    ticks = (Tick(100 * (i * step - low) / (high - low), tick_label(i * step, decimals)) for i in places)
+    return Axis(low, high, tuple(ticks))
+
+
+def round_step(least: float, angle: bool = False) -> float:
+    """The round number at or above `least`: 1, 2, 2.5, 5 × 10^n, or a part of a turn."""
+    if angle and 10 < least <= 360:
+        return next(float(part) for part in (15, 30, 45, 90, 180, 360) if part >= least)
+    power = 10.0 ** math.floor(math.log10(least))
+    return next((m * power for m in (1, 2, 2.5, 5) if m * power >= least * (1 - 1e-9)), 10 * power)
+
+
+def tick_label(value: float, decimals: int) -> str:
+    """A tick's text; tiny and huge values with an exponent."""
+    if decimals > 5 or abs(value) >= 1e6:
+        return f"{value:.3g}".replace("-", "\u2212")
+    return f"{value:.{decimals}f}".replace("-", "\u2212")
+
+
+def thin(values: Signal, limit: int) -> Rows:
+    """At most about `limit` rows that keep every peak: least and largest of each bucket, and every gap."""
+    count = values.size
+    if count <= limit:
+        return np.arange(count)
+    kept = {0, count - 1}
+    good = np.isfinite(values)
+    for rows in np.array_split(np.arange(count), max(1, limit // 2)):
+        some = rows[good[rows]]
+        if some.size:
+            kept.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
+        if some.size < rows.size:
+            kept.add(int(rows[~good[rows]][0]))
+    return np.array(sorted(kept), dtype=np.intp)
+
+
+def runs(good: NDArray[np.bool_]) -> list[slice]:
+    """Stretches of consecutive rows that can be drawn."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
+    return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def polyline(u: Whole, v: Whole, held: bool = False) -> str:
+    """A path in relative whole numbers, a few bytes a point; `held` draws steps."""
+    if u.size == 1:
+        return f"M{u[0] - 9} {v[0]}h18"  # a lone sample: a dash wide enough to be seen
+    path = [f"M{u[0]} {v[0]}"]
+    flat = 0  # level stretches are drawn as one
+    for du, dv in zip(np.diff(u).tolist(), np.diff(v).tolist(), strict=True):
+        if dv == 0:
+            flat += du
+        elif held:
+            path.append((f"h{flat + du}" if flat + du else "") + f"v{dv}")
+            flat = 0
+        else:
+            path.append((f"h{flat}" if flat else "") + (f"l{du}{dv}" if dv < 0 else f"l{du} {dv}"))
+            flat = 0
+    if flat:
+        path.append(f"h{flat}")
+    return "".join(path)
+
+
+def curve_path(x: Axis, y: Axis, time: Signal, trace: Trace, limit: int) -> str:
+    """The line of a trace, broken where its samples cannot be drawn."""
+    rows = thin(trace.values, limit)
+    kept = trace.values[rows]
+    u = x.whole(time[rows], WIDTH)
+    v = HEIGHT - y.whole(np.where(np.isfinite(kept), kept, y.low), HEIGHT)
+    return "".join(polyline(u[part], v[part], trace.held) for part in runs(np.isfinite(kept)))
+
+
+def band_path(x: Axis, y: Axis, time: Signal, lower: Signal, upper: Signal, limit: int) -> str:
+    """The region between two lines as closed paths."""
+    rows = np.unique(np.linspace(0, time.size - 1, min(limit, time.size)).astype(np.intp))
+    low, high = lower[rows], upper[rows]
+    good = np.isfinite(low) & np.isfinite(high)
+    u = x.whole(time[rows], WIDTH)
+    a, b = (HEIGHT - y.whole(np.where(good, line, y.low), HEIGHT) for line in (low, high))
+    there_and_back = ((np.concatenate((u[p], u[p][::-1])), np.concatenate((b[p], a[p][::-1]))) for p in runs(good))
+    return "".join(polyline(us, vs) + "z" for us, vs in there_and_back)
+
+
+def value_axis(panel: Panel) -> Axis:
+    """The range that shows every curve, the limits and (unless it is absurdly wide) the band."""
+    low, high = extent([trace.values for trace in panel.traces]) or (0.0, 1.0)
+    if panel.band is not None and (around := extent([panel.band.lower, panel.band.upper])):
+        room = WIDEST_BAND * (high - low or 1.0)
+        low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
+    low, high = min((low, *panel.limits)), max((high, *panel.limits))
+    margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+    return make_axis(low - margin, high + margin, 5, panel.unit == "°")
+
+
+def time_axis(time: Signal) -> Axis:
+    """The axis all plots of a run share."""
+    low, high = extent([time]) or (0.0, 1.0)
+    return make_axis(low, high if high > low else low + 1.0, 6)
+
+
+def make_plot(panel: Panel, time: Signal, x: Axis, keys: Sequence[str] = (), limit: int = 1000) -> Plot:
+    """Draw a panel; `keys` name the series a script may read the values of each curve from."""
+    y = value_axis(panel)
+    names = list(keys) + [""] * (len(panel.traces) - len(keys))
+    curves = tuple(
+        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key)
+        for trace, key in zip(panel.traces, names, strict=True)
+    )
+    band = panel.band
+    shade = band_path(x, y, time, band.lower, band.upper, limit // 2) if band else ""
+    levels = HEIGHT - y.whole(np.array(panel.limits), HEIGHT)
+    zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
+    return Plot(
+        panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
+        panel.limit_label, x, y, zero, _summary(panel),
+    )  # fmt: skip
+
+
+def _summary(panel: Panel) -> str:
+    """What the picture shows, for those who cannot see it."""
+    parts = []
+    for trace in panel.traces:
+        span = extent([trace.values])
+        parts.append(f"{trace.label} from {span[0]:.4g} to {span[1]:.4g}" if span else f"{trace.label} without values")
+    return f"{panel.title} in {panel.unit} over time in s: {'; '.join(parts)}."

@@ -1,0 +1,50 @@
+"""Fixtures: the FMUs, built once a test session and shared by its workers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fmus.build import Recipe, build, controller_recipe, plant_recipe
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Designs are cached in a folder of the tests', so that no test lives on an earlier session's."""
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    if before is None:
+        del os.environ["XDG_CACHE_HOME"]
+    else:
+        os.environ["XDG_CACHE_HOME"] = before
+
+
+def _built(recipe: Recipe, name: str, factory: pytest.TempPathFactory) -> Path:
+    return build(recipe, factory.mktemp("fmus") / name)
+
+
+@pytest.fixture(scope="session")
+def plant_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _built(plant_recipe(), "plant.fmu", tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def controller_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _built(controller_recipe(), "controller.fmu", tmp_path_factory)
+
+
+@pytest.fixture
+def project(tmp_path: Path, plant_fmu: Path, controller_fmu: Path) -> Path:
+    """A folder laid out as the project: scenarios/ and build/ with both FMUs."""
+    shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")
+    (tmp_path / "build").mkdir()
+    shutil.copy(plant_fmu, tmp_path / "build" / "plant.fmu")
+    shutil.copy(controller_fmu, tmp_path / "build" / "controller.fmu")
+    return tmp_path

@@ -1,0 +1,131 @@
+"""Noise, references, playback, designs and criteria."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim import metrics
+from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.sources import playback, profile_function
+from cosim.design import designed_values
+from cosim.errors import InputError
+from cosim.master import simulate
+from cosim.scenario import Change, Profile, ScenarioFile
+from cosim.system import build_system
+
+
+def test_noise_has_the_variance_and_bias_it_is_given() -> None:
+    samples = np.array(gaussian(stream(1, "controller.ax"), 0.04479, 0.1, 100_000))
+    # standard errors at 1e5 samples: σ/√n = 7e-4 for the mean, σ²·√(2/n) = 2e-4 for the variance; five of each
+    assert samples.mean() == pytest.approx(0.1, abs=3.5e-3)
+    assert samples.var() == pytest.approx(0.04479, abs=1e-3)
+
+
+def test_noise_is_the_measured_noise_of_eq_5_46_in_a_run(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "manoeuvre.yaml")
+    results = simulate(build_system(file), file.scenario.steps, 0.02)
+    for name, variance in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
+        noise = results[f"controller.{name}"] - results[f"plant.{name}"]
+        # relative standard error of a variance from 1301 samples is √(2/1300) = 3.9 %; four of them
+        assert noise.var() == pytest.approx(variance, rel=0.16)
+
+
+def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
+    path = project / "scenarios" / "regulate.yaml"
+
+    def noise_on_psi(*overrides: str) -> np.ndarray:
+        file = ScenarioFile(path, overrides)
+        results = simulate(build_system(file), 100, 0.02)
+        return results["controller.psi"] - results["plant.psi"]
+
+    # taking the noise off another connection moves the craft, but not the noise drawn here (1e-15: a − b of doubles)
+    assert np.allclose(noise_on_psi(), noise_on_psi("connections.2.noise=null"), atol=1e-15)
+    pairs = [stream(1, n).standard_normal(2000) for n in ("a.psi", "a.psi_dot", "b.psi")] + [stream(2, "a.psi").standard_normal(2000)]
+    correlation = np.corrcoef(pairs) - np.eye(4)
+    assert np.max(np.abs(correlation)) < 5 / math.sqrt(2000)  # five standard errors
+
+
+def test_a_step_comes_at_its_time_and_a_ramp_runs_at_its_rate() -> None:
+    f = profile_function(Profile(start=1.0, changes=[Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)]))
+    assert [f(t) for t in (0.0, 0.99, 1.0, 2.99)] == [1.0, 1.0, 2.0, 2.0]
+    assert [f(t) for t in (3.0, 3.5, 5.0, 9.0)] == pytest.approx([2.0, 1.0, -2.0, -2.0])
+
+
+def test_a_change_interrupts_the_ramp_before_it() -> None:
+    f = profile_function(Profile(changes=[Change(at=0.0, to=10.0, rate=1.0), Change(at=2.0, to=0.0, rate=4.0)]))
+    assert [f(t) for t in (1.0, 2.0, 2.25, 3.0)] == pytest.approx([1.0, 2.0, 1.0, 0.0])
+
+
+def test_a_step_at_a_multiple_of_the_step_is_not_a_sample_late() -> None:
+    f = profile_function(Profile(changes=[Change(at=0.3, to=1.0)]))
+    assert f(3 * 0.1) == 1.0  # 0.30000000000000004
+    assert f(0.1 + 0.1 + 0.1 - 5.6e-17) == 1.0
+    assert f(0.28) == 0.0
+
+
+def test_degrees_in_a_reference_reach_the_fmu_as_radians(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "manoeuvre.yaml", ["noise=off"])
+    results = simulate(build_system(file), file.scenario.steps, 0.02)
+    assert results.units["reference.psi_ref"] == "rad"
+    assert results["reference.psi_ref"].min() == pytest.approx(-math.pi / 2)
+    assert results["reference.psi_ref"].max() == pytest.approx(math.pi / 2)
+
+
+def test_playback_holds_each_row_until_the_next_and_drives_the_plant(project: Path) -> None:
+    log = project / "scenarios" / "inputs.csv"
+    log.write_text("time,tilt_right [deg],tilt_left [deg]\n0,0,0\n0.1,6,6\n0.5,0,0\n")
+    (project / "scenarios" / "open.yaml").write_text(
+        "name: open\nduration: 1\nstep: 0.02\ncomponents:\n  plant: {fmu: ../build/plant.fmu}\n"
+        "  log: {block: playback, file: inputs.csv}\nconnections:\n"
+        "  - {from: log.tilt_right, to: plant.tilt_right}\n  - {from: log.tilt_left, to: plant.tilt_left}\n"
+    )
+    results = simulate(build_system(ScenarioFile(project / "scenarios" / "open.yaml")), 50, 0.02)
+    command = np.where((results.time >= 0.1 - 1e-9) & (results.time < 0.5 - 1e-9), math.radians(6), 0.0)
+    assert np.allclose(results["plant.tilt_right"], command)
+    # the command in row 5 (t = 0.1 s) acts from there on: the tilt moves in row 6
+    assert results["plant.tilt_right_actual"][5] == 0.0
+    assert results["plant.tilt_right_actual"][6] > 0.0
+
+
+def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,u\n0,1\n0.1,x\n0.1,2\n0.2\n0.3,nan\n")
+    with pytest.raises(InputError) as caught:
+        playback("log", log)
+    told = [str(f).removeprefix(f"{log}:") for f in caught.value.faults]
+    assert [t.split(" ")[0] for t in told] == ["3:2:", "4:1:", "5:1:", "6:2:"]
+
+
+def test_a_design_is_resolved_once_and_gives_the_gain_of_eq_6_5(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(project / "cache"))
+    first = designed_values(file)["controller"]
+    assert [first[f"k_2_{j}"] for j in range(1, 6)] == pytest.approx([0.70711, 0.65934, -0.22361, -0.10170, 0.04958], abs=5e-6)
+    monkeypatch.setattr("controller.synthesis.lqr_gain", lambda *a: pytest.fail("designed twice"))
+    assert designed_values(file)["controller"] == first
+
+
+def test_a_design_of_appendix_g_gives_its_gain(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["design.thrust_nominal=2.0448", "design.lag=0.12"])
+    gains = designed_values(file)["controller"]
+    expected = [0.70711, 0.69265, 0.22361, 0.10735, 0.06922]  # eq G.5, recomputed
+    assert [gains[f"k_1_{j}"] for j in range(1, 6)] == pytest.approx(expected, abs=5e-6)
+
+
+def test_metrics_on_a_signal_known_by_hand() -> None:
+    t = np.arange(6) * 0.5
+    signal = np.array([0.0, 0.6, 1.3, 0.9, 1.05, 1.0])
+    assert metrics.settling_time(t, signal, 1.0, 0.1) == 1.0  # 0.9 at 1.5 s is on the band's edge
+    assert metrics.settling_time(t, signal, 1.0, 0.01) == 2.0
+    assert metrics.settling_time(t, signal, 1.0, 2.0) == 0.0
+    assert metrics.settling_time(t, signal, 0.0, 0.1) == math.inf
+    assert metrics.overshoot(signal, 1.0) == pytest.approx(0.3)
+    assert metrics.overshoot(-signal, -1.0) == pytest.approx(0.3)
+    assert metrics.rms_error(signal, 1.0) == pytest.approx(math.sqrt((1 + 0.16 + 0.09 + 0.01 + 0.0025) / 6))
+    assert metrics.final_error(signal, 1.2) == pytest.approx(0.2)
+    assert metrics.peak(-signal) == 1.3
+    assert metrics.effort(t, signal) == pytest.approx(0.5 * (0.6 + 1.3 + 0.9 + 1.05))

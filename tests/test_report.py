@@ -1,0 +1,315 @@
+"""The report: complete in itself, safe with any name, honest about what the data show."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.report import write_figures, write_report
+from cosim.report.judgement import belief, reference_steps, responses, saturation
+from cosim.report.panels import other_panels, state_panels
+from cosim.report.roles import Run, Signal, find_crafts
+from cosim.report.svg import make_axis, thin
+from cosim.report.topview import pose, reference_track, true_track
+from cosim.results import Results
+
+PLANT = """x y x_world y_world psi phi vx vy psi_dot phi_dot ax thrust_right thrust_left tilt_right_actual
+    tilt_left_actual duty_right duty_left tilt_right tilt_left"""
+CONTROLLER = """psi psi_dot ax x_ref psi_ref duty_right duty_left tilt_right tilt_left x_hat vx_hat psi_hat
+    psi_dot_hat a_hat x_sigma psi_sigma"""
+BELIEFS = ("controller.x_hat", "controller.psi_hat", "controller.x_sigma", "controller.x_ref")
+HOSTILE = "</script><script>alert(1)</script>"
+
+
+def craft_run(
+    seconds: float = 30.0, off: float = 0.0, noise: float = 0.0, plant: str = "plant", control: str = "controller"
+) -> Results:
+    """A craft that drives 1 m forward from t = 1 s along world X; it ends `off` [m] short, unseen by its estimator."""
+    t: Signal = np.arange(round(seconds / 0.02) + 1).astype(np.float64) * 0.02
+    rng = np.random.default_rng(1)
+    way = np.where(t < 1, 0.0, 1 - np.exp(-2 * (t - 1)))
+    columns = {f"{plant}.{name}": np.zeros(t.size) for name in PLANT.split()}
+    columns |= {f"{control}.{name}": np.zeros(t.size) for name in CONTROLLER.split()}
+    columns |= {name: column + noise * rng.normal(size=t.size) for name, column in columns.items()}
+    columns[f"{plant}.x"] = columns[f"{plant}.x_world"] = way * (1 - off)
+    columns[f"{plant}.psi"] = noise * rng.normal(size=t.size)
+    columns[f"{control}.x_hat"] = way
+    columns[f"{control}.x_sigma"] = 0.05 * np.sqrt(t)
+    columns[f"{control}.x_ref"] = np.where(t < 1, 0.0, 1.0)
+    return Results(t, tuple(columns), np.column_stack(list(columns.values())))
+
+
+def manifest(**changes: Any) -> dict[str, Any]:
+    noise = {"variance": 2.613e-5, "bias": 0.0}
+    connections = [
+        {"from": "plant.psi", "to": "controller.psi", "noise": noise},
+        {"from": "controller.tilt_right", "to": "plant.tilt_right"},
+    ]
+    scenario = {
+        "name": "forward",
+        "components": {"controller": {"fmu": "controller.fmu", "start": {"tilt_max": "12 deg"}}},
+        "connections": connections,
+    }
+    return {"scenario": scenario, "seed": 7, "status": "ok"} | changes
+
+
+def page(tmp_path: Path, results: Results, record: dict[str, Any]) -> str:
+    write_report(tmp_path / "report.html", results, record)
+    return (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def embedded(text: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="run-data">(.*?)</script>', text, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found.group(1), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    return data
+
+
+def changed(results: Results, column: str, values: Any, rows: slice = slice(None)) -> Results:
+    table = results.values.copy()
+    table[rows, results.columns.index(column)] = values
+    return Results(results.time, results.columns, table, results.units)
+
+
+class Elements(HTMLParser):
+    """Counts elements and collects what they load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.loads: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "data", "poster", "srcset")]
+
+
+def test_page_loads_nothing(tmp_path: Path) -> None:
+    text = page(tmp_path, craft_run(), manifest())
+    assert [target for target in Elements(text).loads if not target.startswith(("#", "data:"))] == []
+    assert re.search(r"https?://|@import|url\(|fetch\(|XMLHttpRequest", text) is None
+
+
+def test_names_never_become_markup(tmp_path: Path) -> None:
+    record = manifest(warnings=[HOSTILE], status=f"failed: {HOSTILE}", fmus={HOSTILE: {"guid": HOSTILE}})
+    record["scenario"] |= {"name": HOSTILE, "description": HOSTILE}
+    record["scenario"]["connections"].append({"from": HOSTILE, "to": HOSTILE})
+    results = craft_run(2.0, plant="<i>p", control='"><i>c')
+    elements = Elements(page(tmp_path, results, record))
+    assert elements.tags.count("script") == 2  # the data and the page's own
+    assert "i" not in elements.tags
+
+
+def test_embedded_data_is_json_that_matches_the_run(tmp_path: Path) -> None:
+    results = changed(craft_run(4.0), "plant.vx", np.nan, slice(50, 60))
+    data = embedded(page(tmp_path, results, manifest()))
+    assert data["t"][-1] == pytest.approx(4.0)
+    body = data["crafts"][0]
+    assert len(body["u"]) == len(data["t"])
+    # Forward along world X is up: −1000 mm at the end, within the rounding to whole millimetres.
+    assert body["v"][-1] == pytest.approx(-1000 * results["plant.x_world"][-1], abs=0.5)
+    assert any(None in series["v"] for series in data["series"].values())
+
+
+def test_forward_is_up_and_a_left_turn_turns_left() -> None:
+    results = changed(craft_run(1.0), "plant.psi", math.pi / 2)
+    results = changed(changed(results, "plant.x_world", 2.0), "plant.y_world", 1.0)
+    (craft,) = find_crafts(Run(results, manifest()))
+    # 1 m to the left and 2 m forward; SVG turns clockwise, so a left turn is negative.
+    assert pose(true_track(craft), 0) == "translate(-1000 -2000) rotate(-90.00)"
+
+
+def test_reference_path_follows_the_reference_heading() -> None:
+    results = changed(craft_run(4.0), "controller.psi_ref", -math.pi / 2)
+    (craft,) = find_crafts(Run(results, manifest()))
+    track = reference_track(craft)
+    assert track is not None
+    # A right turn, then 1 m forward: world Y, which points left, falls to −1.
+    assert (track.x[-1], track.y[-1]) == pytest.approx((0.0, -1.0), abs=1e-12)
+
+
+@pytest.mark.parametrize(("off", "told"), [(0.0, False), (0.01, False), (0.05, True), (0.4, True)])
+def test_a_wandering_craft_is_told_if_and_only_if_it_wanders(tmp_path: Path, off: float, told: bool) -> None:
+    text = page(tmp_path, craft_run(off=off), manifest())
+    assert ("The estimator believes it has settled; the craft has not." in text) is told
+
+
+def test_an_estimator_that_has_not_settled_is_not_said_to_believe_it() -> None:
+    results = craft_run(off=0.4)
+    (craft,) = find_crafts(Run(changed(results, "controller.x_hat", results["plant.x"]), manifest()))
+    seen = belief(craft)
+    assert seen is not None
+    assert seen.true == pytest.approx(0.4, abs=1e-3)  # e^(−2·26) of the approach is left
+    assert not seen.wanders
+
+
+def test_a_craft_that_comes_in_at_the_end_is_not_said_to_wander() -> None:
+    late = changed(craft_run(10.0, off=0.4), "plant.x", 0.99, slice(-3, None))
+    (craft,) = find_crafts(Run(late, manifest()))
+    seen = belief(craft)
+    assert seen is not None
+    assert math.isfinite(responses(craft, "x")[-1].settling)
+    assert not seen.wanders
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 3])
+def test_a_run_of_a_few_rows_gives_a_page_and_figures(tmp_path: Path, rows: int) -> None:
+    whole = craft_run(1.0)
+    results = Results(whole.time[:rows], whole.columns, whole.values[:rows], whole.units)
+    text = page(tmp_path, results, manifest(status="failed: plant stopped at t = 0.04 s"))
+    assert ("No rows were recorded" in text) is (rows == 0)
+    assert len(embedded(text)["t"]) == rows
+    assert len(write_figures(tmp_path / "figures", results, manifest())) == (0 if rows == 0 else 4)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300, 1e60])
+def test_rows_that_are_not_finite_leave_a_gap(tmp_path: Path, bad: float) -> None:
+    whole = craft_run(2.0)
+    columns = ("plant.x", "plant.x_world", "plant.psi", "plant.thrust_right", "plant.tilt_right", *BELIEFS, None)
+    for column in columns:
+        results = Results(whole.time, whole.columns, np.full_like(whole.values, bad), whole.units)
+        if column is not None:
+            results = changed(whole, column, bad, slice(50, 60))
+        text = page(tmp_path, results, manifest())
+        assert re.search(r'\b(d|transform|style)="[^"]*(nan|inf)', text) is None, column
+
+
+def test_a_manifest_may_lack_or_garble_anything(tmp_path: Path) -> None:
+    garbled = {"scenario": [], "criteria": [1, {}], "warnings": "one", "fmus": 3, "git": None, "timings": {"load": "x"}}
+    for record in ({}, garbled, {"scenario": {"components": {"controller": {"start": {"tilt_max": "wide"}}}}}):
+        assert "<h1>Run</h1>" in page(tmp_path, craft_run(1.0), record)
+
+
+def test_thirty_noisy_seconds_stay_small(tmp_path: Path) -> None:
+    # Noise on every signal is the worst there is to compress: no level stretches, every digit used.
+    assert len(page(tmp_path, craft_run(30.0, noise=0.1), manifest()).encode()) < 600_000
+
+
+def test_an_hour_is_no_larger_than_a_minute(tmp_path: Path) -> None:
+    sizes = [len(page(tmp_path, craft_run(seconds, noise=0.1), manifest())) for seconds in (60.0, 600.0)]
+    assert sizes[1] < 1.3 * sizes[0]  # both are thinned to the same number of points; only digits differ
+
+
+def test_thinning_keeps_every_peak_and_gap() -> None:
+    values = np.zeros(100_000)
+    values[[777, 50_001]] = 1.0, -2.0
+    values[70_000] = np.nan
+    rows = thin(values, 1000)
+    assert {0, 777, 50_001, 70_000, 99_999} <= set(rows.tolist())
+    assert rows.size <= 1003  # two a bucket, the ends and the gap
+
+
+def test_figures_of_merit_use_every_row() -> None:
+    spike = changed(craft_run(60.0), "plant.x", 1.5, slice(1733, 1734))
+    (craft,) = find_crafts(Run(spike, manifest()))
+    assert responses(craft, "x")[-1].overshoot == pytest.approx(0.5)
+
+
+def test_a_step_a_ramp_and_a_hold_are_told_apart() -> None:
+    t = np.arange(0, 10, 0.02)
+    reference = np.where(t < 2, 0.0, 1.0) + np.clip(t - 5, 0, 2)
+    steps = reference_steps(t, reference)
+    assert [(t[s.begin], t[s.arrived]) for s in steps] == [
+        pytest.approx((0, 0)),
+        pytest.approx((2, 2)),
+        pytest.approx((5.02, 7), abs=0.021),  # the ramp's first and last change, to a row
+    ]
+    assert [s.end for s in steps] == [*(s.begin for s in steps[1:]), t.size]
+
+
+def test_settling_is_measured_from_the_last_step() -> None:
+    (craft,) = find_crafts(Run(craft_run(10.0), manifest()))
+    (answer,) = responses(craft, "x")
+    # 1 − e^(−2t) enters ±0.02 at t = ln(50)/2; the last sample outside lies at most one step before.
+    assert answer.time == pytest.approx(1.0)
+    assert 0 <= math.log(50) / 2 - answer.settling <= 0.02
+
+
+def test_a_craft_that_never_arrives_is_not_settled(tmp_path: Path) -> None:
+    text = page(tmp_path, craft_run(off=0.4), manifest())
+    assert "<dd>not settled</dd>" in text
+
+
+def test_saturation_is_the_share_of_time_at_the_limit(tmp_path: Path) -> None:
+    results = changed(craft_run(10.0), "plant.tilt_right", math.radians(12), slice(0, 125))
+    (craft,) = find_crafts(Run(results, manifest()))
+    assert saturation(craft, "right") == pytest.approx(0.25)  # 125 of 500 commands
+    assert saturation(craft, "left") == 0
+    assert "limit of ±12.0° for 25\u00a0% of the time on the right" in page(tmp_path, results, manifest())
+
+
+def test_an_unstated_limit_is_not_drawn_where_commands_exceed_it() -> None:
+    results = changed(craft_run(1.0), "plant.tilt_right", math.radians(53))
+    record = manifest(scenario={})
+    (craft,) = find_crafts(Run(results, record))
+    assert craft.tilt_limit is None
+
+
+def test_angles_are_shown_in_degrees() -> None:
+    results = changed(craft_run(1.0), "plant.psi", math.pi / 2)
+    (craft,) = find_crafts(Run(results, manifest()))
+    heading = next(panel for panel in state_panels(craft) if panel.symbol == "ψ")
+    assert heading.unit == "°"
+    assert heading.traces[-1].values[-1] == pytest.approx(90.0)
+
+
+def test_roles_are_found_through_connections_whatever_the_names() -> None:
+    one, two = craft_run(1.0, plant="a", control="k"), craft_run(1.0, plant="b", control="l")
+    both = Results(one.time, one.columns + two.columns, np.hstack([one.values, two.values]))
+    links = [("a.psi", "sensor.psi"), ("sensor.psi", "l.psi"), ("b.psi", "k.psi"), ("guide.x", "l.x_ref")]
+    record = {"scenario": {"connections": [{"from": source, "to": target} for source, target in links]}}
+    assert [(craft.name, craft.estimator) for craft in find_crafts(Run(both, record))] == [("a", "l"), ("b", "k")]
+
+
+def test_without_a_craft_every_signal_is_plotted(tmp_path: Path) -> None:
+    columns = (*(f"mass.q{i}" for i in range(9)), "spring.force")
+    units = dict.fromkeys(columns[:-1], "m") | {"spring.force": "N"}
+    results = Results(np.arange(3.0), columns, np.ones((3, 10)), units)
+    text = page(tmp_path, results, {})
+    assert all(text.count(f"</svg>{name}") == 1 for name in columns)
+    panels = other_panels(Run(results, {}), lambda column: False)
+    assert [(panel.unit, len(panel.traces)) for panel in panels] == [("m", 6), ("m", 3), ("N", 1)]
+
+
+def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
+    goals = [
+        {"kind": "settling_time", "of": "plant.psi", "value": 1.5, "max": 4.0, "unit": "s", "met": True},
+        {"kind": "final_error", "of": "plant.psi", "to": 0.0, "value": 0.2, "max": 0.1, "unit": "rad", "met": False},
+        {"kind": "settling_time", "of": "plant.x", "value": None, "max": 4.0, "unit": "s", "met": False},
+    ]
+    text = page(tmp_path, craft_run(1.0), manifest(criteria=goals))
+    assert "2 of 3 criteria were missed (first, final error of plant.psi to 0°: 11.5°, allowed ≤ 5.73°)." in text
+    assert all(words in text for words in ("2.50\u00a0s left", "5.73° over", ">not settled</td>"))
+
+
+def test_ticks_lie_on_the_axis_and_are_told_apart() -> None:
+    for low, high in [(0, 1), (-3e-9, 5e-9), (0, 720), (1e8, 1e8 + 50), (2, 2), (-1e90, 1e90), (0.1, 0.30001)]:
+        for angle in (False, True):
+            axis = make_axis(low, high, 5, angle)
+            assert 2 <= len(axis.ticks) <= 12, (low, high)
+            assert all(-1e-6 <= tick.at <= 100 + 1e-6 for tick in axis.ticks)
+            assert len({tick.label for tick in axis.ticks}) == len(axis.ticks) or low >= 1e8
+
+
+def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
+    one, two = craft_run(1.0, plant="../$a_{", control="k"), craft_run(1.0, plant="_b", control="l")
+    both = Results(one.time, one.columns + two.columns, np.hstack([one.values, two.values]))
+    paths = write_figures(tmp_path / "figures", both, {})
+    assert sorted(tmp_path.joinpath("figures").iterdir()) == sorted(paths)
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+def test_importing_the_report_loads_neither_jinja2_nor_matplotlib() -> None:
+    code = "import sys, cosim.report; print([m for m in ('jinja2', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

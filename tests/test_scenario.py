@@ -1,0 +1,166 @@
+"""Bad scenarios: the place, every fault at once, the cure, and the exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import InputError
+from cosim.scenario import ScenarioFile
+from cosim.system import build_system
+
+GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
+
+
+def faults_of(project: Path, text: str, *overrides: str) -> list[str]:
+    """Faults of a scenario text, each `line:column: message`."""
+    path = project / "scenarios" / "case.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        build_system(ScenarioFile(path, overrides))
+    return [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
+
+
+def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
+    for name in ("regulate", "manoeuvre"):
+        build_system(ScenarioFile(project / "scenarios" / f"{name}.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "at", "words"),
+    [
+        ("seed: 1", "sed: 1", "sed", 'unknown key "sed"; did you mean "seed"?'),
+        ("duration: 10", "duration: ten", "ten", "duration is 'ten': it should be a valid number"),
+        ("duration: 10", "duration: -1", "-1", "greater than 0"),
+        ("duration: 10", "duration: .inf", ".inf", "finite"),
+        ("step: 0.02", "step: true", "true", "step is True"),
+        ("step: 0.02", "step: .nan", ".nan", "finite"),
+        ("step: 0.02", "step: 0.03", "0.03", "step is 0.03 s; use a whole divisor of duration 10 s"),
+        ("step: 0.02\n", "", None, '"step" is missing; add it'),
+        ("noise: on", "noise: perhaps", "perhaps", "it is on or off"),
+        ("plant.fmu", "plnt.fmu", "../build/plnt.fmu", "no such FMU"),
+        ("x_start: 1,", "x_strt: 1,", "1, psi_start", 'plant has no variable "x_strt"; did you mean "x_start"?'),
+        ("x_start: 1,", "x_start: .inf,", ".inf", "finite number"),
+        ("x_start: 1,", "mass: -1,", "-1,", "plant.mass is -1; it lies in [0.05, 20] kg"),
+        ("x_start: 1,", "roll_ground_effect: 2,", "2, psi_start", "it is true or false"),
+        ("x_start: 1,", "vx: 2,", "2, psi_start", "plant.vx is an output; it takes no start value"),
+        ("12 deg", "12 degrees", "12 degrees", "text with a unit: 3 rad, 3 deg"),
+        ("from: plant.psi,", "from: plant.psii,", "plant.psii", 'no output "psii" of type Real; did you mean "psi"?'),
+        ("from: plant.psi,", "from: plan.psi,", "plan.psi", 'no component "plan"; did you mean "plant"?'),
+        ("from: plant.psi,", "from: plant.tilt_right,", "plant.tilt_right", "an output goes to an input"),
+        ("from: plant.psi,", "from: plant.vx,", "{from: plant.vx", "unit mismatch: plant.vx [m/s] to controller.psi"),
+        ("to: controller.psi_dot", "to: controller.psi", "controller.psi, noise: {variance: 4", "two sources for"),
+        ("variance: 2.613e-5", "variance: -1", "-1", "greater than or equal to 0"),
+        ("variance: 2.613e-5", "varience: 1", "varience", 'did you mean "variance"?'),
+        ("of: plant.phi", "of: plant.roll", "plant.roll", 'no signal "plant.roll"'),
+        ("band: 0.02, max: 4.0", "max: 4.0", "{of: plant.x, max", "settling_time needs a band"),
+        ("estimator: appendix_f", "estimator: thesis", "thesis", "'appendix_f', 'lagged' or 'consistent'"),
+        ("R: [1, 1]", "R: [1, 0]", "0]\n  estimator", "greater than 0"),
+        ("block: reference", "block: refrence", None, "a component has fmu: FILE, block: reference"),
+        ("thrust_nominal: 2.4973", "component: plnt", None, 'design is for component "plnt"'),
+    ],
+)
+def test_a_fault_names_its_place_and_its_cure(project: Path, old: str, new: str, at: str | None, words: str) -> None:
+    assert old in GOOD
+    text = GOOD.replace(old, new, 1)
+    faults = [fault for fault in faults_of(project, text) if words in fault]
+    assert faults, faults_of(project, text)
+    if at is not None:
+        before = text[: text.index(at, GOOD.index(old) - 20)]
+        place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}:"
+        assert faults[0].startswith(place), (place, faults)
+
+
+def test_faults_of_form_and_of_meaning_are_told_together(project: Path) -> None:
+    text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.03").replace("plant.ax,", "plant.axe,")
+    text = text.replace("variance: 2.613e-5", "variance: a").replace("x_start: 1,", "x_strt: 1,")
+    text = text.replace("of: plant.phi", "of: plant.phy")
+    lines = [int(fault.split(":")[0]) for fault in faults_of(project, text)]
+    assert [GOOD.splitlines()[k - 1].split(":")[0].strip() for k in lines[:2]] == ["step", "seed"]
+    assert lines == [5, 6, 19, 30, 32, 44]
+
+
+def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: Path) -> None:
+    text = (
+        "name: loop\nduration: 1\nstep: 0.02\ncomponents:\n  a: {fmu: ../build/controller.fmu}\n"
+        "  b: {fmu: ../build/controller.fmu}\nconnections:\n  - {from: a.psi_hat, to: b.psi}\n"
+        "  - {from: b.psi_hat, to: a.psi}\n"
+    )
+    (fault,) = faults_of(project, text)
+    assert fault.startswith("8:3: algebraic loop under gauss-seidel: ")
+    assert "order: [a, b]" in fault
+    assert "algorithm: jacobi" in fault
+    for cure in ("order: [a, b]\n", "algorithm: jacobi\n"):
+        path = project / "scenarios" / "case.yaml"
+        path.write_text(cure + text)
+        build_system(ScenarioFile(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "place", "words"),
+    [
+        (b"name: a\nname: b\n", ":2:1", 'duplicate key "name"'),
+        (b"a: {b: 1, b: 2}\n", ":1:11", 'duplicate key "b"'),
+        (b"a: [1,\nb: }", ":2:4", "not YAML"),
+        (b"name: x\n\tstep: 1\n", ":2:1", "not YAML"),
+        (b"just words\n", ":1:1", "is not a mapping"),
+        (b"", ":1:1", "is not a mapping"),
+        (b"\x00\x01", ":1:1", "not YAML"),
+        (b"\xff\xfe\x00", "", "cannot be read as text"),
+    ],
+)
+def test_what_is_not_yaml_is_said_to_be_so(tmp_path: Path, content: bytes, place: str, words: str) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        ScenarioFile(path)
+    assert f"{path}{place}: " in str(caught.value)
+    assert words in str(caught.value)
+
+
+def test_a_file_that_is_no_fmu_exits_3_and_a_fault_of_the_user_wins(project: Path) -> None:
+    (project / "build" / "plant.fmu").write_text("not a zip")
+    path = project / "scenarios" / "regulate.yaml"
+    with pytest.raises(InputError) as caught:
+        build_system(ScenarioFile(path))
+    assert caught.value.exit_code == 3
+    assert f"{path}:18:10: " in str(caught.value)
+    with pytest.raises(InputError) as caught:
+        build_system(ScenarioFile(path, ["step=0.03"]))
+    assert caught.value.exit_code == 2
+
+
+def test_set_reaches_every_place_of_a_scenario(project: Path) -> None:
+    path = project / "scenarios" / "regulate.yaml"
+    overrides = [
+        "noise=off", "seed=7", "components.plant.start.coulomb_friction.force=0.05",
+        "connections.0.noise.variance=0", "design.estimator=lagged", "components.plant.start={x_start: 2}",
+    ]  # fmt: skip
+    scenario = ScenarioFile(path, overrides[:-1]).scenario
+    assert (scenario.noise, scenario.seed) == (False, 7)
+    assert scenario.components["plant"].start["coulomb_friction.force"] == 0.05  # type: ignore[union-attr]
+    assert scenario.connections[0].noise is not None
+    assert scenario.connections[0].noise.variance == 0
+    assert ScenarioFile(path, overrides[-1:]).scenario.components["plant"].start == {"x_start": 2}  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("override", ["noise", "=3", "connections.99.noise=1", "name.x.y=1"])
+def test_a_set_that_fits_nowhere_is_refused(project: Path, override: str) -> None:
+    with pytest.raises(InputError, match="--set"):
+        ScenarioFile(project / "scenarios" / "regulate.yaml", [override])
+
+
+def test_an_angle_may_be_given_in_degrees(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
+    block = next(s.component for s in build_system(file).stages if s.component.name == "controller")
+    assert block.start_values["tilt_max"] == pytest.approx(0.20943951, abs=1e-8)  # type: ignore[attr-defined]
+
+
+def test_swap_differs_from_regulate_in_one_line_of_the_system() -> None:
+    folder = Path(__file__).parent.parent / "scenarios"
+    one, other = ((folder / f"{name}.yaml").read_text() for name in ("regulate", "swap"))
+    system_of = [t[t.index("duration:") : t.index("criteria:")].splitlines() for t in (one, other)]
+    differing = [(a, b) for a, b in zip(*system_of, strict=True) if a != b]
+    assert len(differing) == 1
+    assert "fmu:" in differing[0][0]
