@@ -48,7 +48,9 @@ def check_pinned(file: ScenarioFile) -> None:
         if isinstance(component, FmuComponent) and component.sha256 is not None:
             path = file.resolve(component.fmu)
             if path.is_file() and sha256(path) != component.sha256:
-                message = f"{path} is not the FMU of this run: its SHA-256 differs; put that one back, or run the scenario"
+                message = (
+                    f"{path} is not the FMU of this run: its SHA-256 differs; put that one back, or run the scenario"
+                )
                 faults.append(file.fault(("components", name, "fmu"), message))
     if faults:
         raise InputError(faults)

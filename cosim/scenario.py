@@ -291,9 +291,7 @@ class Salvage:
             if first == "connections" and rest and isinstance(rest[0], int):
                 connections.add(rest[0])
             elif first == "components" and rest:
-                self._drop_from_component(
-                    str(rest[0]), [p for p in rest[1:] if not str(p).endswith("»")]
-                )
+                self._drop_from_component(str(rest[0]), [p for p in rest[1:] if not str(p).endswith("»")])
             elif first == "criteria" and rest:
                 self.data["criteria"].pop(rest[0], None)
             elif first in STAND_INS:

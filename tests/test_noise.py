@@ -44,7 +44,9 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
 
     # taking the noise off another connection moves the craft, but not the noise drawn here (1e-15: a − b of doubles)
     assert np.allclose(noise_on_psi(), noise_on_psi("connections.2.noise=null"), atol=1e-15)
-    pairs = [stream(1, n).standard_normal(2000) for n in ("a.psi", "a.psi_dot", "b.psi")] + [stream(2, "a.psi").standard_normal(2000)]
+    pairs = [stream(1, n).standard_normal(2000) for n in ("a.psi", "a.psi_dot", "b.psi")] + [
+        stream(2, "a.psi").standard_normal(2000)
+    ]
     correlation = np.corrcoef(pairs) - np.eye(4)
     assert np.max(np.abs(correlation)) < 5 / math.sqrt(2000)  # five standard errors
 
@@ -104,7 +106,9 @@ def test_a_design_is_resolved_once_and_gives_the_gain_of_eq_6_5(project: Path, m
     file = ScenarioFile(project / "scenarios" / "regulate.yaml")
     monkeypatch.setenv("XDG_CACHE_HOME", str(project / "cache"))
     first = designed_values(file)["controller"]
-    assert [first[f"k_2_{j}"] for j in range(1, 6)] == pytest.approx([0.70711, 0.65934, -0.22361, -0.10170, 0.04958], abs=5e-6)
+    assert [first[f"k_2_{j}"] for j in range(1, 6)] == pytest.approx(
+        [0.70711, 0.65934, -0.22361, -0.10170, 0.04958], abs=5e-6
+    )
     monkeypatch.setattr("controller.synthesis.lqr_gain", lambda *a: pytest.fail("designed twice"))
     assert designed_values(file)["controller"] == first
 

@@ -55,7 +55,9 @@ def test_a_manifest_is_not_repeated_with_another_fmu(project: Path) -> None:
 
 
 def test_the_manifest_tells_what_the_run_was(project: Path) -> None:
-    record = json.loads((run(project / "scenarios" / "regulate.yaml", project / "o", report=False).folder / "manifest.json").read_text())
+    record = json.loads(
+        (run(project / "scenarios" / "regulate.yaml", project / "o", report=False).folder / "manifest.json").read_text()
+    )
     assert record["schema_version"] == 1
     assert record["seed"] == record["scenario"]["seed"] == 1
     assert record["scenario"]["algorithm"] == "gauss-seidel"
@@ -116,7 +118,11 @@ def test_a_missed_criterion_exits_5_and_leaves_everything(project: Path) -> None
 
 
 def test_bad_input_exits_2_without_traceback_and_writes_nothing(project: Path) -> None:
-    for arguments in (["run", "none.yaml"], ["run", "scenarios/regulate.yaml", "--set", "step=0.03"], ["check", "x.yaml"]):
+    for arguments in (
+        ["run", "none.yaml"],
+        ["run", "scenarios/regulate.yaml", "--set", "step=0.03"],
+        ["check", "x.yaml"],
+    ):
         done = cosim(*arguments, *(["--out", "out"] if arguments[0] == "run" else []), cwd=project)
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
@@ -142,7 +148,11 @@ def test_check_finds_nothing_wrong_with_what_we_ship(project: Path) -> None:
 def test_build_makes_every_fmu_the_scenarios_name(tmp_path: Path) -> None:
     done = cosim("build", "--out", "fmus", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    named = {name for file in (ROOT / "scenarios").glob("*.yaml") for name in re.findall(r"build/(\S+\.fmu)", file.read_text())}
+    named = {
+        name
+        for file in (ROOT / "scenarios").glob("*.yaml")
+        for name in re.findall(r"build/(\S+\.fmu)", file.read_text())
+    }
     assert named <= {p.name for p in (tmp_path / "fmus").iterdir()}
 
 
@@ -152,7 +162,10 @@ def test_swapping_the_plant_keeps_the_scenario_running(project: Path) -> None:
     build(plant_recipe(HEAVY), project / "build" / "plant-heavy.fmu")
     outcome = run(project / "scenarios" / "swap.yaml", project / "o", report=False)
     assert not outcome.missed
-    assert outcome.manifest["fmus"]["plant"]["guid"] != run(project / "scenarios" / "regulate.yaml", project / "p", report=False).manifest["fmus"]["plant"]["guid"]
+    assert (
+        outcome.manifest["fmus"]["plant"]["guid"]
+        != run(project / "scenarios" / "regulate.yaml", project / "p", report=False).manifest["fmus"]["plant"]["guid"]
+    )
 
 
 def test_version_names_the_package_and_tells_it_from_the_other_cosim(tmp_path: Path) -> None:
