@@ -67,7 +67,9 @@ def simulate(system: System, steps: int, h: float, progress: Callable[[int], Non
             done = k + 1
             if progress is not None and k % PROGRESS_EVERY == 0:
                 progress(k)
-    except SimulationError as error:
+    except (SimulationError, KeyboardInterrupt) as stop:
+        interrupted = SimulationError("the run", float(time[max(0, done - 1)]), "interrupted from the keyboard")
+        error = stop if isinstance(stop, SimulationError) else interrupted
         raise StoppedRun(error, Results(time[:done], system.columns, table[:done], system.units)) from None
     finally:
         for component in components:

@@ -1,4 +1,4 @@
-"""What the documents show is executed: README commands and snippets, the effect of CONTRIBUTING, the table of effects."""
+"""What the documents show is executed: README commands and snippets, the effect of CONTRIBUTING, the effects' table."""
 
 from __future__ import annotations
 

@@ -80,8 +80,8 @@ def test_noise_adds_no_delay_under_either_algorithm(project: Path) -> None:
 
 
 def test_steps_are_counted_not_summed(project: Path) -> None:
-    results = results_of(project, "step=0.1", "duration=100", "criteria={}", "connections=[]", "design.component=controller",
-                         "components.controller.start.sample_time=0.1")  # fmt: skip
+    sample = "components.controller.start.sample_time=0.1"
+    results = results_of(project, "step=0.1", "duration=100", "criteria={}", "connections=[]", sample)
     assert len(results.time) == 1001
     assert results.time[-1] == 100.0
     assert results.time[300] == 300 * 0.1
