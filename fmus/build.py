@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RUNTIME = ("__init__", "ports", "slave")
 ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
 # Modules that need more than the FMU's host has.
-BUILD_TIME = ("linearize", "synthesis")
+BUILD_TIME = ("linearize", "symbols", "synthesis")
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
 

@@ -53,8 +53,14 @@ class SymbolNamespace:
 
         self.sin, self.cos, self.tanh = sympy.sin, sympy.cos, sympy.tanh
         self.exp, self.sqrt = sympy.exp, sympy.sqrt
-        self.maximum, self.minimum = sympy.Max, sympy.Min
         self._piecewise = sympy.Piecewise
 
     def where(self, condition: Any, then: Any, otherwise: Any) -> Any:
         return self._piecewise((then, condition), (otherwise, True))
+
+    # branches rather than sympy's Max and Min, whose derivatives are Heaviside functions
+    def maximum(self, a: Any, b: Any) -> Any:
+        return self.where(a >= b, a, b)
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        return self.where(a <= b, a, b)

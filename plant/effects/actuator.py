@@ -119,8 +119,8 @@ class ActuatorSecondOrder(HovercraftEffect):
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         w, zeta = self.natural_frequency, self.damping_ratio
-        right, left = states
-        return (right, left), tuple(
+        second_order = tuple(m.where(w > 0.0, own, first) for own, first in zip(states, rate, strict=True))
+        return second_order, tuple(
             w * w * (target - alpha) - 2.0 * zeta * w * own
             for target, alpha, own in zip(command, tilt, states, strict=True)
         )
@@ -137,5 +137,5 @@ class ServoRateLimit(HovercraftEffect):
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         r = self.rate
-        right, left = rate
-        return (clip(m, right, -r, r), clip(m, left, -r, r)), ()
+        right, left = (m.where(r > 0.0, clip(m, rate_i, -r, r), rate_i) for rate_i in rate)
+        return (right, left), ()

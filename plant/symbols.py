@@ -1,0 +1,47 @@
+"""A model with every number a symbol: what its equations depend on, their Jacobian, generated code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from plant.model import Model, Values
+from plant.quantities import parameters_of
+
+
+@dataclass(frozen=True)
+class SymbolicModel:
+    """The model with its whole catalogue awake, and its symbols by FMI name.
+
+    model:      parameters are symbols (a Boolean is fixed by `flags`)
+    parameters: `mass`, `coulomb_friction.force`, … → symbol
+    """
+
+    model: Model
+    time: Any
+    parameters: dict[str, Any]
+    state: Values
+    command: Values
+
+
+def symbolic(model: Model, flags: bool | None = None) -> SymbolicModel:
+    """Replace every number of the model by a symbol; Booleans keep their value, or take that of `flags`."""
+    import sympy
+
+    symbols: dict[str, Any] = {}
+
+    def as_symbols(owner: Any, prefix: str) -> Any:
+        values: dict[str, Any] = {}
+        for p in parameters_of(owner):
+            if isinstance(p.default, bool):
+                values[p.name] = getattr(owner, p.name) if flags is None else flags
+            else:
+                values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
+        return replace(owner, **values)
+
+    effects = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue)
+    craft = replace(as_symbols(model, ""), effects=effects)
+    # prefixed, for an input and a state may bear one name
+    state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in craft.states)
+    command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in craft.inputs)
+    return SymbolicModel(craft, sympy.Symbol("time", real=True), symbols, state, command)
