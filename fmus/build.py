@@ -17,7 +17,7 @@ from pathlib import Path
 
 from fmus import __version__
 from fmus.description import Description, complete
-from fmus.documentation import write_documentation
+from fmus.documentation import GUID_PLACEHOLDER, write_documentation
 
 ROOT = Path(__file__).resolve().parent.parent
 # What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
@@ -95,7 +95,10 @@ def build(recipe: Recipe, path: Path) -> Path:
         draft = _pack(recipe, Path(folder))
         members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
         xml = members.pop("modelDescription.xml")
+        # the page names the GUID, which is made of everything else: a placeholder stands there until it is known
         guid = f"{{{_digest(members, xml_of(recipe, xml, ''))[:32]}}}"
+        page = "documentation/index.html"
+        members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
         members["modelDescription.xml"] = xml_of(recipe, xml, guid)
         _write_zip(draft, members)
         target = path.with_name(f".{path.name}.draft")

@@ -10,6 +10,8 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 from fmus.ports import Port
 from fmus.units import UNITS, unit_definitions
 
+AUTHOR, LICENCE = "The cosim authors", "MIT"
+
 
 @dataclass(frozen=True)
 class Description:
@@ -31,10 +33,10 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     root.attrib |= {
         "guid": guid,
         "description": about.description,
-        "author": "The cosim authors",
+        "author": AUTHOR,
         "version": version,
-        "license": "MIT",
-        "copyright": "The cosim authors",
+        "license": LICENCE,
+        "copyright": AUTHOR,
     }
     capabilities = _child(root, "CoSimulation")
     capabilities.attrib |= {

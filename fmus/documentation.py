@@ -5,9 +5,10 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from fmus.description import Description
+from fmus.description import AUTHOR, LICENCE, Description
 from fmus.ports import Port
 
+GUID_PLACEHOLDER = "{guid}"
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
@@ -63,7 +64,8 @@ def write_documentation(folder: Path, about: Description, text: str, version: st
     tables = "".join(f"<h2>{head}</h2>{_table([p for p in about.ports if p.causality == c])}" for head, c in groups)
     page = (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f"<h1>{title}</h1><p>Version {escape(version)} · FMI 2.0 co-simulation · communication step {about.step} s</p>"
+        f"<h1>{title}</h1><p>Version {escape(version)} · FMI 2.0 co-simulation · communication step {about.step} s<br>"
+        f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{GUID_PLACEHOLDER}</code></p>'
         f"{text}{tables}</html>\n"
     )
     (folder / "index.html").write_text(page, encoding="utf-8")

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real, String
 
-from fmus.ports import Port, Value
+from fmus.ports import Kind, Port, Value
 
 INSTANTIATED, INITIALIZATION, STEP = "instantiated", "initialization", "step"
 TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
@@ -31,6 +32,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = type(self).__name__
+        # the module bears the content's name, so a state of another build is told apart
+        self.identity = f"{type(self).__module__}.{self.modelName}"
         self.values: list[Value] = [p.start for p in self.ports]
         self.given: set[int] = set()
         self.phase = INSTANTIATED
@@ -85,6 +88,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.phase = STEP
 
     def do_step(self, current_time: float, step_size: float) -> bool:
+        if self.phase is not STEP:
+            raise RuntimeError(f"a step while {self.phase}; end initialization first")
         if not (0.0 < step_size < math.inf and math.isfinite(current_time)):
             raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
         self.advance(current_time, step_size)
@@ -93,32 +98,38 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def get_real(self, vrs: list[int]) -> list[Any]:
         if self.phase is INITIALIZATION:
             self._refresh()
+        if max(vrs, default=0) >= self.output_slice.stop:
+            self._check_kind(vrs, "Real")
         values = self.values
         return [values[vr] for vr in vrs]
 
-    get_boolean = get_string = get_real
+    def get_boolean(self, vrs: list[int]) -> list[Any]:
+        self._check_kind(vrs, "Boolean")
+        return [self.values[vr] for vr in vrs]
+
+    def get_string(self, vrs: list[int]) -> list[Any]:
+        self._check_kind(vrs, "String")
+        return [self.values[vr] for vr in vrs]
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         for vr, value in zip(vrs, values):  # noqa: B905 - hot loop
             if value - value != 0.0:
                 raise ValueError(f"{self.ports[vr].name} is set to {value}; it is a finite number")
             if vr >= self.input_count:
-                self._check_settable(vr)
+                self._check_settable(vr, "Real")
             self.values[vr] = value
         if self.phase is not STEP:
             self._mark(vrs)
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        for vr, value in zip(vrs, values, strict=True):
-            self._check_settable(vr)
-            self.values[vr] = value
-        self._mark(vrs)
+        self._set_parameters(vrs, values, "Boolean")
 
-    set_string = set_boolean
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        self._set_parameters(vrs, values, "String")
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
-            "model": self.modelName,
+            "model": self.identity,
             "phase": self.phase,
             "start_time": self.start_time,
             "values": list(self.values),
@@ -128,7 +139,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         }
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
-        if state.get("model") != self.modelName or len(state["values"]) != len(self.ports):
+        if state.get("model") != self.identity:
             raise ValueError("this FMU state is of another FMU")
         # the phase by identity, as the guards compare it
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
@@ -158,7 +169,19 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.given.update(vrs)
         self.current = False
 
-    def _check_settable(self, vr: int) -> None:
+    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
+        for vr, value in zip(vrs, values, strict=True):
+            self._check_settable(vr, kind)
+            self.values[vr] = value
+        self._mark(vrs)
+
+    def _check_kind(self, vrs: list[int], kind: Kind) -> None:
+        for vr in vrs:
+            if self.ports[vr].kind != kind:
+                raise TypeError(f"{self.ports[vr].name} is {self.ports[vr].kind}, not {kind}")
+
+    def _check_settable(self, vr: int, kind: Kind) -> None:
+        self._check_kind([vr], kind)
         port = self.ports[vr]
         if port.causality == "output":
             raise ValueError(f"{port.name} is an output")

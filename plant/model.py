@@ -23,8 +23,13 @@ Values = tuple[Number, ...]
 class Parametric:
     """A frozen dataclass of parameters that refuses values out of bounds, all of them at once."""
 
+    @property
+    def prefix(self) -> str:
+        """What stands before a parameter's name where others are told apart from it."""
+        return ""
+
     def __post_init__(self) -> None:
-        faults = [fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
+        faults = [self.prefix + fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
         if faults:
             raise ValueError("; ".join(faults))
 
@@ -42,6 +47,11 @@ class Effect(Parametric):
     equation: ClassVar[str]
     states: ClassVar[tuple[Quantity, ...]] = ()
     memory: ClassVar[tuple[Quantity, ...]] = ()
+
+    @property
+    def prefix(self) -> str:
+        """The effect's name and a dot."""
+        return f"{self.name}."
 
     @property
     def dormant(self) -> bool:

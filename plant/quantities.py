@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any
 
 INFINITY = math.inf
@@ -23,7 +23,8 @@ class Quantity:
 class Parameter:
     """A declared parameter: everything there is to know of it but its value.
 
-    `neutral` is the value at which an effect is dormant (None: the parameter only shapes the effect).
+    `neutral` is the value at which an effect is dormant (None: the parameter only shapes the effect); `typical` a
+    size at which it is plainly seen, from which a fit starts and by which it measures its steps.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Parameter:
     doc: str
     bounds: tuple[float, float] = (-INFINITY, INFINITY)
     neutral: float | None = None
+    typical: float | None = None
 
     def fault(self, value: object) -> str | None:
         """Say what is wrong with `value`, or None. Arrays and symbols are taken as they are."""
@@ -54,9 +56,10 @@ def parameter(
     doc: str,
     bounds: tuple[float, float] = (-INFINITY, INFINITY),
     neutral: float | None = None,
+    typical: float | None = None,
 ) -> Any:
     """Declare a dataclass field as a parameter: `friction: float = parameter(0.25, unit="N.s/m", doc=…)`."""
-    return field(default=default, metadata={"parameter": Parameter("", default, unit, doc, bounds, neutral)})
+    return field(default=default, metadata={"parameter": Parameter("", default, unit, doc, bounds, neutral, typical)})
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
@@ -66,4 +69,4 @@ def parameters_of(owner: Any) -> tuple[Parameter, ...]:
 
 def _named(declared: Field[Any]) -> Parameter:
     p: Parameter = declared.metadata["parameter"]
-    return Parameter(declared.name, p.default, p.unit, p.doc, p.bounds, p.neutral)
+    return replace(p, name=declared.name)

@@ -33,7 +33,7 @@ class ActuatorDelay(HovercraftEffect):
     )
     longest = 0.5
 
-    time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, doc="delay T")
+    time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
 
     def remember(self, t: Number, start: Values) -> Values:
         return ((t - self.longest, start),)
@@ -63,7 +63,9 @@ class ServoBacklash(HovercraftEffect):
         Quantity("play_left", "rad", "left tilt command after the play"),
     )
 
-    width: float = parameter(0.0, unit="rad", bounds=(0, 0.5), neutral=0.0, doc="total width w of the play")
+    width: float = parameter(
+        0.0, unit="rad", bounds=(0, 0.5), neutral=0.0, typical=0.02, doc="total width w of the play"
+    )
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         half = 0.5 * self.width
@@ -78,8 +80,12 @@ class TiltOffset(HovercraftEffect):
     name = "tilt_offset"
     equation = "α_cmd,R + r, α_cmd,L + l"
 
-    right: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, doc="offset r of the right tilt")
-    left: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, doc="offset l of the left tilt")
+    right: float = parameter(
+        0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="offset r of the right tilt"
+    )
+    left: float = parameter(
+        0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="offset l of the left tilt"
+    )
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         duty_right, duty_left, tilt_right, tilt_left = command
@@ -93,7 +99,9 @@ class ServoDeadBand(HovercraftEffect):
     name = "servo_dead_band"
     equation = "α_cmd − w·sign(α_cmd), 0 inside ±w"
 
-    width: float = parameter(0.0, unit="rad", bounds=(0, 0.3), neutral=0.0, doc="half width w of the band")
+    width: float = parameter(
+        0.0, unit="rad", bounds=(0, 0.3), neutral=0.0, typical=0.02, doc="half width w of the band"
+    )
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         w = self.width
@@ -113,7 +121,7 @@ class ActuatorSecondOrder(HovercraftEffect):
     )
 
     natural_frequency: float = parameter(
-        0.0, unit="rad/s", bounds=(0, 200), neutral=0.0, doc="natural frequency ωₙ; 0 = off"
+        0.0, unit="rad/s", bounds=(0, 200), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
     )
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 5), doc="damping ratio ζ")
 
@@ -133,7 +141,9 @@ class ServoRateLimit(HovercraftEffect):
     name = "servo_rate_limit"
     equation = "|α̇_i| ≤ r, after the lag"
 
-    rate: float = parameter(0.0, unit="rad/s", bounds=(0, 50), neutral=0.0, doc="largest tilt rate r; 0 = off")
+    rate: float = parameter(
+        0.0, unit="rad/s", bounds=(0, 50), neutral=0.0, typical=1.0, doc="largest tilt rate r; 0 = off"
+    )
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         r = self.rate

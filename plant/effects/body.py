@@ -18,7 +18,9 @@ class ComOffset(HovercraftEffect):
     name = "com_offset"
     equation = "yaw moment −e·(F_Rx + F_Lx), roll moment −e·(F_Rz + F_Lz)"
 
-    right: float = parameter(0.0, unit="m", bounds=(-0.1, 0.1), neutral=0.0, doc="offset e of the CoM to the right")
+    right: float = parameter(
+        0.0, unit="m", bounds=(-0.1, 0.1), neutral=0.0, typical=0.004, doc="offset e of the CoM to the right"
+    )
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.right * motion.thrust_x, -self.right * motion.thrust_z
@@ -31,8 +33,12 @@ class TableTilt(HovercraftEffect):
     name = "table_tilt"
     equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer"
 
-    x: float = parameter(0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, doc="slope θ_X, downhill along world X")
-    y: float = parameter(0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, doc="slope θ_Y, downhill along world Y")
+    x: float = parameter(
+        0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, typical=0.003, doc="slope θ_X, downhill along world X"
+    )
+    y: float = parameter(
+        0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, typical=0.003, doc="slope θ_Y, downhill along world Y"
+    )
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
         return local_vector(m, psi, gravity * m.sin(self.x), gravity * m.sin(self.y))
@@ -45,7 +51,7 @@ class Coriolis(HovercraftEffect):
     name = "coriolis"
     equation = "v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx; κ = 1 is physics"
 
-    gain: float = parameter(0.0, unit="1", bounds=(-5, 5), neutral=0.0, doc="gain κ; physics says 1")
+    gain: float = parameter(0.0, unit="1", bounds=(-5, 5), neutral=0.0, typical=0.5, doc="gain κ; physics says 1")
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
         return -self.gain * psi_dot * vy, self.gain * psi_dot * vx

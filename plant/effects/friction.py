@@ -32,7 +32,7 @@ class CoulombFriction(HovercraftEffect):
     name = "coulomb_friction"
     equation = "force −F·tanh(s/0.01)·(vx, vy)/s"
 
-    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, doc="dry friction force F")
+    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.05, doc="dry friction force F")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         s = speed(m, motion)
@@ -46,8 +46,8 @@ class StribeckFriction(HovercraftEffect):
     name = "stribeck_friction"
     equation = "force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s"
 
-    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, doc="sliding friction force F")
-    static_force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, doc="breakaway force F_s")
+    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.05, doc="sliding friction force F")
+    static_force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.08, doc="breakaway force F_s")
     speed: float = parameter(0.05, unit="m/s", bounds=(0.005, 1), doc="Stribeck speed v_s")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
@@ -63,7 +63,9 @@ class QuadraticDrag(HovercraftEffect):
     name = "quadratic_drag"
     equation = "force −k·s·(vx, vy)"
 
-    coefficient: float = parameter(0.0, unit="N.s2/m2", bounds=(0, 10), neutral=0.0, doc="drag coefficient k")
+    coefficient: float = parameter(
+        0.0, unit="N.s2/m2", bounds=(0, 10), neutral=0.0, typical=0.3, doc="drag coefficient k"
+    )
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return along(motion, -self.coefficient * speed(m, motion))
@@ -76,7 +78,9 @@ class YawDamping(HovercraftEffect):
     name = "yaw_damping"
     equation = "moment −d·ψ̇"
 
-    coefficient: float = parameter(0.0, unit="N.m.s/rad", bounds=(0, 0.5), neutral=0.0, doc="damping coefficient d")
+    coefficient: float = parameter(
+        0.0, unit="N.m.s/rad", bounds=(0, 0.5), neutral=0.0, typical=0.004, doc="damping coefficient d"
+    )
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.coefficient * motion.psi_dot, 0.0
@@ -89,7 +93,7 @@ class YawCoulombFriction(HovercraftEffect):
     name = "yaw_coulomb_friction"
     equation = "moment −M·tanh(ψ̇/0.02)"
 
-    moment: float = parameter(0.0, unit="N.m", bounds=(0, 0.5), neutral=0.0, doc="dry friction moment M")
+    moment: float = parameter(0.0, unit="N.m", bounds=(0, 0.5), neutral=0.0, typical=0.004, doc="dry friction moment M")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.moment * m.tanh(motion.psi_dot / STICTION_YAW_RATE), 0.0

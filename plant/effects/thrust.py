@@ -17,7 +17,7 @@ class ThrustAsymmetry(HovercraftEffect):
     name = "thrust_asymmetry"
     equation = "T_R·(1 + ε), T_L·(1 − ε)"
 
-    ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, doc="asymmetry ε")
+    ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.02, doc="asymmetry ε")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
         return 1.0 + self.ratio, 1.0 - self.ratio
@@ -30,7 +30,9 @@ class BatterySag(HovercraftEffect):
     name = "battery_sag"
     equation = "both thrusts × (1 − p·(1 − e^(−t/θ)))"
 
-    drop: float = parameter(0.0, unit="1", bounds=(0, 0.9), neutral=0.0, doc="share p of the thrust lost in the end")
+    drop: float = parameter(
+        0.0, unit="1", bounds=(0, 0.9), neutral=0.0, typical=0.1, doc="share p of the thrust lost in the end"
+    )
     time: float = parameter(15.0, unit="s", bounds=(0.5, 600), doc="time constant θ")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
@@ -45,7 +47,9 @@ class InflowThrustLoss(HovercraftEffect):
     name = "inflow_thrust_loss"
     equation = "both thrusts × (1 − κ·vx)"
 
-    coefficient: float = parameter(0.0, unit="s/m", bounds=(0, 2), neutral=0.0, doc="loss κ per forward speed")
+    coefficient: float = parameter(
+        0.0, unit="s/m", bounds=(0, 2), neutral=0.0, typical=0.2, doc="loss κ per forward speed"
+    )
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
         factor = 1.0 - self.coefficient * vx

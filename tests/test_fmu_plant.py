@@ -1,0 +1,391 @@
+"""The plant FMU is the plain equations, and refuses what makes no sense."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from fmpy.fmi1 import FMICallException
+
+from plant.hovercraft import OUTPUTS, STATES, Hovercraft
+from plant.integrate import Moment, Stepper
+from tests.hosts_fmpy import Instance, extracted
+
+STEP = 0.02  # [s], Fig 4.8
+GROUND_EFFECT = 1.142024  # Γ at z = 0.095 m, eq 4.28
+LAG = 0.0884  # τ [s], eq 4.29
+DUTY = 6.38763  # δ_N [%], eqs 4.20 and 5.36
+NAMES = [q.name for q in OUTPUTS]
+COMMANDS = ("duty_right", "duty_left", "tilt_right", "tilt_left")
+
+MOVING = {"x_start": 1.0, "y_start": -0.2, "x_world_start": 0.5, "psi_start": 1.0, "vx_start": 0.3, "vy_start": 0.1,
+          "psi_dot_start": -0.4, "phi_start": 0.02, "tilt_right_start": 0.05}  # fmt: skip
+EFFECTS: dict[str, float | bool] = {
+    "coulomb_friction.force": 0.05,
+    "actuator_delay.time": 0.033,  # no multiple of a substep
+    "actuator_delay.tilt_right_start": 0.1,
+    "servo_backlash.width": 0.03,
+    "servo_backlash.play_left_start": -0.05,
+    "actuator_second_order.natural_frequency": 15.0,
+    "actuator_second_order.damping_ratio": 0.4,
+    "actuator_second_order.tilt_rate_right_start": 0.5,
+    "battery_sag.drop": 0.2,
+    "battery_sag.time": 4.0,
+}
+
+
+def excitation(count: int) -> list[tuple[float, ...]]:
+    """Commands (δ_R, δ_L, α_R, α_L) that move every state: three tones a tilt, duty in random steps of 0.5 s."""
+    rng = np.random.default_rng(20120501)
+    t = STEP * np.arange(count)
+    tones = rng.uniform(0.3, 3.0, (2, 3))
+    tilts = 0.07 * np.sin(2 * np.pi * tones[:, :, None] * t).sum(axis=1)
+    duties = DUTY + np.repeat(rng.uniform(-0.3, 0.3, (2, count // 25 + 1)), 25, axis=1)[:, :count]
+    return [tuple(row) for row in np.vstack([duties, tilts]).T.tolist()]
+
+
+def equations(values: dict[str, Any], commands: list[tuple[float, ...]], steps: list[float]) -> np.ndarray:
+    """Outputs of the plain equations at the start and after each step."""
+    starts = {n.removesuffix("_start"): v for n, v in values.items() if n.endswith("_start")}
+    model = Hovercraft().with_values({n: v for n, v in values.items() if not n.endswith("_start")})
+    stepper = Stepper(model)
+    moment = stepper.start(0.0, starts)
+    rows, t = [stepper.output(0.0, moment.state, commands[0])], 0.0
+    for command, h in zip(commands, steps, strict=True):
+        moment = stepper.step(Moment(t, moment.state, moment.memory), command, h)
+        t += h
+        rows.append(stepper.output(moment.t, moment.state, command))
+    return np.array(rows)
+
+
+def trajectory(fmu: Path, values: dict[str, Any], commands: list[tuple[float, ...]], steps: list[float]) -> np.ndarray:
+    """The same, of the FMU."""
+    with Instance(fmu) as plant:
+        rows, t = [plant.initialize(values).outputs()], 0.0
+        for command, h in zip(commands, steps, strict=True):
+            rows.append(plant.step(t, h, dict(zip(COMMANDS, command, strict=True))))
+            t += h
+    return np.array([[row[n] for n in NAMES] for row in rows])
+
+
+# -- the same trajectory as the equations -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{}, MOVING, {**MOVING, **EFFECTS}, {**MOVING, "roll_ground_effect": False, "mass": 0.9, "lag": 0.12}],
+    ids=["base", "moving", "effects", "parameters"],
+)
+def test_the_fmu_moves_as_the_equations_do(plant_fmu: Path, values: dict[str, Any]) -> None:
+    commands, steps = excitation(500), [STEP] * 500
+    got, want = trajectory(plant_fmu, values, commands, steps), equations(values, commands, steps)
+    # the FMU evaluates the same expressions on the same floats: 1e-12 allows for nothing but another libm
+    np.testing.assert_allclose(got, want, rtol=1e-12, atol=0)
+    assert np.ptp(got, axis=0).min() > 1e-4  # every output has moved
+
+
+def test_it_moves_the_same_in_fmpys_own_simulation(plant_fmu: Path) -> None:
+    starts = {"x_start": 1.0, "psi_start": 0.3, "tilt_right": 0.1, "tilt_left": 0.05, "yaw_damping.coefficient": 0.01}
+    result = simulate_fmu(str(plant_fmu), stop_time=2.0, start_values=starts, output=NAMES)
+    values = {n: v for n, v in starts.items() if n not in COMMANDS}
+    want = equations(values, [(DUTY, DUTY, 0.1, 0.05)] * 100, [STEP] * 100)
+    got = np.array([list(row)[1:] for row in result])
+    # FMPy takes the step of the default experiment; its time, summed or counted, enters no equation here
+    np.testing.assert_allclose(got, want, rtol=1e-12, atol=0)
+
+
+def test_steps_of_any_length_lead_to_the_same_place(plant_fmu: Path) -> None:
+    rng = np.random.default_rng(7)
+    cuts = np.sort(np.append(rng.uniform(0.0, 2.0, 60), [0.0, 2.0]))
+    uneven, even = np.diff(cuts).tolist(), [STEP] * 100
+    command = (6.5, 6.3, 0.15, 0.05)
+    got = trajectory(plant_fmu, MOVING, [command] * len(uneven), uneven)
+    np.testing.assert_allclose(got, equations(MOVING, [command] * len(uneven), uneven), rtol=1e-12, atol=0)
+    # the integrator agrees with any finer one to 1e-6, so two partitions of the same time do
+    np.testing.assert_allclose(got[-1], trajectory(plant_fmu, MOVING, [command] * 100, even)[-1], atol=1e-6)
+
+
+def test_a_step_a_rounding_too_long_is_taken(plant_fmu: Path) -> None:
+    command = (6.5, 6.3, 0.15, 0.05)
+    rows = trajectory(plant_fmu, MOVING, [command], [0.0200000003])
+    # 3e-10 s at rates no greater than 20 /s (a second-order state would be the fastest)
+    np.testing.assert_allclose(rows[1], trajectory(plant_fmu, MOVING, [command], [0.02])[1], atol=6e-9)
+
+
+def test_thrust_covers_63_percent_of_a_step_in_one_lag(plant_fmu: Path) -> None:
+    with Instance(plant_fmu) as plant:
+        before = plant.initialize().outputs()["thrust_right"]
+        duties = {"duty_right": 6.7, "duty_left": 6.7}  # both, so that the craft does not roll
+        after = plant.step(0.0, LAG, duties)["thrust_right"]
+    final = (-2076 + 359.9 * 6.7) * 9.81 / 1000 * GROUND_EFFECT  # eqs 4.20 and 4.28
+    # Γ is printed to 7 digits: 4e-7·3.7 N; RK4 at 5 ms leaves 1e-7
+    assert after == pytest.approx(before + (1 - math.exp(-1)) * (final - before), abs=2e-6)
+
+
+# -- start values -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [q.name for q in STATES])
+def test_every_state_starts_where_it_is_told_to(plant_fmu: Path, name: str) -> None:
+    shown = f"{name}_actual" if name.startswith("tilt") else name
+    scale = GROUND_EFFECT if name.startswith("thrust") else 1.0
+    with Instance(plant_fmu) as plant:
+        outputs = plant.begin({f"{name}_start": 0.37}).outputs()
+    assert outputs[shown] == pytest.approx(0.37 * scale, rel=1e-6 if scale != 1.0 else 0.0)  # Γ is printed to 7 digits
+
+
+def test_outputs_follow_every_set_in_initialization_mode(plant_fmu: Path) -> None:
+    with Instance(plant_fmu) as plant:
+        plant.begin()
+        for x, vx in ((1.0, 0.2), (-2.0, 0.4)):
+            plant.set({"x_start": x, "vx_start": vx})
+            outputs = plant.outputs()
+            assert (outputs["x"], outputs["vx"]) == (x, vx)
+            assert outputs["ax"] == pytest.approx(-0.25 * vx / 0.705, rel=1e-15)  # eq 5.9, tilts at zero
+        plant.set({"mass": 1.41})
+        assert plant.outputs()["ax"] == pytest.approx(-0.25 * 0.4 / 1.41, rel=1e-15)
+
+
+def test_an_unconnected_plant_hovers_at_the_nominal_duty_it_is_told(plant_fmu: Path) -> None:
+    with Instance(plant_fmu) as plant:
+        first = plant.begin({"duty_nominal": 6.6}).outputs()
+        assert plant.get(["duty_right", "duty_left"]) == [6.6, 6.6]
+        plant.call("exitInitializationMode")
+        for k in range(50):
+            last = plant.step(STEP * k, STEP)
+    thrust = (-2076 + 359.9 * 6.6) * 9.81 / 1000 * GROUND_EFFECT  # eqs 4.20 and 4.28
+    assert first["thrust_right"] == pytest.approx(thrust, rel=1e-6)  # Γ is printed to 7 digits
+    assert last == first  # in equilibrium every rate is exactly zero
+
+
+def test_the_nominal_craft_hovers_at_the_thrust_of_the_thesis(plant_fmu: Path) -> None:
+    with Instance(plant_fmu) as plant:
+        outputs = plant.initialize().outputs()
+    # T_N = 2.4973 N is printed to five digits, eq 5.36
+    assert [outputs["thrust_right"], outputs["thrust_left"]] == pytest.approx([2.4973, 2.4973], abs=5e-5)
+
+
+def test_a_delayed_actuator_obeys_its_past_until_the_delay_has_passed(plant_fmu: Path) -> None:
+    past = {"actuator_delay.time": 0.1, "actuator_delay.tilt_right_start": 0.2, "actuator_delay.duty_left_start": 6.5}
+    with Instance(plant_fmu) as plant:
+        plant.initialize(past)
+        for k in range(5):
+            outputs = plant.step(STEP * k, STEP, {"tilt_right": -0.2, "duty_left": 6.0})
+        expected = 0.2 * (1 - math.exp(-0.1 / LAG))  # eq 4.29 driven by the past command for 0.1 s
+        assert outputs["tilt_right_actual"] == pytest.approx(expected, abs=1e-7)  # RK4 at 5 ms
+        assert outputs["thrust_left"] > 2.4973
+        later = plant.step(0.1, STEP)
+        assert later["tilt_right_actual"] < outputs["tilt_right_actual"]
+        assert later["thrust_left"] < outputs["thrust_left"]
+
+
+def test_play_and_tilt_rate_start_where_they_are_told_to(plant_fmu: Path) -> None:
+    play = {"servo_backlash.width": 0.1, "servo_backlash.play_right_start": 0.04}
+    rate = {
+        "actuator_second_order.natural_frequency": 15.0,
+        "actuator_second_order.tilt_rate_left_start": 0.5,
+        "actuator_second_order.tilt_rate_right_start": -0.25,
+    }
+    with Instance(plant_fmu) as plant:
+        # the command 0 lies within the play about 0.04, which therefore stays
+        tilt = plant.initialize(play).step(0.0, LAG)["tilt_right_actual"]
+    assert tilt == pytest.approx(0.04 * (1 - math.exp(-1)), abs=1e-7)  # RK4 at 5 ms
+    with Instance(plant_fmu) as plant:
+        outputs = plant.initialize(rate).step(0.0, 1e-6)
+    # over 1 µs the tilt goes with its rate; 2ζωₙ·h = 2e-5 of it is lost
+    got = [outputs["tilt_left_actual"] / 1e-6, outputs["tilt_right_actual"] / 1e-6]
+    assert got == pytest.approx([0.5, -0.25], rel=3e-5)
+
+
+def test_reset_leads_back_to_the_start(plant_fmu: Path) -> None:
+    commands = [dict(zip(COMMANDS, c, strict=True)) for c in excitation(50)]
+
+    def run(values: dict[str, Any]) -> list[dict[str, float]]:
+        plant.initialize(values)
+        return [plant.outputs(), *(plant.step(STEP * k, STEP, c) for k, c in enumerate(commands))]
+
+    with Instance(plant_fmu) as plant:
+        first = run({})
+        plant.call("reset")
+        other = run({**MOVING, **EFFECTS})
+        plant.call("reset")
+        assert run({}) == first != other
+
+
+# -- nothing but Python -------------------------------------------------------------------------
+
+BARE = """
+import json, sys
+job = json.load(sys.stdin)
+resources = job["resources"]
+sys.path.insert(0, resources)  # as pythonfmu does
+module = __import__(open(resources + "/slavemodule.txt").read().strip())
+slave = getattr(module, job["class"])(instance_name="bare", resources=resources, logger=None, visible=False)
+slave.setup_experiment(0.0, None, None)
+slave.enter_initialization_mode()
+slave.set_real(list(map(int, job["values"])), list(job["values"].values()))
+slave.exit_initialization_mode()
+rows = [slave.get_real(job["outputs"])]
+for k in range(job["steps"]):
+    slave.set_real([2, 3], [0.1, -0.05])
+    assert slave.do_step(0.02 * k, 0.02)
+    rows.append(slave.get_real(job["outputs"]))
+foreign = [n for n, m in sys.modules.items() if "-packages" in (getattr(m, "__file__", None) or "")]
+json.dump({"rows": rows, "foreign": foreign, "path": sys.path}, sys.stdout)
+"""
+
+
+def test_the_plant_runs_on_the_standard_library_alone(plant_fmu: Path) -> None:
+    values: dict[str, Any] = {**MOVING, **EFFECTS}
+    with Instance(plant_fmu) as plant:
+        references = {n: v.valueReference for n, v in plant.variables.items()}
+        rows = [plant.initialize(values).outputs()]
+        rows += [plant.step(STEP * k, STEP, {"tilt_right": 0.1, "tilt_left": -0.05}) for k in range(50)]
+    assert [references["tilt_right"], references["tilt_left"]] == [2, 3]
+    job = {
+        "resources": str(Path(extracted(plant_fmu)) / "resources"),
+        "class": plant.description.coSimulation.modelIdentifier,
+        "values": {references[n]: v for n, v in values.items()},
+        "outputs": [references[n] for n in NAMES],
+        "steps": 50,
+    }
+    # -I -S: no site-packages, no environment; numpy and its like are not to be found
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", BARE], input=json.dumps(job), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["foreign"] == []
+    assert not any("-packages" in folder for folder in told["path"])
+    assert told["rows"] == [[row[n] for n in NAMES] for row in rows]
+
+
+# -- guards -------------------------------------------------------------------------------------
+
+
+def refused(fmu: Path, values: dict[str, Any], call: Any) -> str:
+    """Make a call that must fail, and say what the FMU said. The instance is not touched again."""
+    with Instance(fmu) as instance:
+        instance.begin(values)
+        with pytest.raises(FMICallException) as caught:
+            call(instance)
+        assert caught.value.status in (3, 4)  # Error or Fatal, never a Discard that hosts swallow
+        assert instance.log, "no reason given"
+        return instance.log[-1]
+
+
+def started(call: Any) -> Any:
+    """The call made after initialization."""
+
+    def then(instance: Instance) -> None:
+        instance.call("exitInitializationMode")
+        instance.step(0.0, STEP)
+        call(instance)
+
+    return then
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["tilt_right", "duty_left", "mass"])
+def test_a_value_that_is_not_finite_is_refused(plant_fmu: Path, name: str, value: float) -> None:
+    said = refused(plant_fmu, {}, lambda plant: plant.set({name: value}))
+    assert f"{name} is set to {value}; it is a finite number" in said
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_input_that_is_not_finite_is_refused_in_mid_run(plant_fmu: Path, value: float) -> None:
+    said = refused(plant_fmu, {}, started(lambda plant: plant.step(STEP, STEP, {"tilt_left": value})))
+    assert f"tilt_left is set to {value}" in said
+
+
+@pytest.mark.parametrize("h", [0.0, -0.02, math.nan, math.inf])
+def test_a_step_that_is_not_positive_and_finite_is_refused(plant_fmu: Path, h: float) -> None:
+    said = refused(plant_fmu, {}, started(lambda plant: plant.step(STEP, h)))
+    assert f"step of {h} s at t = 0.02 s; a step is positive and finite" in said
+
+
+@pytest.mark.parametrize("t", [math.nan, math.inf])
+def test_a_time_that_is_not_finite_is_refused(plant_fmu: Path, t: float) -> None:
+    said = refused(plant_fmu, {}, started(lambda plant: plant.step(t, STEP)))
+    assert f"t = {t} s" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("mass", 0.8), ("x_start", 1.0), ("coulomb_friction.force", 0.1), ("roll_ground_effect", False)],
+)
+def test_a_parameter_is_fixed_once_the_run_has_begun(plant_fmu: Path, name: str, value: Any) -> None:
+    said = refused(plant_fmu, {}, started(lambda plant: plant.set({name: value})))
+    assert f"{name} is a fixed parameter; set it before the end of initialization" in said
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_an_output_cannot_be_set(plant_fmu: Path, begun: bool) -> None:
+    def call(plant: Instance) -> None:
+        plant.set({"x": 1.0})
+
+    assert "x is an output" in refused(plant_fmu, {}, started(call) if begun else call)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("mass", -1.0, "mass is -1.0; it lies in [0.05, 20] kg"),
+        ("lag", 0.0, "lag is 0.0; it lies in [0.005, 2] s"),
+        ("friction", 11.0, "friction is 11.0; it lies in [0, 10] N.s/m"),
+        ("actuator_delay.time", 0.6, "time is 0.6; it lies in [0, 0.5] s"),
+    ],
+)
+def test_a_parameter_out_of_bounds_is_refused(plant_fmu: Path, name: str, value: float, reason: str) -> None:
+    assert reason in refused(plant_fmu, {name: value}, lambda plant: plant.call("exitInitializationMode"))
+    assert reason in refused(plant_fmu, {name: value}, lambda plant: plant.outputs())
+
+
+def test_a_parameter_of_an_effect_is_refused_by_its_full_name(plant_fmu: Path) -> None:
+    said = refused(plant_fmu, {"actuator_delay.time": 0.6}, lambda plant: plant.outputs())
+    assert "actuator_delay.time is 0.6" in said
+
+
+def test_several_parameters_out_of_bounds_are_told_at_once(plant_fmu: Path) -> None:
+    said = refused(plant_fmu, {"mass": -1.0, "izz": 5.0}, lambda plant: plant.outputs())
+    assert "mass is -1.0" in said
+    assert "izz is 5.0" in said
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "value"), [("setReal", "roll_ground_effect", 0.5), ("setBoolean", "mass", True)]
+)
+def test_a_value_of_another_type_is_refused(plant_fmu: Path, function: str, name: str, value: Any) -> None:
+    def call(plant: Instance) -> None:
+        plant.call(function, [plant.variables[name].valueReference], [value])
+        plant.outputs()
+
+    assert f"{name} is {value!r}" in refused(plant_fmu, {}, call)
+
+
+def test_a_step_before_the_end_of_initialization_is_refused(plant_fmu: Path) -> None:
+    said = refused(plant_fmu, {}, lambda plant: plant.outputs() and plant.step(0.0, STEP))
+    assert "initialization" in said
+
+
+def test_a_state_that_runs_away_ends_the_run(plant_fmu: Path) -> None:
+    said = refused(plant_fmu, {}, started(lambda plant: plant.step(STEP, STEP, {"duty_right": 1e308})))
+    assert re.search(r"finite|\binf\b|\bnan\b", said)  # "math domain error" says nothing to who set the duty
+
+
+def test_a_refused_instance_leaves_others_alone(plant_fmu: Path) -> None:
+    with Instance(plant_fmu) as healthy:
+        healthy.initialize(MOVING)
+        before = healthy.serialized()
+        want = healthy.step(0.0, STEP)
+        refused(plant_fmu, {}, started(lambda plant: plant.step(STEP, -1.0)))
+        healthy.restore(before)
+        assert healthy.step(0.0, STEP) == want
