@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from plant.hovercraft import Hovercraft
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.model import Parametric
 from plant.quantities import parameter, parameters_of
 
@@ -74,9 +74,11 @@ class Settings(Parametric):
     process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
     process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
     process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
-    measurement_variance_psi: float = variance(2.613e-5, "rad2", "measurement noise of psi, eq 5.46")
-    measurement_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "measurement noise of psi_dot, eq 5.46")
-    measurement_variance_ax: float = variance(0.04479, "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
+    measurement_variance_psi_dot: float = variance(
+        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
+    )
+    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
 
     estimator: str = "appendix_f"
 

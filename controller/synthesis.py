@@ -13,6 +13,7 @@ from controller.gains import Settings
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
+STABLE = 1e-6  # [rad/s] how far left of the imaginary axis a pole must lie
 
 
 def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
@@ -26,9 +27,12 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
 
     A, B = design_model(p)
     try:
-        K, _, _ = control.lqr(A, B, np.diag(Q), np.diag(R))
+        K, _, poles = control.lqr(A, B, np.diag(Q), np.diag(R))
     except (np.linalg.LinAlgError, control.ControlError) as error:
         raise ValueError(f"no stabilising gain for these weights: {error}") from error
+    # an integrator without weight is left to itself, and the solver does not mind
+    if max(np.real(poles)) > -STABLE:
+        raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
     return np.asarray(K, dtype=float)
 
 

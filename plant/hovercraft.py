@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from plant.effects import CATALOGUE
+from plant.effects.sensors import SENSORS
 from plant.effects.terms import HovercraftEffect, Motion
 from plant.model import Equations, Model, Number, Values, overrides
 from plant.namespaces import SCALAR, Namespace
@@ -51,6 +52,10 @@ OUTPUTS = (
     Quantity("tilt_right_actual", "rad", "right propeller tilt"),
     Quantity("tilt_left_actual", "rad", "left propeller tilt"),
 )
+# Measured with the sensors at rest, eq 5.46; positions are those of a 1 mm tracking system.
+SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
+    ("x", "y", "x_world", "y_world"), 1e-6
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +63,11 @@ class Hovercraft(Model):
     """Two tilting propellers on an air table; see `equations` for the model."""
 
     title = "Thrust-vectoring hovercraft"
-    base_states, inputs, outputs, catalogue = STATES, INPUTS, OUTPUTS, CATALOGUE
+    base_states, inputs, outputs, catalogue, sensors = STATES, INPUTS, OUTPUTS, CATALOGUE, SENSORS
+    sensor_variance = SENSOR_VARIANCE
+    forced = ("vx", "vy", "psi_dot")
+    calibrated = ("mass", "izz", "friction", "lag")
+    suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")

@@ -93,6 +93,13 @@ class Model(Parametric):
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]]
+    # what is known of a real one: errors its sensors may have, variance of each measured output, the states whose
+    # equations may lack something, parameters to recalibrate, and further ones that may be wrong where inputs vary
+    sensors: ClassVar[tuple[type[Effect], ...]] = ()
+    sensor_variance: ClassVar[Mapping[str, float]] = {}
+    forced: ClassVar[tuple[str, ...]] = ()
+    calibrated: ClassVar[tuple[str, ...]] = ()
+    suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
 

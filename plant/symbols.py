@@ -24,8 +24,11 @@ class SymbolicModel:
     command: Values
 
 
-def symbolic(model: Model, flags: bool | None = None) -> SymbolicModel:
-    """Replace every number of the model by a symbol; Booleans keep their value, or take that of `flags`."""
+def symbolic(model: Model, flags: bool | None = None, effects: bool = True) -> SymbolicModel:
+    """Replace every number of the model by a symbol, with the whole catalogue awake or none of it.
+
+    Booleans keep their value, or take that of `flags`.
+    """
     import sympy
 
     symbols: dict[str, Any] = {}
@@ -39,8 +42,8 @@ def symbolic(model: Model, flags: bool | None = None) -> SymbolicModel:
                 values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
         return replace(owner, **values)
 
-    effects = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue)
-    craft = replace(as_symbols(model, ""), effects=effects)
+    terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if effects)
+    craft = replace(as_symbols(model, ""), effects=terms)
     # prefixed, for an input and a state may bear one name
     state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in craft.states)
     command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in craft.inputs)
