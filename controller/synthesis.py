@@ -28,7 +28,7 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
     A, B = design_model(p)
     try:
         K, _, poles = control.lqr(A, B, np.diag(Q), np.diag(R))
-    except (np.linalg.LinAlgError, control.ControlError) as error:
+    except np.linalg.LinAlgError as error:
         raise ValueError(f"no stabilising gain for these weights: {error}") from error
     # an integrator without weight is left to itself, and the solver does not mind
     if max(np.real(poles)) > -STABLE:
