@@ -83,9 +83,15 @@ class Settings(Parametric):
     estimator: str = "appendix_f"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        faults = []
+        try:
+            super().__post_init__()
+        except ValueError as error:
+            faults.append(str(error))
         if self.estimator not in ESTIMATORS:
-            raise ValueError(f"estimator is {self.estimator!r}; it is one of {', '.join(ESTIMATORS)}")
+            faults.append(f"estimator is {self.estimator!r}; it is one of {', '.join(ESTIMATORS)}")
+        if faults:
+            raise ValueError("; ".join(faults))
 
     @property
     def gain_matrix(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

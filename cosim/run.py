@@ -68,6 +68,9 @@ def run(
         record["criteria"] = evaluate(file.scenario, results)
     else:
         record["status"] = f"failed: {failure}"
+    record["warnings"] += [
+        f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())
+    ]
     results.write_csv(folder / "results.csv")
     write_manifest(folder / "manifest.json", record)
     if report:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from pythonfmu.enums import Fmi2Status
+
 from fmus.ports import Value, model_ports
 from fmus.slave import Slave, tuples
 from plant.hovercraft import Hovercraft
@@ -24,6 +26,7 @@ class ModelSlave(Slave):
             {name: v for name, v in given.items() if not name.endswith("_start") and name not in signals}
         )
         self.stepper = Stepper(model)
+        self.warned = False
         self.moment = self.stepper.start(self.start_time, starts)
         for vr, (q, start) in enumerate(zip(model.inputs, model.start_command(), strict=True)):
             if q.name not in given:
@@ -32,6 +35,9 @@ class ModelSlave(Slave):
 
     def advance(self, t: float, h: float) -> None:
         """Integrate over the step; the host keeps the time."""
+        if not self.warned and (warning := self.stepper.model.warning(self.inputs)):
+            self.warned = True
+            self.log(f"at t = {t:g} s: {warning}", Fmi2Status.warning)
         moment = Moment(t, self.moment.state, self.moment.memory)
         try:
             self.moment = self.stepper.step(moment, self.inputs, h)

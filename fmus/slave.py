@@ -92,7 +92,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise RuntimeError(f"a step while {self.phase}; end initialization first")
         if not (0.0 < step_size < math.inf and math.isfinite(current_time)):
             raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
-        self.advance(current_time, step_size)
+        try:
+            self.advance(current_time, step_size)
+        except Exception:
+            # pythonfmu loses the exception's text where messages still wait to be handed over
+            self.log_queue.clear()
+            raise
         return True
 
     def get_real(self, vrs: list[int]) -> list[Any]:

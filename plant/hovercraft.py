@@ -17,6 +17,7 @@ from plant.powertrain import ground_effect, lag, thrust_out_of_ground
 from plant.quantities import Quantity, parameter
 from plant.rigid_body import thrust_vector, world_velocity
 
+DUTY_FITTED = (6.0, 7.0)  # [%], eq 4.20
 DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
 
 STATES = (
@@ -71,7 +72,7 @@ class Hovercraft(Model):
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")
-    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(1e-4, 1), doc="roll inertia, eq 5.4")
+    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="roll inertia, eq 5.4")
     arm: float = parameter(0.17145, unit="m", bounds=(0.01, 2), doc="lateral arm from CoM to each propeller, §5.2")
     propeller_radius: float = parameter(0.127, unit="m", bounds=(0.01, 1), doc="propeller radius, §3.5")
     height: float = parameter(0.095, unit="m", bounds=(0.01, 5), doc="propeller height over the table, §4.4")
@@ -93,15 +94,23 @@ class Hovercraft(Model):
     table_roll_stiffness: float = parameter(
         5.0,
         unit="N.m/rad",
-        bounds=(0, 1e4),
+        bounds=(0, 1e3),
         doc="roll stiffness of the air cushion; not in the thesis, §4.2 implies it",
     )
     table_roll_damping: float = parameter(
-        0.45, unit="N.m.s/rad", bounds=(0, 100), doc="roll damping of the air cushion; not in the thesis"
+        0.45, unit="N.m.s/rad", bounds=(0, 4), doc="roll damping of the air cushion; not in the thesis"
     )
+    # Bounds keep |λ|·h of the fastest mode within what RK4 at 5 ms can follow, the other parameters being as declared.
     roll_ground_effect: bool = parameter(
         True, unit="", doc="ground effect of each propeller at its own height; the thesis takes one height"
     )
+
+    def warning(self, command: Values) -> str | None:
+        """The thrust line was fitted on 6-7 % of duty (eq 4.20); beyond, it is extrapolated."""
+        low, high = DUTY_FITTED
+        if low <= command[0] <= high and low <= command[1] <= high:
+            return None
+        return f"duty {command[0]:g} %, {command[1]:g} %: extrapolates a thrust line fitted on {low:g}-{high:g} %"
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
         """Both propellers spin at the nominal duty: T_i = T_OGE(δ_N), eq 4.20."""

@@ -95,7 +95,7 @@ class Model(Parametric):
     catalogue: ClassVar[tuple[type[Effect], ...]]
     # what is known of a real one: errors its sensors may have, variance of each measured output, the states whose
     # equations may lack something, parameters to recalibrate, and further ones that may be wrong where inputs vary
-    sensors: ClassVar[tuple[type[Effect], ...]] = ()
+    sensors: ClassVar[tuple[type[Any], ...]] = ()
     sensor_variance: ClassVar[Mapping[str, float]] = {}
     forced: ClassVar[tuple[str, ...]] = ()
     calibrated: ClassVar[tuple[str, ...]] = ()
@@ -120,6 +120,10 @@ class Model(Parametric):
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
         """Start value of each base state that is not simply its quantity's."""
         return {}
+
+    def warning(self, command: Values) -> str | None:
+        """What to warn of where a command leaves the range the model was made for."""
+        return None
 
     def start_input(self) -> dict[str, Number]:
         """Start value of each input that is not simply its quantity's."""

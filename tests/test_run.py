@@ -172,3 +172,15 @@ def test_version_names_the_package_and_tells_it_from_the_other_cosim(tmp_path: P
     done = cosim("--version", cwd=tmp_path)
     assert __version__ in done.stdout
     assert "not the command of the Open Simulation Platform" in done.stdout
+
+
+def test_a_duty_outside_the_fitted_thrust_line_is_warned_of_once(project: Path) -> None:
+    # eq 4.20 was fitted on 6-7 %; beyond it is extrapolated
+    path = project / "scenarios" / "duty.yaml"
+    path.write_text(
+        "name: duty\nduration: 0.2\nstep: 0.02\n"
+        "components:\n  plant: {fmu: ../build/plant.fmu, start: {duty_right: 7.5}}\n"
+    )
+    warnings = [w for w in run(path, project / "o", report=False).manifest["warnings"] if "extrapolates" in w]
+    assert len(warnings) == 1
+    assert "at t = 0 s: duty 7.5 %" in warnings[0]

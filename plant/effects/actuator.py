@@ -121,9 +121,9 @@ class ActuatorSecondOrder(HovercraftEffect):
     )
 
     natural_frequency: float = parameter(
-        0.0, unit="rad/s", bounds=(0, 200), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
+        0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
     )
-    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 5), doc="damping ratio ζ")
+    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         w, zeta = self.natural_frequency, self.damping_ratio

@@ -93,7 +93,7 @@ class YawCoulombFriction(HovercraftEffect):
     name = "yaw_coulomb_friction"
     equation = "moment −M·tanh(ψ̇/0.02)"
 
-    moment: float = parameter(0.0, unit="N.m", bounds=(0, 0.5), neutral=0.0, typical=0.004, doc="dry friction moment M")
+    moment: float = parameter(0.0, unit="N.m", bounds=(0, 0.1), neutral=0.0, typical=0.004, doc="dry friction moment M")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.moment * m.tanh(motion.psi_dot / STICTION_YAW_RATE), 0.0

@@ -1,0 +1,575 @@
+"""The catalogue of effects: each against the model written a second time, and the physics each must obey."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plant.effects import CATALOGUE
+from plant.effects.actuator import (
+    ActuatorDelay,
+    ActuatorSecondOrder,
+    ServoBacklash,
+    ServoDeadBand,
+    ServoRateLimit,
+    TiltOffset,
+)
+from plant.effects.body import ComOffset, Coriolis, TableTilt
+from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
+from plant.effects.sensors import AccelerometerBias, AccelerometerScale, GyroBias
+from plant.effects.terms import Motion
+from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
+from plant.hovercraft import DUTY_NOMINAL, Hovercraft
+from plant.integrate import Stepper
+from plant.namespaces import SCALAR
+from plant.quantities import parameters_of
+from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
+
+property_settings = settings(deadline=None, derandomize=True, max_examples=40)
+HOVER = (DUTY_NOMINAL, DUTY_NOMINAL, 0.0, 0.0)
+
+MEMORY = {
+    "actuator_second_order.tilt_rate_right": 0.5, "actuator_second_order.tilt_rate_left": -0.4,
+    "servo_backlash.play_right": 0.03, "servo_backlash.play_left": -0.02,
+    "actuator_delay.duty_right": 6.45, "actuator_delay.duty_left": 6.35,
+    "actuator_delay.tilt_right": 0.1, "actuator_delay.tilt_left": -0.05,
+}  # fmt: skip
+MOVING = {
+    "x": 0.3, "y": -0.2, "x_world": 1.0, "y_world": -2.0, "psi": 0.7, "vx": 0.2, "vy": -0.1, "psi_dot": 0.6,
+    "phi": 0.01, "phi_dot": -0.05, "thrust_right": 2.1, "thrust_left": 2.3, "tilt_right": 0.15, "tilt_left": -0.1,
+}  # fmt: skip
+
+# Tolerance at the plant's own 5 ms, and at 0.5 ms, where only the equations can differ.
+SMOOTH = (1e-6, 1e-9)  # RK4 as in the base model, whose tolerance is the model sheet's
+# Dry friction: vx agrees to 2e-7; a_x reads the force, whose slope F_s/(0.01·m) = 21 /s multiplies that.
+STEEP = (5e-6, 1e-9)
+# A pole at ωₙ(ζ + √(ζ² − 1)) = 52 rad/s: (hλ)⁵/120 = 1e-5 of a tilt step of 0.1 rad, times 2·T_N/m = 7 in a_x.
+FAST = (7e-6, 1e-9)
+# Kinked: the slope of α jumps inside a substep and RK4 errs by up to r·h²/(8τ) = 4e-5 rad in α; the yaw rate
+# gains L·T_N/Izz·τ = 3.7 /s of that, ψ its integral over the 2.4 s of the run. h² at h/10: 1 %.
+KINKED = (4e-4, 4e-6)
+# tanh(ψ̇/0.02) is crossed at 4 rad/s², so in 2 substeps: hλ = h·M/(0.02·Izz) = 0.24 at rest, and RK4's (hλ)⁵/120
+# of the 0.02 rad/s crossed, summed over crossings, is 5e-5 at most; h⁴ at h/10.
+NARROW = (5e-5, 5e-9)
+# Over a substep the mean of a delayed command acts: its impulse is exact and its shape is not, by up to
+# (h/τ)²/8 = 4e-4 of a jump, here 0.3 rad: 1.2e-4 rad in α, times 2·T_N/m = 7 in a_x. h² at h/10: 1 %.
+BLURRED = (9e-4, 9e-6)
+
+CASES: list[tuple[dict[str, dict[str, float]], tuple[float, float]]] = [
+    ({"coulomb_friction": {"force": 0.1}}, SMOOTH),
+    ({"stribeck_friction": {"force": 0.08, "static_force": 0.15, "speed": 0.05}}, STEEP),
+    ({"stribeck_friction": {"force": 0.0, "static_force": 0.1, "speed": 0.02}}, STEEP),
+    ({"quadratic_drag": {"coefficient": 0.5}}, SMOOTH),
+    ({"yaw_damping": {"coefficient": 0.02}}, SMOOTH),
+    ({"yaw_coulomb_friction": {"moment": 0.01}}, NARROW),
+    ({"actuator_second_order": {"natural_frequency": 14.0, "damping_ratio": 0.4}}, SMOOTH),
+    ({"actuator_second_order": {"natural_frequency": 20.0, "damping_ratio": 1.5}}, FAST),
+    ({"actuator_delay": {"time": 0.06}}, SMOOTH),  # whole substeps: nothing to blur
+    ({"actuator_delay": {"time": 0.035}}, SMOOTH),
+    ({"actuator_delay": {"time": 0.0337}}, BLURRED),
+    ({"actuator_delay": {"time": 0.002}}, BLURRED),
+    ({"actuator_delay": {"time": 0.5}}, SMOOTH),
+    ({"servo_rate_limit": {"rate": 1.0}}, KINKED),
+    ({"servo_backlash": {"width": 0.05}}, SMOOTH),  # its kinks fall on command changes, where integration restarts
+    ({"servo_dead_band": {"width": 0.04}}, SMOOTH),
+    ({"tilt_offset": {"right": 0.03, "left": -0.02}}, SMOOTH),
+    ({"tilt_offset": {"right": 0.0, "left": 0.02}}, SMOOTH),
+    ({"thrust_asymmetry": {"ratio": 0.06}}, SMOOTH),
+    ({"battery_sag": {"drop": 0.2, "time": 5.0}}, SMOOTH),
+    ({"inflow_thrust_loss": {"coefficient": 0.2}}, SMOOTH),
+    ({"com_offset": {"right": -0.01}}, SMOOTH),
+    ({"table_tilt": {"x": 0.02, "y": -0.03}}, SMOOTH),
+    ({"coriolis": {"gain": 1.0}}, SMOOTH),
+]
+EVERYTHING = {
+    "actuator_delay": {"time": 0.03}, "servo_backlash": {"width": 0.03}, "tilt_offset": {"right": 0.02, "left": -0.01},
+    "servo_dead_band": {"width": 0.02}, "actuator_second_order": {"natural_frequency": 15.0, "damping_ratio": 0.6},
+    "servo_rate_limit": {"rate": 1.5}, "thrust_asymmetry": {"ratio": 0.03}, "battery_sag": {"drop": 0.1, "time": 8.0},
+    "inflow_thrust_loss": {"coefficient": 0.1}, "coulomb_friction": {"force": 0.05},
+    "stribeck_friction": {"force": 0.02, "static_force": 0.05, "speed": 0.05}, "quadratic_drag": {"coefficient": 0.2},
+    "yaw_damping": {"coefficient": 0.01}, "yaw_coulomb_friction": {"moment": 0.005}, "com_offset": {"right": 0.004},
+    "table_tilt": {"x": 0.01, "y": 0.02}, "coriolis": {"gain": 1.0},
+}  # fmt: skip
+
+
+class Fine(Hovercraft):
+    """The craft with ten times the substeps."""
+
+    substep = 0.0005
+
+
+def named(effects: Effects) -> dict[str, float]:
+    """`effect.parameter` values."""
+    return {f"{effect}.{p}": value for effect, values in effects.items() for p, value in values.items()}
+
+
+def largest_difference(a: dict[str, Array], b: dict[str, Array]) -> float:
+    return max(float(np.max(np.abs(a[name] - b[name]))) for name in COLUMNS)
+
+
+def craft_with(*effects: Any, **base: float) -> Hovercraft:
+    return Hovercraft(effects=effects, **base)
+
+
+def thrustless(*effects: Any, **base: float) -> Hovercraft:
+    """A craft that only slides: no thrust at all, no viscous friction unless given."""
+    return Hovercraft(effects=effects, **{"friction": 0.0, "duty_nominal": 0.0, **base})
+
+
+def test_cases_cover_the_catalogue() -> None:
+    tested = {name for effects, _ in CASES for name in effects}
+    assert tested == set(EVERYTHING) == {kind.name for kind in CATALOGUE}
+
+
+@pytest.mark.parametrize(("effects", "tolerances"), CASES, ids=[str(named(e)) for e, _ in CASES])
+def test_effect_agrees_with_the_independent_one(effects: Effects, tolerances: tuple[float, float]) -> None:
+    commands = to_and_fro(120)
+    exact = simulate(commands, effects)
+    # the run excites the effect: a thousand times what a smooth one may differ by
+    assert largest_difference(exact, simulate(commands)) > 1e-3
+    for craft, tolerance in zip((Hovercraft(), Fine()), tolerances, strict=True):
+        got = flown(Stepper(craft.with_values(named(effects))), commands)
+        assert largest_difference(got, exact) < tolerance
+
+
+@pytest.mark.parametrize("effect", [kind.name for kind in CATALOGUE])
+def test_effect_agrees_from_any_start(effect: str) -> None:
+    # every state moving, memories of its own, a late start of time: at 0.5 ms only the equations can differ
+    effects = {effect: EVERYTHING[effect]}
+    commands = excitation(40, seed=2, duty=0.1)
+    start = MOVING | {name: v for name, v in MEMORY.items() if name.startswith(f"{effect}.")}
+    exact = simulate(commands, effects, start=start, t0=3.7)
+    got = flown(Stepper(Fine().with_values(named(effects))), commands, start, t0=3.7)
+    assert largest_difference(got, exact) < (KINKED[1] if effect == "servo_rate_limit" else 1e-8)
+
+
+def test_all_effects_at_once_agree_in_the_order_of_the_catalogue() -> None:
+    commands = to_and_fro(120)
+    start = MOVING | MEMORY
+    exact = simulate(commands, EVERYTHING, start=start)
+    for craft, tolerance in ((Hovercraft(), KINKED[0]), (Fine(), KINKED[1])):
+        got = flown(Stepper(craft.with_values(named(EVERYTHING))), commands, start)
+        assert largest_difference(got, exact) < tolerance
+
+
+# Dormant, composed.
+
+
+def test_dormant_effects_are_no_effect_bit_for_bit() -> None:
+    commands = excitation(50)
+    craft = Hovercraft(effects=tuple(kind() for kind in CATALOGUE))
+    assert craft.awake == ()
+    assert craft.states == Hovercraft().states
+    plain, dormant = (flown(Stepper(c), commands, MOVING) for c in (Hovercraft(), craft))
+    for name in COLUMNS:
+        assert np.array_equal(plain[name], dormant[name]), name
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+def test_effect_sleeps_at_its_neutral_values_only(kind: Any) -> None:
+    assert kind().dormant
+    with_neutral = [p for p in parameters_of(kind) if p.neutral is not None]
+    assert with_neutral
+    for p in with_neutral:
+        assert p.default == p.neutral
+        assert not kind(**{p.name: p.neutral + 0.01}).dormant
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+def test_effect_fades_as_it_nears_its_neutral_value(kind: Any) -> None:
+    # continuity: an effect a thousandth as strong changes a thousandth as much. The two that are off at an
+    # infinite value (ωₙ, r) are off at 0 by convention; their limit is the other end.
+    commands = to_and_fro(30)
+    plain = flown(Stepper(Hovercraft()), commands)
+    if kind in (ActuatorSecondOrder, ServoRateLimit):
+        weak = kind(rate=50.0) if kind is ServoRateLimit else kind(natural_frequency=100.0)
+        assert not weak.dormant
+        faded = flown(Stepper(craft_with(weak)), commands)
+        if kind is ServoRateLimit:  # never reached: the fastest tilt is 0.6 rad / τ = 7 rad/s
+            assert largest_difference(faded, plain) == 0.0
+        else:  # a servo with no lag to speak of follows the command
+            settled = faded["tilt_right_actual"][1:] - commands[:, 2]
+            assert np.max(np.abs(settled)) < 0.25 * np.max(np.abs(commands[:, 2:]))  # e^(−0.7·100·0.02) of a step
+        return
+    full = {p.name: p.neutral + 5e-3 for p in parameters_of(kind) if p.neutral is not None}
+    weak = {p.name: p.neutral + 5e-6 for p in parameters_of(kind) if p.neutral is not None}
+    strong_change, weak_change = (
+        largest_difference(flown(Stepper(craft_with(kind(**values))), commands), plain) for values in (full, weak)
+    )
+    # a thousandth, up to the effect's curvature over this range
+    assert 0 < weak_change < 1.5e-3 * strong_change
+
+
+@property_settings
+@given(st.permutations(sorted(EVERYTHING)), st.integers(0, len(EVERYTHING)))
+def test_order_of_composition_does_not_matter(names: list[str], count: int) -> None:
+    kinds = {kind.name: kind for kind in CATALOGUE}
+    chosen = [kinds[name](**EVERYTHING[name]) for name in names[:count]]
+    one, other = Hovercraft(), Hovercraft()
+    for forward, backward in zip(chosen, reversed(chosen), strict=True):
+        one, other = one.with_effect(forward), other.with_effect(backward)
+    assert one == other
+    commands = excitation(3)
+    a, b = (flown(Stepper(c), commands, MOVING) for c in (one, other))
+    assert all(np.array_equal(a[name], b[name]) for name in COLUMNS)
+
+
+def test_an_effect_replaces_one_of_its_kind() -> None:
+    craft = Hovercraft().with_effect(TableTilt(x=0.01)).with_effect(TableTilt(y=0.02))
+    assert craft.effects == (TableTilt(y=0.02),)
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+def test_effect_refuses_values_out_of_bounds_all_at_once(kind: Any) -> None:
+    bad = {p.name: p.bounds[1] + 1.0 for p in parameters_of(kind)}
+    with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the message is what is tested
+        kind(**bad)
+    assert all(name in str(refusal.value) for name in bad)
+
+
+# Energy.
+
+SPEEDS = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-6, 6))
+LOSSES = st.one_of(
+    st.builds(CoulombFriction, force=st.floats(0.01, 1)),
+    st.builds(StribeckFriction, force=st.floats(0.01, 1), static_force=st.floats(0.01, 1), speed=st.floats(0.005, 0.5)),
+    st.builds(QuadraticDrag, coefficient=st.floats(0.01, 5)),
+    st.builds(YawDamping, coefficient=st.floats(0.001, 0.2)),
+    st.builds(YawCoulombFriction, moment=st.floats(0.001, 0.05)),
+)
+
+
+@property_settings
+@given(LOSSES, SPEEDS)
+def test_friction_and_drag_oppose_motion(loss: Any, speeds: tuple[float, float, float]) -> None:
+    vx, vy, psi_dot = speeds
+    forward, rightward, yaw, roll = loss.wrench(SCALAR, Motion(vx, vy, psi_dot, 0.0, 5.0))
+    assert forward * vx + rightward * vy <= 0.0
+    assert yaw * psi_dot <= 0.0
+    assert roll == 0.0
+    # along the velocity: no force to the side. One rounding of each product.
+    assert abs(forward * vy - rightward * vx) <= 4e-16 * abs(forward * vy)
+
+
+@property_settings
+@given(LOSSES, SPEEDS, st.floats(0, 1))
+def test_friction_and_drag_never_add_energy(loss: Any, speeds: tuple[float, float, float], viscous: float) -> None:
+    craft = thrustless(loss, friction=viscous)
+    start = dict(zip(("vx", "vy", "psi_dot"), speeds, strict=True))
+    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 50, start)
+    sliding = 0.5 * craft.mass * (y["vx"] ** 2 + y["vy"] ** 2)
+    turning = 0.5 * craft.izz * y["psi_dot"] ** 2
+    for energy in (sliding, turning):
+        # never more than before, up to one rounding of a step that takes nothing
+        assert np.all(np.diff(energy) <= 1e-15 * energy[:-1])
+
+
+@pytest.mark.parametrize("psi_dot", [0.5, 4.0])
+def test_dry_yaw_friction_brings_the_craft_to_rest(psi_dot: float) -> None:
+    craft = thrustless(YawCoulombFriction(moment=0.02))
+    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 150, {"psi_dot": psi_dot})
+    # constant deceleration M/Izz = 1.955 rad/s² while ψ̇ ≫ 0.02 rad/s, then an exponential rest
+    assert y["psi_dot"][5] == pytest.approx(psi_dot - 0.1 * 0.02 / craft.izz, rel=1e-9)
+    assert abs(y["psi_dot"][-1]) < 1e-9
+
+
+@pytest.mark.parametrize("moment", [0.004, parameters_of(YawCoulombFriction)[0].bounds[1]])
+def test_dry_yaw_friction_of_any_allowed_size_brings_the_craft_to_rest(moment: float) -> None:
+    craft = thrustless(YawCoulombFriction(moment=moment))
+    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 150, {"psi_dot": 0.5})
+    assert abs(y["psi_dot"][-1]) < 1e-9
+
+
+def test_dry_friction_slides_the_textbook_distance() -> None:
+    # v₀²·m/(2F) at constant deceleration; tanh(s/0.01) stretches the last centimetre per second:
+    # exactly, m/F·∫₀^v₀ v/tanh(v/0.01) dv = m/F·(v₀²/2 + 0.01²·π²/12)
+    craft = thrustless(CoulombFriction(force=0.3))
+    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 200, {"vx": 0.3, "vy": -0.4, "psi": 1.0})
+    distance = 0.705 / 0.3 * (0.5**2 / 2 + 0.01**2 * math.pi**2 / 12)
+    assert math.hypot(y["x"][-1], y["y"][-1]) == pytest.approx(distance, rel=1e-6)  # RK4 over the last stretch
+    assert y["y"][-1] / y["x"][-1] == pytest.approx(-4 / 3, rel=1e-12)
+
+
+def test_stribeck_friction_is_breakaway_at_rest_and_sliding_friction_at_speed() -> None:
+    term = StribeckFriction(force=0.1, static_force=0.25, speed=0.3)
+    slow, fast = (-term.wrench(SCALAR, Motion(v, 0.0, 0.0, 0.0, 0.0))[0] for v in (0.04, 3.0))
+    assert slow == pytest.approx(0.25, rel=0.015)  # e^(−(0.04/0.3)²) = 0.982 of the way, tanh 4 = 0.9993
+    assert fast == pytest.approx(0.1, rel=1e-12)
+
+
+@property_settings
+@given(SPEEDS, st.floats(-5, 5))
+def test_coriolis_does_no_work(speeds: tuple[float, float, float], gain: float) -> None:
+    vx, vy, psi_dot = speeds
+    ax, ay = Coriolis(gain=gain).acceleration(SCALAR, 9.81, 0.3, vx, vy, psi_dot)
+    # two products of the same three factors, one rounding each in another order
+    assert abs(ax * vx + ay * vy) <= 4e-16 * abs(ax * vx)
+
+
+def test_with_coriolis_a_free_craft_goes_straight_while_it_turns() -> None:
+    # κ = 1 is physics: no force, no bend in the world, whatever the heading does
+    start = {"vx": 0.8, "vy": -0.3, "psi": 0.4, "psi_dot": 3.0}
+    still = [(0.0, 0.0, 0.0, 0.0)] * 100
+    straight = flown(Stepper(thrustless(Coriolis(gain=1.0))), still, start)
+    t = HOLD * np.arange(101)
+    vx_world = 0.8 * math.cos(0.4) - 0.3 * math.sin(0.4)
+    vy_world = 0.8 * math.sin(0.4) + 0.3 * math.cos(0.4)
+    # RK4 turns the velocity by ψ̇·h a substep, with (ψ̇h)⁵/120 = 6e-12 of error: 400 of them, over 2 s
+    assert straight["x_world"] == pytest.approx(vx_world * t, abs=1e-8)
+    assert straight["y_world"] == pytest.approx(vy_world * t, abs=1e-8)
+    thesis = flown(Stepper(thrustless()), still, start)  # which leaves the terms out, and drives in circles
+    assert math.hypot(thesis["x_world"][-1], thesis["y_world"][-1]) < 0.6
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0])
+def test_tilted_table_trades_height_for_speed(gain: float) -> None:
+    craft = thrustless(TableTilt(x=0.02, y=-0.05), Coriolis(gain=gain))
+    start = {"vx": 0.2, "vy": 0.1, "psi": 0.3, "psi_dot": 2.0}
+    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 100, start)
+    kinetic = 0.5 * craft.mass * (y["vx"] ** 2 + y["vy"] ** 2)
+    height = -math.sin(0.02) * y["x_world"] + math.sin(0.05) * y["y_world"]  # downhill along X and −Y
+    total = kinetic + craft.mass * 9.81 * height
+    assert np.ptp(kinetic) > 0.02  # more than the craft starts with
+    assert total == pytest.approx(np.full(101, total[0]), abs=1e-9)  # RK4: (ψ̇h)⁵/120 = 8e-13 a substep, 400 of them
+
+
+@pytest.mark.parametrize("effect", [TableTilt(x=0.03, y=0.02), Coriolis(gain=1.0)])
+def test_accelerometer_feels_contact_only(effect: Any) -> None:
+    start = {"vx": 0.4, "vy": 0.2, "psi_dot": 2.0, "tilt_right": 0.1, "tilt_left": 0.1}
+    stepper = Stepper(craft_with(effect))
+    moment = stepper.start(0.0, start)
+    ax = dict(zip([q.name for q in Hovercraft.outputs], stepper.output(0.0, moment.state, HOVER), strict=True))["ax"]
+    assert ax == pytest.approx((2 * 2.4973 * math.sin(0.1) - 0.25 * 0.4) / 0.705, abs=1e-5)  # T_N of δ_N, 5e-6 N
+    acceleration = stepper.derivative(0.0, moment.state, HOVER)[5]
+    assert abs(acceleration - ax) > 0.2  # though the craft does speed up
+
+
+@pytest.mark.parametrize("effect", [CoulombFriction(force=0.1), QuadraticDrag(coefficient=0.5)])
+def test_accelerometer_feels_friction(effect: Any) -> None:
+    stepper = Stepper(craft_with(effect))
+    moment = stepper.start(0.0, {"vx": 0.5})
+    ax = dict(zip([q.name for q in Hovercraft.outputs], stepper.output(0.0, moment.state, HOVER), strict=True))["ax"]
+    force = 0.1 if isinstance(effect, CoulombFriction) else 0.5 * 0.5**2
+    assert ax == pytest.approx(-(force + 0.25 * 0.5) / 0.705, rel=1e-12)
+
+
+# Thrust.
+
+
+@property_settings
+@given(st.floats(0.01, 0.9), st.floats(0.5, 60))
+def test_battery_sags_monotonically_towards_its_drop(drop: float, theta: float) -> None:
+    stepper = Stepper(craft_with(BatterySag(drop=drop, time=theta)))
+    state = stepper.start().state
+    times = [0.0, *np.geomspace(0.02, 40 * theta, 60).tolist()]
+    thrust = np.array([stepper.output(t, state, HOVER)[11] for t in times])
+    share = thrust / thrust[0]
+    assert thrust[0] == pytest.approx(2.4973, abs=6e-6)
+    assert np.all(np.diff(share) <= 0.0)
+    assert share[-1] == pytest.approx(1 - drop, rel=1e-13)  # e^−40 = 4e-18 of the drop is left
+    at_theta = stepper.output(theta, state, HOVER)[11] / thrust[0]
+    assert at_theta == pytest.approx(1 - drop * (1 - math.exp(-1)), rel=1e-13)
+
+
+def test_asymmetry_keeps_the_sum_and_turns_the_craft() -> None:
+    stepper = Stepper(craft_with(ThrustAsymmetry(ratio=0.05)))
+    moment = stepper.start(0.0, {"tilt_right": 0.1, "tilt_left": 0.1})
+    right, left = stepper.output(0.0, moment.state, HOVER)[11:13]
+    assert right / left == pytest.approx(1.05 / 0.95, rel=1e-14)
+    assert right + left == pytest.approx(2 * 2.4973, abs=1.2e-5)  # T_N of δ_N, twice 5e-6 N
+    assert stepper.derivative(0.0, moment.state, HOVER)[7] > 0.0  # the stronger right propeller turns left
+
+
+def test_asymmetry_and_com_offset_turn_alike_at_constant_thrust() -> None:
+    # ε and e = −ε·L give one and the same yaw and roll moment: why a closed loop cannot tell them apart
+    y = {}
+    for effect in (ThrustAsymmetry(ratio=0.04), ComOffset(right=-0.04 * 0.17145)):
+        stepper = Stepper(craft_with(effect, roll_ground_effect=False))
+        moment = stepper.start(0.0, {"tilt_right": 0.1, "tilt_left": 0.1})
+        y[effect.name] = stepper.derivative(0.0, moment.state, HOVER)
+    assert y["com_offset"] == pytest.approx(y["thrust_asymmetry"], rel=1e-12, abs=1e-12)
+
+
+def test_inflow_weakens_thrust_ahead_and_strengthens_it_astern() -> None:
+    stepper = Stepper(craft_with(InflowThrustLoss(coefficient=0.2)))
+    ahead, astern = (stepper.output(0.0, stepper.start(0.0, {"vx": v}).state, HOVER)[11] for v in (0.5, -0.5))
+    assert ahead / astern == pytest.approx(0.9 / 1.1, rel=1e-14)
+
+
+# Actuators.
+
+
+def acting(effect: Any, commands: list[tuple[float, ...]], h: float = 0.005) -> list[tuple[float, ...]]:
+    """Commands after the effect, one substep each."""
+    stepper = Stepper(craft_with(effect))
+    memory, out = stepper.start().memory, []
+    for k, command in enumerate(commands):
+        shaped, memory = stepper.shape(k * h, h, command, memory)
+        out.append(shaped)
+    return out
+
+
+TILTS = st.lists(st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)), min_size=1, max_size=30)
+
+
+@property_settings
+@given(TILTS, st.floats(1e-4, 0.5))
+def test_play_stays_within_half_its_width_of_the_command(tilts: list[tuple[float, float]], width: float) -> None:
+    commands = [(6.0, 6.5, *pair) for pair in tilts]
+    before = (0.0, 0.0)
+    for command, shaped in zip(commands, acting(ServoBacklash(width=width), commands), strict=True):
+        assert shaped[:2] == command[:2]
+        for a, p, was in zip(command[2:], shaped[2:], before, strict=True):
+            assert abs(p - a) <= width / 2 * (1 + 1e-15) + 1e-16  # the rounding of a ± w/2
+            # and it moves only when pushed: at an end of the play, or not at all
+            assert p == was or abs(p - a) == pytest.approx(width / 2, rel=1e-12, abs=1e-15)
+        before = shaped[2:]
+
+
+@property_settings
+@given(TILTS, st.floats(1e-4, 0.3))
+def test_dead_band_is_zero_inside_and_odd(tilts: list[tuple[float, float]], width: float) -> None:
+    commands = [(6.0, 6.5, *pair) for pair in tilts]
+    mirrored = [(6.0, 6.5, -right, -left) for right, left in tilts]
+    effect = ServoDeadBand(width=width)
+    for command, shaped, other in zip(commands, acting(effect, commands), acting(effect, mirrored), strict=True):
+        for a, b, c in zip(command[2:], shaped[2:], other[2:], strict=True):
+            assert b == -c
+            assert b == 0.0 if abs(a) <= width else abs(b) == pytest.approx(abs(a) - width, rel=1e-15)
+            assert a * b >= 0.0
+
+
+@property_settings
+@given(TILTS, st.floats(0.05, 5), st.booleans())
+def test_tilt_never_moves_faster_than_the_rate_limit(
+    tilts: list[tuple[float, float]], rate: float, second_order: bool
+) -> None:
+    effects: list[Any] = [ServoRateLimit(rate=rate)]
+    if second_order:
+        effects.append(ActuatorSecondOrder(natural_frequency=25.0, damping_ratio=0.4))
+    y = flown(Stepper(craft_with(*effects)), [(*HOVER[:2], *pair) for pair in tilts])
+    for name in ("tilt_right_actual", "tilt_left_actual"):
+        # every stage of RK4 is within ±r, so is their mean; rounding of four substeps
+        assert np.max(np.abs(np.diff(y[name]))) <= rate * HOLD * (1 + 1e-12) + 1e-15
+
+
+def test_rate_limit_far_below_the_data_sheet_makes_a_ramp() -> None:
+    y = flown(Stepper(craft_with(ServoRateLimit(rate=0.5))), [(*HOVER[:2], 0.4, 0.4)] * 60)["tilt_right_actual"]
+    # while the lag asks for more than 0.5 rad/s, that is until α = 0.4 − 0.5·τ; from there on it is the lag
+    t, tau = HOLD * np.arange(61), 0.0884
+    meet = (0.4 - 0.5 * tau) / 0.5
+    expected = np.where(t < meet, 0.5 * t, 0.4 - 0.5 * tau * np.exp(-np.maximum(t - meet, 0.0) / tau))
+    assert np.count_nonzero(t < meet) == 36
+    assert y[:36] == pytest.approx(expected[:36], abs=1e-12)
+    assert y == pytest.approx(expected, abs=2e-5)  # the kink inside a substep: 0.5·h²/(8τ)
+
+
+def test_tilt_offset_adds_to_each_side() -> None:
+    ((_, _, right, left),) = acting(TiltOffset(right=0.03, left=-0.02), [(6.0, 6.5, 0.1, 0.2)])
+    assert (right, left) == pytest.approx((0.13, 0.18), rel=1e-15)
+
+
+def test_commands_pass_delay_play_offset_and_dead_band_in_this_order() -> None:
+    craft = craft_with(
+        ServoDeadBand(width=0.02), TiltOffset(right=0.03, left=0.0), ServoBacklash(width=0.1), ActuatorDelay(time=0.005)
+    )
+    stepper = Stepper(craft)
+    memory = stepper.start().memory
+    first, memory = stepper.shape(0.0, 0.005, (6.0, 6.5, 0.2, 0.2), memory)
+    second, memory = stepper.shape(0.005, 0.005, (6.0, 6.5, 0.2, 0.2), memory)
+    # before the delay: 0 → play 0 → offset 0.03 → band 0.01; after it: 0.2 → play 0.15 → 0.18 → 0.16
+    assert first == pytest.approx((DUTY_NOMINAL, DUTY_NOMINAL, 0.01, 0.0), abs=1e-15)
+    assert second == pytest.approx((6.0, 6.5, 0.16, 0.13), abs=1e-15)
+
+
+@pytest.mark.parametrize("zeta", [0.1, 0.3, 0.5, 0.7])
+def test_second_order_servo_overshoots_by_the_textbook_share(zeta: float) -> None:
+    # §4.5.4 saw overshoot and oscillation; the peak of a step is 1 + e^(−πζ/√(1−ζ²)) at t = π/(ω√(1−ζ²))
+    w = 15.0
+    root = math.sqrt(1 - zeta * zeta)
+    peak_time = math.pi / (w * root)
+    craft = craft_with(ActuatorSecondOrder(natural_frequency=w, damping_ratio=zeta))
+    tilt = flown(Stepper(craft), [(*HOVER[:2], 0.1, 0.0)] * 200, hold=peak_time / 100)["tilt_right_actual"]
+    # the 100th sample is on the peak; RK4 at (ωh)⁵/120 < 1e-9 a substep
+    assert tilt[100] / 0.1 == pytest.approx(1 + math.exp(-math.pi * zeta / root), rel=1e-7)
+    assert np.argmax(tilt) == 100
+
+
+def test_second_order_servo_takes_the_place_of_the_tilt_lag_only() -> None:
+    commands = excitation(50)
+    plain = flown(Stepper(Hovercraft(roll_ground_effect=False)), commands)
+    craft = craft_with(ActuatorSecondOrder(natural_frequency=10.0, damping_ratio=0.5), roll_ground_effect=False)
+    servo = flown(Stepper(craft), commands)
+    assert np.array_equal(plain["thrust_right"], servo["thrust_right"])
+    assert not np.array_equal(plain["tilt_right_actual"], servo["tilt_right_actual"])
+
+
+@pytest.mark.parametrize("samples", [1, 3, 25])
+def test_delay_of_whole_samples_is_the_command_row_shifted(samples: int) -> None:
+    commands = excitation(60)
+    shifted = np.vstack([np.tile(HOVER, (samples, 1)), commands[:-samples]])
+    late = flown(Stepper(craft_with(ActuatorDelay(time=samples * HOLD))), commands)
+    row = flown(Stepper(Hovercraft()), shifted)
+    # the same commands in the same substeps; a mean over a substep of one and the same value rounds
+    assert largest_difference(late, row) < 1e-12
+
+
+def test_no_delay_is_no_effect() -> None:
+    commands = excitation(40)
+    plain = flown(Stepper(Hovercraft()), commands)
+    assert largest_difference(flown(Stepper(craft_with(ActuatorDelay(time=0.0))), commands), plain) == 0.0
+    # and it comes about continuously: 1 µs of delay moves the outputs by 1 µs of their rates
+    assert largest_difference(flown(Stepper(craft_with(ActuatorDelay(time=1e-6))), commands), plain) < 1e-4
+
+
+@property_settings
+@given(st.floats(1e-4, 0.5), st.integers(1, 40))
+def test_delay_neither_loses_nor_invents_impulse(delay: float, count: int) -> None:
+    # the integral of what acts is the integral of what was sent, late by T, for any T
+    rng = np.random.default_rng(count)
+    sent = [tuple(rng.uniform(-1, 1, 4).tolist()) for _ in range(count)] + [(0.0, 0.0, 0.0, 0.0)] * 110
+    stepper = Stepper(craft_with(ActuatorDelay(time=delay)))
+    memory = stepper.start(0.0, dict.fromkeys([f"actuator_delay.{q.name}" for q in ActuatorDelay.memory], 0.0)).memory
+    total = np.zeros(4)
+    for k, command in enumerate(sent):
+        shaped, memory = stepper.shape(k * 0.005, 0.005, command, memory)
+        total += 0.005 * np.array(shaped)
+    assert total == pytest.approx(0.005 * np.sum(sent, axis=0), abs=1e-12)  # rounding of times of up to 0.75 s
+
+
+def test_until_the_delay_has_passed_the_remembered_command_acts() -> None:
+    start = {"actuator_delay.duty_right": 6.5, "actuator_delay.duty_left": 6.4, "actuator_delay.tilt_right": 0.1}
+    late = flown(Stepper(craft_with(ActuatorDelay(time=0.1))), [(7.0, 6.0, -0.3, 0.3)] * 5, start)
+    plain = flown(Stepper(Hovercraft()), [(6.5, 6.4, 0.1, 0.0)] * 5)
+    assert largest_difference(late, plain) < 1e-12  # the mean of one value rounds
+
+
+# Sensors.
+
+
+@pytest.mark.parametrize(
+    ("error", "output", "reading"),
+    [
+        (AccelerometerBias(value=0.3), "ax", 2.3),
+        (AccelerometerScale(value=1.1), "ax", 2.2),
+        (GyroBias(value=-0.1), "psi_dot", 1.9),
+    ],
+)
+def test_sensor_error_is_on_the_measurement_not_in_the_plant(error: Any, output: str, reading: float) -> None:
+    assert error.output == output
+    assert error.measure(2.0) == pytest.approx(reading, rel=1e-15)
+    assert not error.dormant
+    assert type(error)().dormant
+    assert type(error)().measure(2.0) == 2.0
+    assert type(error) not in CATALOGUE
+
+
+def test_memory_starts_are_declared_for_all_that_is_remembered() -> None:
+    declared = {f"{kind.name}.{q.name}" for kind in CATALOGUE for q in itertools.chain(kind.states, kind.memory)}
+    assert declared == set(MEMORY)
