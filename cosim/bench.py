@@ -17,7 +17,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.blocks.noise import gaussian, stream
 from cosim.master import PROGRESS_EVERY, simulate
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import System, build_system
 from fmus.build import build, controller_recipe, plant_recipe
 from plant.hovercraft import Hovercraft

@@ -10,7 +10,7 @@ from cosim.blocks.fmu import read_description
 from cosim.design import designed_values
 from cosim.errors import Fault, FmuError, InputError
 from cosim.manifest import check_pinned
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.errors import InputError
 from cosim.files import atomic_write
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 
 FORMAT = 1  # raise when the meaning of a cached design changes
 

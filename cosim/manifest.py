@@ -13,7 +13,8 @@ from typing import Any
 
 from cosim.errors import InputError
 from cosim.files import atomic_write
-from cosim.scenario import FmuComponent, Scenario, ScenarioFile, resolved
+from cosim.scenario import FmuComponent, Scenario, resolved
+from cosim.scenario_file import ScenarioFile
 from cosim.system import System
 from cosim.version import __version__
 

@@ -14,7 +14,7 @@ from cosim.errors import SimulationError
 from cosim.manifest import check_pinned, manifest, write_manifest
 from cosim.master import StoppedRun, simulate
 from cosim.results import Results
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 
 

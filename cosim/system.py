@@ -5,24 +5,23 @@ Every check that needs the FMUs' descriptions is made here; all faults are told 
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.fmu import FmuBlock, read_description, unit_of
+from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.sources import playback, reference
 from cosim.errors import Fault, FmuError, InputError
 from cosim.order import AlgebraicLoop, stages
-from cosim.scenario import Connection, FmuComponent, Noise, PlaybackComponent, ReferenceComponent, ScenarioFile
+from cosim.scenario import Connection, FmuComponent, Noise, PlaybackComponent, ReferenceComponent
+from cosim.scenario_file import ScenarioFile
+from cosim.start_values import Misfit, kind_of, settable, typed
 from cosim.yaml_file import did_you_mean
 
 Place = tuple[str | int, ...]
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S+)\s*")
 
 
 @dataclass(frozen=True)
@@ -146,20 +145,20 @@ class _Builder:
         where: Place = ("components", name, "start", variable_name)
         variable = next((v for v in description.modelVariables if v.name == variable_name), None)
         if variable is None:
-            settable = [v.name for v in description.modelVariables if _settable(v)]
+            known = [v.name for v in description.modelVariables if settable(v)]
             self.faults.append(
                 self.file.fault(
-                    where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, settable)}'
+                    where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}'
                 )
             )
             return None
-        if not _settable(variable):
+        if not settable(variable):
             self.faults.append(
-                self.file.fault(where, f"{name}.{variable_name} is {_kind(variable)}; it takes no start value")
+                self.file.fault(where, f"{name}.{variable_name} is {kind_of(variable)}; it takes no start value")
             )
             return None
-        value = _typed(description, variable, given)
-        if isinstance(value, _Misfit):
+        value = typed(description, variable, given)
+        if isinstance(value, Misfit):
             self.faults.append(self.file.fault(where, f"{name}.{variable_name} is {given!r}; {value.reason}"))
             return None
         return value
@@ -299,54 +298,3 @@ class _Builder:
                 )
             )
         return not (unknown or fmus_missing or len(set(order)) != len(order))
-
-
-@dataclass(frozen=True)
-class _Misfit:
-    reason: str
-
-
-def _settable(variable: Any) -> bool:
-    return variable.variability != "constant" and (
-        variable.causality == "input" or variable.initial in {"exact", "approx"}
-    )
-
-
-def _kind(variable: Any) -> str:
-    return {"output": "an output", "calculatedParameter": "calculated", "independent": "the time"}.get(
-        variable.causality, variable.variability or "not settable"
-    )
-
-
-def _typed(description: Any, variable: Any, given: Any) -> Any:
-    """The value as FMI takes it, or why it does not fit."""
-    if variable.type == "Boolean":
-        return given if isinstance(given, bool) else _Misfit("it is true or false")
-    if variable.type == "String":
-        return given if isinstance(given, str) else _Misfit("it is text")
-    if isinstance(given, str):
-        given = _converted(description, variable, given)
-        if isinstance(given, _Misfit):
-            return given
-    if isinstance(given, bool):
-        return _Misfit(f"it is a number [{unit_of(variable) or '1'}]")
-    if variable.type in {"Integer", "Enumeration"} and given != int(given):
-        return _Misfit("it is a whole number")
-    low, high = (float(v) if v is not None else s * math.inf for v, s in ((variable.min, -1), (variable.max, 1)))
-    if not low <= given <= high:
-        return _Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
-    return int(given) if variable.type in {"Integer", "Enumeration"} else float(given)
-
-
-def _converted(description: Any, variable: Any, text: str) -> float | _Misfit:
-    """`12 deg` in the unit of the variable."""
-    unit = unit_of(variable)
-    displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
-    known = {unit: (1.0, 0.0), **{d.name: (float(d.factor), float(d.offset)) for d in displays}}
-    match = QUANTITY.fullmatch(text)
-    if match is None or match[2] not in known:
-        return _Misfit(
-            f"it is a number [{unit or '1'}], or text with a unit: {', '.join(f'3 {u}' for u in known if u)}"
-        )
-    factor, offset = known[match[2]]
-    return (float(match[1]) - offset) / factor

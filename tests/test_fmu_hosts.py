@@ -26,7 +26,8 @@ import pytest
 
 from cosim.design import designed_values
 from cosim.master import simulate
-from cosim.scenario import FmuComponent, ScenarioFile
+from cosim.scenario import FmuComponent
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 from tests.hosts_fmpy import Instance
 

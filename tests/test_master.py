@@ -16,7 +16,7 @@ from cosim.errors import InputError, SimulationError
 from cosim.master import StoppedRun, simulate
 from cosim.results import Results, read_csv
 from cosim.run import run
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper

@@ -14,7 +14,8 @@ from cosim.blocks.sources import playback, profile_function
 from cosim.design import designed_values
 from cosim.errors import InputError
 from cosim.master import simulate
-from cosim.scenario import Change, Profile, ScenarioFile
+from cosim.scenario import Change, Profile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import InputError
-from cosim.scenario import ScenarioFile
+from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
