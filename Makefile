@@ -5,7 +5,8 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 
-.PHONY: run test bench check clean fmus
+.PHONY: run test refine bench blind check clean fmus
+N ?= 24
 .DEFAULT_GOAL := run
 
 $(RUNTIME): pyproject.toml
@@ -29,7 +30,13 @@ run: fmus
 	$(BIN)/cosim run scenarios/manoeuvre.yaml --out results/manoeuvre --figures
 
 test: $(TESTING)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadscope
+
+refine: $(RUNTIME)
+	$(BIN)/cosim refine examples/hovercraft/study.yaml --out results/refine
+
+blind: $(TESTING)
+	$(BIN)/python -m tests.blind.harness $(N)
 
 bench: fmus
 	@$(BIN)/cosim bench

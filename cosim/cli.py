@@ -93,13 +93,56 @@ def build(
 
 @app.command()
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests or FMUs.")],
+    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv) or FMUs.")],
 ) -> None:
     """Say what is wrong with files, all faults at once."""
-    from cosim.check import check_files
+    from cosim.check import check_files, log_findings
 
     check_files(files)
+    for path in files:
+        for line in log_findings(path) if path.suffix == ".csv" else ():
+            say(f"{path}: {line}")
     say(f"no fault in {', '.join(map(str, files))}")
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="A measured log: CSV with time, inputs and measured outputs.")],
+    plant: Annotated[
+        Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
+    ] = None,
+    out: Out = Path("replayed"),
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+) -> None:
+    """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    import tempfile
+
+    from cosim.refine.drive import model_signals
+    from cosim.refine.log import read_log
+    from cosim.refine.replay_report import write_replay
+    from cosim.refine.words import verdict
+    from fmus.build import build as build_fmu
+    from fmus.build import plant_recipe
+
+    with tempfile.TemporaryDirectory(prefix="cosim-replay-") as folder, progress_bar("replaying") as progress:
+        fmu = plant or build_fmu(plant_recipe(), Path(folder) / "plant.fmu")
+        comparison = write_replay(out, read_log(log, *model_signals(fmu)), fmu, report=report, progress=progress)
+    say(verdict(comparison))
+    say(f"residual: {out / 'residual.csv'}")
+
+
+@app.command()
+def refine(
+    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    out: Out = Path("refined"),
+) -> None:
+    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu."""
+    from cosim.refine.workflow import refine as refine_study
+
+    with stages() as progress:
+        result = refine_study(study, out, progress)
+    say(str(result.record["sentence"]))
+    say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
 
 
 @app.command()
@@ -113,7 +156,7 @@ def bench() -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
     """A bar for long runs on a terminal; nothing where nobody watches."""
     if not sys.stderr.isatty():
         yield None
@@ -122,7 +165,7 @@ def progress_bar() -> Iterator[Callable[[int, int], None] | None]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
-        TextColumn("simulating"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
+        TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
         console=Console(stderr=True), transient=True,
     )  # fmt: skip
     task = None
@@ -133,13 +176,28 @@ def progress_bar() -> Iterator[Callable[[int, int], None] | None]:
             return
         if task is None:
             bar.start()
-            task = bar.add_task("simulating", total=total)
+            task = bar.add_task(what, total=total)
         bar.update(task, completed=done)
 
     try:
         yield advance
     finally:
         bar.stop()
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, float], None] | None]:
+    """The stage in words, with its share done, on a terminal; nothing where nobody watches."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)
 
 
 def entry() -> None:

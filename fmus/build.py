@@ -7,17 +7,20 @@ package named by their content: two FMUs never see each other's modules, nor the
 from __future__ import annotations
 
 import hashlib
+import inspect
 import re
 import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 from fmus import __version__
 from fmus.description import Description, complete
 from fmus.documentation import GUID_PLACEHOLDER, write_documentation
+from plant.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
 # What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
@@ -25,6 +28,7 @@ RUNTIME = ("__init__", "ports", "slave")
 ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
 # Modules that need more than the FMU's host has.
 BUILD_TIME = ("linearize", "symbols", "synthesis")
+OWN = "own_model"  # what the file of a model of one's own is called within its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
 
@@ -38,6 +42,7 @@ class Recipe:
     about: Description
     text: str  # documentation: what it is and how to use it, HTML
     values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
+    own: tuple[Path, str] | None = None  # file and class of a model of one's own
 
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
@@ -51,14 +56,41 @@ HEAVY = {
 
 def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
     """The plant, with other defaults where `values` says so (a refined model)."""
-    from fmus.dependencies import direct_dependencies, initial_dependencies
     from fmus.documentation import PLANT_TEXT
-    from fmus.ports import model_ports
     from plant.hovercraft import Hovercraft
 
-    model = Hovercraft().with_values(values or {})
-    about = Description(
+    about = _about(
+        Hovercraft().with_values(values or {}),
         "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
+    )
+    return Recipe("plant_fmu:HovercraftPlant", ("plant",), about, PLANT_TEXT, tuple(sorted((values or {}).items())))
+
+
+def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
+    """A model of one's own, whose class stands in `file`, with other defaults where `values` says so.
+
+    The FMU carries the file; what it imports beside `plant` and the standard library its host must have.
+    """
+    about = _about(model.with_values(values or {}), model.title)
+    text = f"<p>{escape(inspect.getdoc(model) or '')}</p><pre>{escape(inspect.getdoc(model.equations) or '')}</pre>"
+    terms = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
+    return Recipe(
+        "plant_fmu:ModelSlave",
+        ("plant",),
+        about,
+        f"{text}<p>Effects, dormant at their start values:</p><ul>{terms}</ul>" if terms else text,
+        tuple(sorted((values or {}).items())),
+        (file, type(model).__name__),
+    )
+
+
+def _about(model: Model, text: str) -> Description:
+    """What the description of a model's FMU says."""
+    from fmus.dependencies import direct_dependencies, initial_dependencies
+    from fmus.ports import model_ports
+
+    return Description(
+        text,
         model_ports(model),
         direct_dependencies(model),
         initial_dependencies(model),
@@ -66,7 +98,6 @@ def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
         stop=10.0,
         variable_step=True,
     )
-    return Recipe("plant_fmu:HovercraftPlant", ("plant",), about, PLANT_TEXT, tuple(sorted((values or {}).items())))
 
 
 def controller_recipe() -> Recipe:
@@ -118,7 +149,11 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 
     sources = dict(_sources(recipe))
     module, class_name = recipe.slave.split(":")
-    tag = _digest(sources, repr((recipe.slave, recipe.values)).encode())[:12]
+    identity: tuple[object, ...] = (recipe.slave, recipe.values)
+    if recipe.own:
+        class_name = f"{recipe.own[1]}Plant"
+        identity += (class_name,)
+    tag = _digest(sources, repr(identity).encode())[:12]
     package = f"{_snake(class_name)}_{tag}"
     for name, text in sources.items():
         file = folder / package / name
@@ -148,18 +183,24 @@ BALANCE = 'globals().setdefault("_references", []).append(globals())'
 
 def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
     """The file pythonfmu loads: the slave class, with other defaults where the recipe has them."""
-    lines = [f"from {package}.fmus.{module} import {class_name} as Base"]
-    if recipe.values:
+    lines = [f"from {package}.fmus.{module} import {recipe.slave.split(':')[1]} as Base"]
+    if recipe.values or recipe.own:
         lines.append(f"from {package}.fmus.ports import model_ports")
+    if recipe.own:
+        lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
-    if recipe.values:
-        lines += ["", f"    model = Base.model.with_values({dict(recipe.values)!r})", "    ports = model_ports(model)"]
+    if recipe.values or recipe.own:
+        model = "Own()" if recipe.own else "Base.model"
+        changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
+        lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
     return "\n".join([*lines, "", "", BALANCE]) + "\n"
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
     """Our sources that the FMU carries, by path within its package."""
     yield "__init__.py", b""
+    if recipe.own:
+        yield f"{OWN}.py", recipe.own[0].read_bytes()
     module = recipe.slave.split(":")[0]
     for name in sorted((*RUNTIME, module)):
         yield f"fmus/{name}.py", (ROOT / "fmus" / f"{name}.py").read_bytes()

@@ -102,6 +102,7 @@ class Model(Parametric):
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
+    horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log
 
     effects: tuple[Any, ...] = field(default=())
 

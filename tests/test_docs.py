@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -39,7 +40,8 @@ def test_a_snippet_of_the_readme_runs_and_the_craft_moves_forward(project: Path,
 
 
 def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
-    assert [command.split()[0] for command in COMMANDS] == ["build", "run", "run", "run", "check"]
+    shutil.copytree(ROOT / "examples" / "hovercraft", project / "examples" / "hovercraft")
+    assert [command.split()[0] for command in COMMANDS] == ["build", "run", "run", "run", "check", "check", "replay"]
     for command in COMMANDS:
         done = subprocess.run(
             f"{sys.executable} -m cosim.cli {command}", shell=True, cwd=project, capture_output=True, text=True,

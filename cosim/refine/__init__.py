@@ -1,0 +1,1 @@
+"""Measured data: log → replay → residual → attribution → calibration → refined model → replay again → report."""

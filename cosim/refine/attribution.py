@@ -1,0 +1,218 @@
+"""Which effect is missing: fit every hypothesis with process noise free, compare, claim or abstain.
+
+The base fit first; then every candidate alone; then the best one with every other, and the best few in pairs, for one
+of two missing effects alone can fit with the wrong sign. A hypothesis is scored by its objective + ½·k·ln N (half of
+BIC). What is left is then tried against terms of no catalogue (`unnamed`): where one of them is significant, the
+catalogue does not hold the answer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cosim.refine.candidates import Candidate, base_parameters
+from cosim.refine.fit import Fit, Free, Problem, fit
+from plant.model import Model
+
+CLAIM = 6.0  # score a hypothesis must gain on the one it extends
+RIVAL = 5.0  # score within which another hypothesis explains as well
+SIGNIFICANT = 3.0  # standard deviations from neutral
+FIRST_LOG_Q = -9.0  # where process noise starts: a disturbance of a few mN
+QUIET_LOG_Q = -14.0  # process noise below this is none
+SCREEN_ITERATIONS = 12
+MOST_EFFECTS = 3
+PAIRS_AMONG = 4
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Some candidates together, fitted."""
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    score: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names, sorted."""
+        return tuple(sorted(c.name for c in self.candidates))
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """The outcome: the base fit, every hypothesis tried (best first), the one that stands, and its rivals."""
+
+    base: Hypothesis
+    tried: tuple[Hypothesis, ...]
+    best: Hypothesis
+    rivals: tuple[Hypothesis, ...]
+    held_out: float  # log-likelihood the best one gains on logs it was not fitted on
+    reasons: Mapping[str, str] = field(default_factory=dict)  # why each single candidate lost
+
+    @property
+    def quiet(self) -> bool:
+        """No process noise is left: nothing remains to be explained."""
+        return bool(np.all(self.best.fit.log_q < QUIET_LOG_Q))
+
+
+class Attributor:
+    """Fits hypotheses on one problem."""
+
+    def __init__(
+        self,
+        model: Model,
+        problem: Problem,
+        candidates: Sequence[Candidate],
+        progress: Callable[[str, float], None] | None = None,
+    ) -> None:
+        self.model, self.problem, self.candidates = model, problem, candidates
+        self.progress = progress or (lambda stage, share: None)
+        self.price = 0.5 * np.log(max(2, problem.samples))
+        self.tried: dict[tuple[str, ...], Hypothesis] = {}
+
+    def run(self) -> Attribution:
+        """Base fit, singles, extensions, rivals."""
+        self.progress("recalibrating the base model", 0.0)
+        base = self.hypothesis((), None)
+        singles = self._fit_all([(c,) for c in self.candidates], base, "trying every effect, sensor and parameter")
+        best = self._better(singles, base)
+        if best is not base:
+            best = self._extend(best, singles, base)
+        best = self.refit(best, base) if best is not base else base
+        self.tried[best.names] = best
+        ranking = tuple(sorted(self.tried.values(), key=lambda h: h.score))
+        rivals, reasons = self._rivals(best, base), self._reasons(best, base)
+        return Attribution(base, ranking, best, rivals, self.held_out(best, base), reasons)
+
+    def hypothesis(
+        self,
+        parts: tuple[Candidate, ...],
+        start: Fit | None,
+        only: Sequence[int] | None = None,
+        iterations: int = 30,
+        goal: float = np.inf,
+    ) -> Hypothesis:
+        """Fit some candidates together, from each of their starts; base parameters on trial lose their prior."""
+        free = self.free(parts)
+        # of the start only what this fit may move: the parts of another hypothesis go back to neutral
+        moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
+        known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
+        log_q = start.log_q if start is not None else np.full(len(self.problem.kernel.generated.noisy), FIRST_LOG_Q)
+        fits = []
+        for k in range(max([1, *(len(c.starts) for c in parts)])):
+            values = dict(known)
+            for c in parts:
+                if not set(c.parameters) <= moved:
+                    values |= c.starts[min(k, len(c.starts) - 1)]
+            fits.append(fit(self.problem, free, values, np.maximum(log_q, -12.0), only, iterations, goal))
+        best = min(fits, key=lambda f: f.objective)
+        return Hypothesis(parts, best, best.objective + self.price * sum(len(c.free) for c in parts))
+
+    def free(self, parts: tuple[Candidate, ...]) -> list[Free]:
+        """What a fit of these candidates may move."""
+        own = [f for c in parts for f in c.free]
+        loose = {f.name for f in own}
+        return [b for b in base_parameters(self.model, self.problem.values) if b.name not in loose] + own
+
+    def refit(self, h: Hypothesis, base: Hypothesis) -> Hypothesis:
+        """Fit to the end: from where it stands and from the base, the better one."""
+        again = self.hypothesis(h.candidates, h.fit)
+        return min((h, again), key=lambda x: x.score)
+
+    def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
+        """Log-likelihood gained over the base on each log, fitted on the others; 0 where there is one log only."""
+        count = len(self.problem.logs)
+        if h is base or count < 2:
+            return 0.0
+        gained = 0.0
+        for left_out in range(count):
+            others = [k for k in range(count) if k != left_out]
+            nll = []
+            for x in (base, h):
+                f = fit(self.problem, self.free(x.candidates), x.fit.values, x.fit.log_q, others, SCREEN_ITERATIONS)
+                nll.append(self.problem.scored(f.values, f.log_q, [left_out]).nll)
+            gained += nll[0] - nll[1]
+        return gained
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _fit_all(self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str) -> list[Hypothesis]:
+        """Fit sets of candidates side by side."""
+        todo = [s for s in sets if tuple(sorted(c.name for c in s)) not in self.tried]
+        done: list[Hypothesis] = []
+
+        def one(parts: tuple[Candidate, ...]) -> Hypothesis:
+            goal = start.score - CLAIM - self.price * sum(len(c.free) for c in parts)
+            h = self.hypothesis(parts, start.fit, iterations=SCREEN_ITERATIONS, goal=goal)
+            done.append(h)
+            self.progress(stage, len(done) / len(todo))
+            return h
+
+        with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+            found = list(pool.map(one, todo))
+        self.tried |= {h.names: h for h in found}
+        return found
+
+    def _better(self, options: Sequence[Hypothesis], than: Hypothesis) -> Hypothesis:
+        """The best option that gains enough and is significant in each of its parts; else `than`."""
+        for h in sorted(options, key=lambda h: h.score):
+            if than.score - h.score < CLAIM:
+                break
+            if all(self.significant(h, c) for c in h.candidates):
+                return h
+        return than
+
+    def significant(self, h: Hypothesis, c: Candidate) -> bool:
+        """Some parameter of the candidate is away from neutral by its standard deviation several times over."""
+        for f in c.free:
+            neutral = self.problem.values[f.name]
+            sigma = h.fit.sigma(f.name)
+            if sigma > 0 and abs(h.fit.values[f.name] - neutral) > SIGNIFICANT * sigma:
+                return True
+        return False
+
+    def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
+        """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
+        promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > CLAIM]
+        top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
+        while len(best.candidates) < MOST_EFFECTS and not np.all(best.fit.log_q < QUIET_LOG_Q):
+            sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
+            if len(best.candidates) == 1:
+                sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
+            options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}")
+            wider = self._better(options, best)
+            if wider is best:
+                return best
+            best = wider
+        return best
+
+    def _rivals(self, best: Hypothesis, base: Hypothesis) -> tuple[Hypothesis, ...]:
+        """Other hypotheses of no more candidates that explain as well."""
+        if best is base:
+            return ()
+        return tuple(
+            h
+            for h in sorted(self.tried.values(), key=lambda h: h.score)
+            if h.names != best.names and len(h.candidates) <= len(best.candidates) and h.score - best.score < RIVAL
+        )
+
+    def _reasons(self, best: Hypothesis, base: Hypothesis) -> dict[str, str]:
+        """Why each single candidate is not the answer, in words."""
+        reasons = {}
+        for c in self.candidates:
+            h = self.tried[(c.name,)]
+            gained = base.score - h.score
+            if c.name in best.names:
+                reasons[c.name] = "claimed"
+            elif gained < CLAIM:
+                reasons[c.name] = "explains nothing that the base model does not"
+            elif not self.significant(h, c):
+                reasons[c.name] = "not significantly away from neutral"
+            else:
+                reasons[c.name] = f"explains less than {' and '.join(best.names)} by {h.score - best.score:.0f}"
+        return reasons

@@ -1,0 +1,23 @@
+"""What the gate has to say about a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Severity = Literal["note", "warning", "fault"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to know about a log; a fault makes it unusable.
+
+    kind: one word for programs; channel: "time", a column, or "" for the whole; numbers: what the sentence says
+    """
+
+    severity: Severity
+    kind: str
+    channel: str
+    sentence: str
+    numbers: Mapping[str, float] = field(default_factory=dict)

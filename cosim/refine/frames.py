@@ -1,0 +1,115 @@
+"""Units and signs of the channels against one another: what a mislabelled log shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from cosim.refine.finding import Finding
+from cosim.refine.log import TURN, Column, Log, rate_of
+from cosim.report.text import amount, counted, plain
+
+DEGREES = 180.0 / math.pi
+BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
+
+
+def frames(log: Log) -> Iterator[Finding]:
+    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame."""
+    rates = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
+    for name, rate in rates.items():
+        yield from _against_rate(log, name, rate)
+    for name, values in (*log.inputs.items(), *log.outputs.items()):
+        if log.units[name] == "rad":
+            yield from _magnitude(log, name, values)
+    for name, times in log.unwrapped.items():
+        yield Finding(
+            "note", "wrapped", name,
+            f"{counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, the angle is continuous",
+            {"count": float(len(times)), "first": times[0]},
+        )  # fmt: skip
+    yield from _mirrored(log)
+
+
+def _against_rate(log: Log, name: str, rate: str) -> Iterator[Finding]:
+    """Fit Δy = s·∫ẏ dt + b·T over blocks: s is 1 and b is 0 where units, signs and sensors agree."""
+    change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
+    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) == 0.0:
+        return
+    rho = float(np.corrcoef(change, integral)[0, 1])
+    design = np.column_stack((integral, length))
+    (slope, drift), *_ = np.linalg.lstsq(design, change, rcond=None)
+    left = change - design @ (slope, drift)
+    sigma = math.sqrt(float(left @ left) / (change.size - 2))
+    error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
+    if abs(rho) < 0.9:
+        return
+    if slope < 0.0:
+        yield Finding(
+            "fault", "sign", rate, f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); "
+            "turn one of them round: the rate is positive where the signal grows", numbers,
+        )  # fmt: skip
+    elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
+        degrees, other = (name, rate) if slope > 1.0 else (rate, name)
+        yield Finding(
+            "fault", "degrees", degrees,
+            f"is {plain(float(max(slope, 1 / slope)), 3)} times what {other} says: one is in degrees, the other in "
+            f'radians. Give the unit in the header, "{degrees} [{"deg" if slope > 1.0 else "deg/s"}]"', numbers,
+        )  # fmt: skip
+    elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
+        share = plain(float(1 / slope), 3)
+        yield Finding(
+            "warning", "scale", rate, f"integrates to {share} times the change of {name}: a scale is off", numbers
+        )
+    if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
+        bias = amount(float(-drift / slope), log.units[rate], 2)
+        yield Finding("note", "drift", rate, f"is {bias} above d {name}/dt throughout: a bias of one of the sensors",
+                      numbers)  # fmt: skip
+
+
+def _blocks(log: Log, values: Column, rates: Column) -> tuple[Column, Column, Column]:
+    """Change, integral of the rate and length of consecutive blocks, over the rows that have both."""
+    good = np.flatnonzero(np.isfinite(values) & np.isfinite(rates))
+    time, y, rate = log.time[good], values[good], rates[good]
+    if time.size < 2:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / BLOCK), prepend=-1.0))
+    return np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
+
+
+def _magnitude(log: Log, name: str, values: Column) -> Iterator[Finding]:
+    """Angles too large to be radians, and jumps of a turn that were not undone."""
+    good = values[np.isfinite(values)]
+    size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
+    cure = f'if it is in degrees, call it "{name} [deg]"'
+    if "tilt" in name and size > 0.5 * math.pi:
+        yield Finding("fault", "degrees", name, f"reaches {plain(size)} rad, more than a quarter turn; {cure}", numbers)
+    elif (name in log.inputs and size > TURN) or size > 20.0 * TURN:
+        yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
+    jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
+    if jumps.size and name in log.outputs and size <= 20.0 * TURN:
+        first = float(log.time[np.isfinite(values)][jumps[0] + 1])
+        yield Finding(
+            "warning", "jumps", name, f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at "
+            f"t = {first:.6g} s; an angle is continuous", {"count": float(jumps.size), "first": first},
+        )  # fmt: skip
+
+
+def _mirrored(log: Log) -> Iterator[Finding]:
+    """A craft goes mostly where it points; where only the mirror image does, an axis is turned round."""
+    if not {"x_world", "y_world", "psi"} <= log.outputs.keys():
+        return
+    x, y, psi = (log.outputs[name] for name in ("x_world", "y_world", "psi"))
+    good = np.flatnonzero(np.isfinite(x + y + psi))[:: max(1, round(0.2 / log.step))]
+    if good.size < 20:
+        return
+    dx, dy, heading = np.diff(x[good]), np.diff(y[good]), 0.5 * (psi[good][1:] + psi[good][:-1])
+    ways = {sign: float(np.sum((dx * np.sin(heading) - sign * dy * np.cos(heading)) ** 2)) for sign in (1.0, -1.0)}
+    if ways[1.0] > 9.0 * ways[-1.0]:
+        yield Finding(
+            "warning", "mirrored", "y_world", "the craft moves sideways unless y_world, or psi, is turned round: world "
+            "Y points left and psi is positive to the left", {"ratio": ways[1.0] / ways[-1.0]},
+        )  # fmt: skip

@@ -1,0 +1,197 @@
+"""C from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
+
+The model is evaluated with symbols, every effect of the catalogue and every sensor error awake, so that one compiled
+kernel serves every candidate; an effect is switched off by its neutral value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from plant.model import Effect, Model, overrides
+from plant.namespaces import SymbolNamespace
+from plant.symbols import SymbolicModel, symbolic
+
+DELAY = "actuator_delay"  # the one effect whose memory is a history: the kernel looks it up in the log itself
+
+
+@dataclass(frozen=True)
+class Generated:
+    """C functions and what their arguments are.
+
+    source:     `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, p, y)`,
+                `measure_jacobian(t, x, p, C)`, `shape_all(u, memory, p, out)`
+    parameters: names, in the order of `p`
+    states:     names, in the order of `x`
+    stochastic: indices of the states that process noise reaches and that reach a measured output; A and C are of these
+    noisy:      places, within `stochastic`, of the states that process noise enters
+    outputs:    names of the measured outputs, in the order of `y`
+    inputs:     number of inputs
+    memory:     number of remembered values
+    delay:      place of the delay among the parameters, -1 where the model has none
+    """
+
+    source: str
+    parameters: tuple[str, ...]
+    states: tuple[str, ...]
+    stochastic: tuple[int, ...]
+    noisy: tuple[int, ...]
+    outputs: tuple[str, ...]
+    inputs: int
+    memory: int
+    delay: int
+
+
+def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Generated:
+    """C for a model and the outputs a log holds.
+
+    With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
+    times a basis function of one signal: they tell that something is missing where no effect fits.
+    """
+    import sympy
+
+    s = symbolic(model)
+    m = SymbolNamespace()
+    body = s.model.equations(m)
+    names = [q.name for q in s.model.states]
+    f = [sympy.sympify(e) for e in body.derivative(s.time, s.state, s.command)]
+    outputs = dict(zip((q.name for q in s.model.outputs), body.output(s.time, s.state, s.command), strict=True))
+    parameters = dict(s.parameters)
+    noisy, uncertain = _uncertain(model, measured)
+    if unnamed:
+        for name, basis in bases(s).items():
+            for state in noisy:
+                parameters[f"unnamed.{state}.{name}"] = c = sympy.Symbol(f"unnamed.{state}.{name}", real=True)
+                f[names.index(state)] += c * basis
+    for kind in model.sensors:
+        parameters[f"{kind.name}.value"] = symbol = sympy.Symbol(f"{kind.name}.value", real=True)
+        if kind.output in outputs:
+            outputs[kind.output] = kind(value=symbol).measure(outputs[kind.output])
+    g = [sympy.sympify(outputs[name]) for name in measured]
+    stochastic = [names.index(n) for n in uncertain]
+    x = [s.state[k] for k in stochastic]
+    A = [sympy.diff(f[i], xj) for i in stochastic for xj in x]
+    C = [sympy.diff(e, xj) for e in g for xj in x]
+    arrays = _array_names(s, parameters)
+    memory, shaping = _shaping(s, arrays)
+    text = "\n".join(
+        (
+            _function("deriv", "double t, const double *x, const double *u, const double *p, double *out", f, arrays),
+            _function(
+                "jacobian", "double t, const double *x, const double *u, const double *p, double *out", A, arrays
+            ),
+            _function("measure", "double t, const double *x, const double *p, double *out", g, arrays),
+            _function("measure_jacobian", "double t, const double *x, const double *p, double *out", C, arrays),
+            shaping,
+        )
+    )
+    ordered = tuple(parameters)
+    delay = f"{DELAY}.time"
+    return Generated(
+        text,
+        ordered,
+        tuple(names),
+        tuple(stochastic),
+        tuple(k for k, i in enumerate(stochastic) if names[i] in noisy),
+        tuple(measured),
+        len(s.command),
+        memory,
+        ordered.index(delay) if delay in ordered else -1,
+    )
+
+
+def bases(s: SymbolicModel) -> dict[str, Any]:
+    """Basis functions of one signal: 1, the time, states, v·|v| and v³ of velocities, circles of angles, commands."""
+    import sympy
+
+    found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
+    for q, x in zip(s.model.base_states, s.state, strict=False):
+        found[q.name] = x
+        if q.unit in {"m/s", "rad/s"}:
+            found[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
+            found[f"{q.name}³"] = x**3
+        if q.unit == "rad" and not any(q.name == i.name for i in s.model.inputs):
+            found |= {f"sin {q.name}": sympy.sin(x), f"cos {q.name}": sympy.cos(x), f"cos 2{q.name}": sympy.cos(2 * x)}
+    for q, u in zip(s.model.inputs, s.command, strict=True):
+        found[f"command {q.name}"] = u
+        if q.unit == "rad":
+            found[f"command {q.name}·|{q.name}|"] = u * sympy.sqrt(u * u)
+    return found
+
+
+def _uncertain(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Forced states that the base model lets reach a measured output, and all states that they reach on the way.
+
+    Of other forced states no noise can be told. What only an effect couples (thrust to inflow, say) is left out of the
+    covariance, not out of the mean.
+    """
+    import sympy
+
+    s = symbolic(replace(model, effects=()), effects=False)
+    body = s.model.equations(SymbolNamespace())
+    f = [sympy.sympify(e) for e in body.derivative(s.time, s.state, s.command)]
+    outputs = dict(zip((q.name for q in s.model.outputs), body.output(s.time, s.state, s.command), strict=True))
+    names = [q.name for q in s.model.states]
+    forced = [names.index(n) for n in model.forced]
+    reach = _stochastic(f, [sympy.sympify(outputs[n]) for n in measured], s.state, forced)
+    return [names[k] for k in forced if k in reach], [names[k] for k in reach]
+
+
+def _stochastic(f: list[Any], g: list[Any], state: tuple[Any, ...], noisy: list[int]) -> list[int]:
+    """States that a noisy state reaches and that reach a measured output."""
+    index = {symbol: k for k, symbol in enumerate(state)}
+    feeds = [{index[v] for v in e.free_symbols if v in index} for e in f]  # states in the equation of each
+    reached = set(noisy)
+    while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
+        reached |= grown
+    seen = {index[v] for e in g for v in e.free_symbols if v in index}
+    while grown := {j for i in seen for j in feeds[i]} - seen:
+        seen |= grown
+    return sorted(reached & seen | set(noisy) & seen)
+
+
+def _array_names(s: SymbolicModel, parameters: dict[str, Any]) -> dict[Any, str]:
+    """What each symbol is called in C."""
+    named = {s.time: "t"}
+    named |= {symbol: f"x[{k}]" for k, symbol in enumerate(s.state)}
+    named |= {symbol: f"u[{k}]" for k, symbol in enumerate(s.command)}
+    return named | {symbol: f"p[{k}]" for k, symbol in enumerate(parameters.values())}
+
+
+def _function(name: str, arguments: str, expressions: list[Any], arrays: dict[Any, str]) -> str:
+    """One C function that writes its expressions to `out`, common subexpressions computed once."""
+    import sympy
+    from sympy.printing.c import C99CodePrinter
+
+    class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
+        def _print_Symbol(self, symbol: Any) -> str:
+            return arrays.get(symbol) or str(super()._print_Symbol(symbol))
+
+    printer = Printer()
+    replaced, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("c"), optimizations=[])
+    lines = [f"const double {symbol} = {printer.doprint(e)};" for symbol, e in replaced]
+    lines += [f"out[{k}] = {printer.doprint(e)};" for k, e in enumerate(reduced)]
+    body = "\n    ".join(lines)
+    return f"static void {name}({arguments})\n{{\n    {body}\n}}\n"
+
+
+def _shaping(s: SymbolicModel, arrays: dict[Any, str]) -> tuple[int, str]:
+    """`shape(u, memory, p)`: what the effects on a command make of it, in place, the delay left out."""
+    import sympy
+
+    m = SymbolNamespace()
+    command: tuple[Any, ...] = s.command
+    places: dict[Any, str] = dict(arrays)
+    remembered: list[Any] = []
+    for effect in overrides(s.model.awake, "shape", Effect):
+        if effect.name == DELAY:
+            continue
+        own = tuple(sympy.Symbol(f"memory:{len(remembered) + k}", real=True) for k in range(len(effect.memory)))
+        places |= {symbol: f"memory[{len(remembered) + k}]" for k, symbol in enumerate(own)}
+        command, after = effect.shape(m, s.time, sympy.Symbol("h"), command, own)
+        remembered += after
+    arguments = "const double *u, const double *memory, const double *p, double *out"
+    function = _function("shape_all", arguments, [*map(sympy.sympify, command), *remembered], places)
+    return len(remembered), function

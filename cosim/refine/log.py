@@ -1,0 +1,286 @@
+"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault is told with its place."""
+
+from __future__ import annotations
+
+import csv
+import math
+from array import array
+from collections import Counter
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import Fault, InputError
+from cosim.refine.units import alternatives, factor
+from cosim.yaml_file import did_you_mean
+
+Column = NDArray[np.float64]
+LARGEST = 200_000_000  # bytes; read whole, so that every fault can be told
+FAULTS_A_CELL_COLUMN = 5  # then their number
+TURN = 2.0 * math.pi
+
+
+class SignalLike(Protocol):
+    """An input or output of a model: `blocks.interface.Signal`, `plant.quantities.Quantity`."""
+
+    @property
+    def name(self) -> str:
+        """Its FMI name."""
+
+    @property
+    def unit(self) -> str:
+        """Its unit, "" where it has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What was commanded and measured, in the units of the model.
+
+    Row k holds, at `time[k]`, what is measured there and the command that acts until `time[k + 1]`.
+
+    time:      [s], shape (rows,), increasing
+    inputs:    name → (rows,), every value known
+    outputs:   name → (rows,), NaN where nothing was measured
+    units:     name → unit of the model; `written`: name → unit of the header, "" where it gave none
+    step:      median time between rows [s]
+    unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
+    """
+
+    path: Path
+    time: Column
+    inputs: Mapping[str, Column]
+    outputs: Mapping[str, Column]
+    units: Mapping[str, str]
+    step: float
+    written: Mapping[str, str]
+    unwrapped: Mapping[str, tuple[float, ...]]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.time.size
+
+
+def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike]) -> Log:
+    """Read a log of a model with these inputs and outputs; InputError with every fault."""
+    reader = _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs})
+    try:
+        size = path.stat().st_size
+        if not path.is_file():
+            reader.refuse(0, 0, "is no file")
+        elif size > LARGEST:
+            reader.refuse(0, 0, f"has {size / 1e6:.0f} MB, more than the {LARGEST / 1e6:.0f} MB a log may have; "
+                          "cut it into pieces and list them as logs of one study")  # fmt: skip
+        else:
+            with path.open("rb") as stream:
+                reader.read(stream)
+    except FileNotFoundError:
+        reader.refuse(0, 0, "no such file")
+    except OSError as error:
+        reader.refuse(0, 0, f"cannot be read: {error.strerror}")
+    return reader.log()
+
+
+class _NotText(Exception):
+    """A line that is not UTF-8."""
+
+
+def _lines(stream: BinaryIO) -> Iterator[str]:
+    """Lines of text; the first may begin with a byte order mark."""
+    for raw in stream:
+        try:
+            yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
+        except UnicodeDecodeError:
+            raise _NotText from None
+
+
+class _Reader:
+    """Collects faults while the header and then the cells are read."""
+
+    def __init__(self, path: Path, inputs: dict[str, str], outputs: dict[str, str]) -> None:
+        self.path, self.inputs, self.outputs = path, inputs, outputs
+        self.faults: list[Fault] = []
+        self.counts: Counter[tuple[int, str]] = Counter()
+        self.places: dict[str, int] = {}  # name → cell, of the columns that are kept
+        self.factors: dict[str, float] = {}
+        self.written: dict[str, str] = {}
+        self.width = 0  # of the header
+        self.columns: dict[str, array[float]] = {}
+        self.signals: list[tuple[str, int]] = []  # the same without the time
+        self.rows = 0
+
+    # -- faults -------------------------------------------------------------------------------
+
+    def refuse(self, line: int, cell: int, message: str) -> None:
+        """Note a fault; line and cell count from 1."""
+        self.faults.append(Fault(self.path, line, cell, message))
+
+    def refuse_cell(self, line: int, cell: int, kind: str, message: str) -> None:
+        """Note a fault of which a column may have thousands: the first few, later their number."""
+        self.counts[cell, kind] += 1
+        if self.counts[cell, kind] <= FAULTS_A_CELL_COLUMN:
+            self.refuse(line, cell, message)
+
+    # -- reading ------------------------------------------------------------------------------
+
+    def read(self, stream: BinaryIO) -> None:
+        rows = csv.reader(_lines(stream))
+        try:
+            header = next(rows, None)
+            if header is None:
+                self.refuse(1, 1, "is empty; the first line names the columns: time, then inputs and outputs")
+                return
+            self._header(header)
+            if "time" not in self.places:
+                return
+            for row in rows:
+                if row and any(cell.strip() for cell in row):
+                    self._row(rows.line_num, row)
+        except _NotText:
+            self.refuse(rows.line_num + 1, 1, "is not UTF-8 text; save the log as plain CSV, UTF-8")
+            return
+        except csv.Error as error:
+            self.refuse(rows.line_num, 1, f"is not CSV: {error}")
+            return
+        self._summarise()
+        self._check_columns()
+
+    def _header(self, header: list[str]) -> None:
+        self.width = len(header)
+        if self.width == 1 and (mark := next((m for m in ";\t" if m in header[0]), None)):
+            shown = {";": "semicolons", "\t": "tabs"}[mark]
+            self.refuse(1, 1, f"cells are separated by {shown}; separate them with commas, decimals with a point")
+            return
+        for cell, text in enumerate(header, 1):
+            name, _, rest = text.partition("[")
+            self._head(cell, name.strip(), rest.rstrip().removesuffix("]").strip())
+        self.signals = [(name, cell) for name, cell in self.places.items() if cell > 1]
+        missing = [name for name in self.inputs if name not in self.places]
+        for name in missing if "time" in self.places else ():
+            self.refuse(1, 1, f'input "{name}" is missing; a log holds every input of the model: {_list(self.inputs)}')
+        if not missing and not any(name in self.places for name in self.outputs) and "time" in self.places:
+            self.refuse(1, 1, f"holds no output of the model; at least one of {_list(self.outputs)} is measured")
+
+    def _head(self, cell: int, name: str, unit: str) -> None:
+        """Check one cell of the header and note what its column is."""
+        known = self.inputs | self.outputs
+        if cell == 1 and name != "time":
+            self.refuse(1, 1, f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}')
+        elif name in self.places:
+            self.refuse(1, cell, f'column "{name}" stands twice, first as column {self.places[name]}; keep one')
+        elif cell > 1 and name not in known:
+            hint = did_you_mean(name, known) or did_you_mean(name.rpartition(".")[2], known)
+            self.refuse(1, cell, f'unknown column "{name}"{hint} (the model has {_list(known)})')
+        else:
+            self._unit(cell, name, unit, "s" if cell == 1 else known[name])
+
+    def _unit(self, cell: int, name: str, unit: str, wanted: str) -> None:
+        self.places[name], self.written[name] = cell, unit
+        self.columns[name] = array("d")
+        scale = factor(unit, wanted)
+        if scale is None:
+            known = ", ".join(alternatives(wanted))
+            self.refuse(1, cell, f'"{unit}" is no unit of {name}, which is in {wanted}; known here: {known}')
+        self.factors[name] = 1.0 if scale is None else scale
+
+    def _row(self, line: int, row: list[str]) -> None:
+        if len(row) != self.width:
+            cells = "cell" if len(row) == 1 else "cells"
+            cure = "delete the row, or leave cells empty where nothing was measured"
+            message = f"has {len(row)} {cells}, the header {self.width}; {cure}"
+            self.refuse_cell(line, 1, "rows of another length", message)
+            return
+        time, before = self._value(line, 1, "time", row[0]), self.columns["time"]
+        if math.isnan(time):
+            return
+        if before and time <= before[-1]:
+            message = f"time {time:g} s does not increase, {before[-1]:g} s stands before it; sort the rows"
+            self.refuse_cell(line, 1, "times that do not increase", f"{message}, keep one of each")
+        before.append(time)
+        for name, cell in self.signals:
+            self.columns[name].append(self._value(line, cell, name, row[cell - 1]))
+        self.rows += 1
+
+    def _value(self, line: int, cell: int, name: str, text: str) -> float:
+        """A cell in the unit of the model, NaN where it is empty, `nan` or faulty."""
+        value = self._number(line, cell, name, text)
+        if value != value and name not in self.outputs and text.strip().lower() in {"", "nan"}:
+            cure = "the time is known" if name == "time" else "an input is known"
+            message = f"{name} has no value here; {cure} at every row, so fill the cell or leave the row out"
+            self.refuse_cell(line, cell, f"cells of {name} without a value", message)
+        return value * self.factors[name]
+
+    def _number(self, line: int, cell: int, name: str, text: str) -> float:
+        try:
+            value = float(text) if text and not text.isspace() else math.nan
+        except ValueError:
+            message = f'"{text.strip()[:30]}" in column {name} is no number; leave the cell empty where there is none'
+            self.refuse_cell(line, cell, f"cells of {name} that are no number", message)
+            return math.nan
+        if value in (math.inf, -math.inf):
+            message = f'"{text.strip()}" in column {name} is not finite; leave the cell empty where there is no value'
+            self.refuse_cell(line, cell, f"cells of {name} that are not finite", message)
+            return math.nan
+        return value
+
+    # -- the whole ----------------------------------------------------------------------------
+
+    def _summarise(self) -> None:
+        for (cell, kind), count in self.counts.items():
+            if count > FAULTS_A_CELL_COLUMN:
+                self.refuse(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_CELL_COLUMN} are shown")
+
+    def _check_columns(self) -> None:
+        """What only the whole column shows: too few rows, nothing measured."""
+        if self.rows < 2 and not self.counts:
+            seen = "no row" if self.rows == 0 else "one row"
+            self.refuse(2, 1, f"holds {seen}; a log has at least two, and some hundred to be of use")
+            return
+        told = {cell for cell, _ in self.counts}
+        for name, cell in self.signals:
+            if name in self.outputs and cell not in told and np.isnan(self.columns[name]).all():
+                self.refuse(1, cell, f'column "{name}" holds no value (NaN in every row); delete the column')
+
+    def log(self) -> Log:
+        """The log, or InputError."""
+        if self.faults:
+            raise InputError(self.faults)
+        columns = {name: np.array(values, dtype=np.float64) for name, values in self.columns.items()}
+        known, time = self.inputs | self.outputs, columns.pop("time")
+        outputs, unwrapped = dict[str, Column](), dict[str, tuple[float, ...]]()
+        for name in (n for n in columns if n in self.outputs):
+            outputs[name] = columns[name]
+            if known[name] == "rad":
+                outputs[name], jumps = _continuous(columns[name])
+                unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
+        return Log(
+            self.path, time, {n: columns[n] for n in self.inputs}, outputs, {n: known[n] for n in columns},
+            float(f"{np.median(np.diff(time)):.9g}"), self.written, unwrapped,
+        )  # fmt: skip
+
+
+def rate_of(name: str, known: Container[str]) -> str | None:
+    """The signal that is the time derivative of `name` by its name: `psi_dot` of `psi`, `vx` of `x`."""
+    usual = (f"{name}_dot", f"v{name}", f"d{name}", f"der({name})")
+    words = (name.replace("position", "velocity"), name.replace("angle", "rate"))
+    return next((other for other in (*usual, *words) if other != name and other in known), None)
+
+
+def _continuous(angle: Column) -> tuple[Column, NDArray[np.intp]]:
+    """The angle without jumps of a turn, and the rows after them; one that spans more than a turn is left alone."""
+    rows = np.flatnonzero(np.isfinite(angle))
+    values = angle[rows]
+    jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
+    if not jumps.size or np.ptp(values) > 1.02 * TURN:
+        return angle, jumps[:0]
+    smooth = angle.copy()
+    smooth[rows] = np.unwrap(values)
+    return smooth, jumps
+
+
+def _list(names: Mapping[str, str]) -> str:
+    return ", ".join(names)

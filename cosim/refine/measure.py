@@ -1,0 +1,151 @@
+"""The error of a model on logs: replays through the FMU over the model's horizon (2 s, or a free run), and their floor.
+
+Each replay starts from that model's own filtered state and effect memory, of past data only, at its first row's time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.refine.fit import Problem
+from cosim.refine.generate import DELAY
+from cosim.refine.kernel import Array, Filtered
+from cosim.refine.log import Log
+from cosim.refine.problem import build_problem
+from cosim.refine.replay import Replay, replay_windows, window_rows
+from cosim.refine.residual import FREE_RUN, pooled
+from plant.model import Effect, Model, overrides
+
+DRAWS = 20
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model under judgement: an FMU with parameters set, and the filter that gives its starts."""
+
+    model: Model
+    values: Mapping[str, float]  # everything the kernel takes, sensors included
+    log_q: Array
+    fmu: Path
+    parameters: Mapping[str, Any]  # what is set on the FMU
+
+
+Evidence = list[tuple[Log, Replay]]
+
+
+def replays(variant: Variant, problem: Problem, logs: Sequence[Log], horizon: float | None = None) -> Evidence:
+    """Each log, its readings corrected, and its consecutive replays through the FMU, over the model's own horizon."""
+    found: Evidence = []
+    horizon = variant.model.horizon if horizon is None else horizon
+    for index, log in enumerate(logs):
+        filtered = problem.run(variant.values, variant.log_q, index, states=True)
+        rows = first_rows(log, horizon)
+        starts = {k: {**variant.parameters, **start_values(variant, problem, index, filtered, k)} for k in rows}
+        corrected = without_sensor_errors(log, variant)
+        found.append((corrected, replay_windows(corrected, variant.fmu, starts, horizon)))
+    return found
+
+
+def first_rows(log: Log, horizon: float) -> list[int]:
+    """Where replays start; a free run is one, from the first row."""
+    return [0] if horizon == FREE_RUN else window_rows(log, horizon)
+
+
+def rmse(evidence: Evidence) -> dict[str, float]:
+    """Channel → RMSE pooled over the logs."""
+    return pooled(replay.errors(log) for log, replay in evidence)
+
+
+def start_values(variant: Variant, problem: Problem, index: int, filtered: Filtered, row: int) -> dict[str, float]:
+    """FMU start parameters at a row: filtered states, memory of the effects, and what a delay still holds back."""
+    generated, data = problem.kernel.generated, problem.logs[index]
+    awake = {e.name for e in variant.model.awake}
+    start = {}
+    for name, value in zip(generated.states, filtered.states[row], strict=True):
+        if "." not in name or name.split(".")[0] in awake:
+            start[f"{name}_start"] = float(value)
+    k = 0
+    for effect in overrides(tuple(kind() for kind in variant.model.catalogue), "shape", Effect):
+        if effect.name == DELAY:
+            continue
+        for q in effect.memory:
+            if effect.name in awake:
+                start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
+            k += 1
+    if DELAY in awake:
+        late = variant.values[f"{DELAY}.time"] / data.step
+        first = int(max(0, np.floor(row - late)))
+        held = data.u[first : max(first + 1, row)].mean(axis=0)
+        start |= {f"{DELAY}.{q.name}_start": float(u) for q, u in zip(variant.model.inputs, held, strict=True)}
+    return start
+
+
+def without_sensor_errors(log: Log, variant: Variant) -> Log:
+    """The log with its readings corrected for what the model knows of its sensors."""
+    from dataclasses import replace
+
+    outputs = dict(log.outputs)
+    for kind in reversed(variant.model.sensors):
+        if kind.output in outputs:
+            sensor = kind(value=variant.values[f"{kind.name}.value"])
+            at_zero, at_one = sensor.measure(0.0), sensor.measure(1.0)  # readings are straight lines
+            outputs[kind.output] = (outputs[kind.output] - at_zero) / (at_one - at_zero)
+    return replace(log, outputs=outputs)
+
+
+def noise_floor(
+    variant: Variant,
+    logs: Sequence[Log],
+    rng: np.random.Generator,
+    horizon: float | None = None,
+    noise: Mapping[str, float] | None = None,
+) -> dict[str, float]:
+    """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
+    problem = build_problem(variant.model, logs, noise=noise)
+    horizon = variant.model.horizon if horizon is None else horizon
+    generated = problem.kernel.generated
+    p = np.array([variant.values[name] for name in generated.parameters])
+    sums = np.zeros(len(generated.outputs))
+    counts = np.zeros(len(generated.outputs))
+    noisy = [generated.stochastic[k] for k in generated.noisy]
+    for index, log in enumerate(logs):
+        data = problem.logs[index]
+        first = problem.run(variant.values, variant.log_q, index, states=True)
+        for _ in range(-(-DRAWS // len(logs))):
+            kicks = np.zeros((len(data.u), len(generated.states)))
+            kicks[:, noisy] = rng.standard_normal((len(data.u), len(noisy))) * np.sqrt(
+                np.exp(variant.log_q) * data.step
+            )
+            truth = problem.kernel.simulate(data, p, first.states[0], np.zeros(generated.memory), kicks)
+            sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
+            drawn = type(data)(
+                data.step, data.start, data.u, np.where(np.isnan(data.y), np.nan, truth.outputs + sensed)
+            )
+            q = np.zeros(len(generated.stochastic))
+            q[list(generated.noisy)] = np.exp(variant.log_q)
+            seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
+            length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+            predicted = _windows(problem, drawn, p, seen, first_rows(log, horizon), length)
+            missed = drawn.y - predicted
+            sums += np.nansum(missed**2, axis=0)
+            counts += np.isfinite(missed).sum(axis=0)
+    return {
+        name: float(np.sqrt(s / c)) if c else float("nan")
+        for name, s, c in zip(generated.outputs, sums, counts, strict=True)
+    }
+
+
+def _windows(problem: Problem, data: Any, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
+    """Outputs of replays as the kernel runs them; NaN where none predicts."""
+    predicted = np.full(data.y.shape, np.nan)
+    for k in rows:
+        end = min(k + length, len(data.u) - 1)
+        part = type(data)(data.step, data.start, data.u[: end + 1], data.y[: end + 1])
+        run = problem.kernel.simulate(part, p, seen.states[k], seen.memory[k], first=k)
+        predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
+    return predicted

@@ -1,0 +1,116 @@
+"""Model files: which model, with which parameters and sensor errors. A refine writes one, a study names one."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cosim.errors import Fault, InputError
+from cosim.files import atomic_write
+from cosim.yaml_file import YamlFile, did_you_mean
+from plant.hovercraft import Hovercraft
+from plant.model import Model
+from plant.quantities import parameters_of
+
+BASE = "base"
+HOVERCRAFT = "hovercraft"
+Value = Annotated[float, Field(allow_inf_nan=False)] | bool
+
+
+class ModelFile(BaseModel):
+    """`model: hovercraft`, or `file.py:Class` of a model of one's own; parameters by FMI name; sensor errors apart."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    model: str = HOVERCRAFT
+    parameters: dict[str, Value] = {}
+    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model with its effects, what its sensors are known to do wrong, and what the file said."""
+
+    model: Model
+    source: str
+    parameters: Mapping[str, float | bool] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Sensor parameters by name, those without error included."""
+        clean = {f"{k.name}.{p.name}": float(p.default) for k in self.model.sensors for p in parameters_of(k)}
+        return {**clean, **self.sensors}
+
+
+def load_model(text: str, folder: Path) -> LoadedModel:
+    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault."""
+    if text == BASE:
+        return LoadedModel(Hovercraft(), HOVERCRAFT)
+    if ".py:" in text:
+        return LoadedModel(
+            own_model(text, folder), str((folder / text.rpartition(":")[0]).resolve()) + ":" + text.rpartition(":")[2]
+        )
+    return read_model(folder / text)
+
+
+def read_model(path: Path) -> LoadedModel:
+    """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
+    yaml = YamlFile(path)
+    content = yaml.validate(ModelFile)
+    model = Hovercraft() if content.model == HOVERCRAFT else own_model(content.model, path.parent)
+    known = {p.name: p for p in model.parameters}
+    known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
+    sensors = {f"{k.name}.{p.name}": p for k in model.sensors for p in parameters_of(k)}
+    faults: list[Fault] = []
+    for section, names, given in (("parameters", known, content.parameters), ("sensors", sensors, content.sensors)):
+        for name, value in given.items():
+            if name not in names:
+                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
+                faults.append(yaml.fault((section, name), message, key=True))
+            elif fault := names[name].fault(value):
+                faults.append(yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip(".")))
+    if faults:
+        raise InputError(faults)
+    return LoadedModel(model.with_values(content.parameters), content.model, content.parameters, content.sensors)
+
+
+def own_model(text: str, folder: Path) -> Model:
+    """The model `Class` of `file.py`, with its default parameters."""
+    file, _, name = text.rpartition(":")
+    path = (folder / file).resolve()
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever the user's file does
+        raise InputError([Fault(path, 0, 0, f"does not load: {type(error).__name__}: {error}")]) from error
+    kind: Any = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        raise InputError(
+            [Fault(path, 0, 0, f'has no model class "{name}"; a model is a subclass of plant.model.Model')]
+        )
+    model: Model = kind()
+    return model
+
+
+def write_model(path: Path, loaded: LoadedModel) -> None:
+    """Write a model.yaml that `read_model` reads back."""
+    lines = ["schema_version: 1", f"model: {loaded.source}"]
+    for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
+        lines.append(f"{section}:" if values else f"{section}: {{}}")
+        lines += [
+            f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
+        ]
+    with atomic_write(path) as stream:
+        stream.write("\n".join(lines) + "\n")

@@ -1,0 +1,102 @@
+"""Replay: the recorded commands drive an FMU, freely from the first row or in windows; its outputs beside the log's.
+
+A free run over a long log is no measure for a craft whose heading and position integrate; the windows
+are: each starts at row k, at time t_k, from a state known by then, and runs for a horizon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.refine.drive import Drive, as_columns, rows_of
+from cosim.refine.log import Column, Log
+from cosim.refine.residual import FREE_RUN
+from cosim.refine.starts import StartParameter, first_start, start_parameters, window_starts
+
+SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
+HORIZON = 2.0  # [s], the measure
+HORIZONS = (0.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Outputs of an FMU at the rows of a log.
+
+    horizon: [s], FREE_RUN where it is one run over the whole log
+    starts:  first row of each run → start values it was given
+    outputs: name → (rows,), NaN where nothing was predicted
+    """
+
+    time: Column
+    horizon: float
+    starts: Mapping[int, Mapping[str, Any]]
+    outputs: Mapping[str, Column]
+    units: Mapping[str, str]
+
+    def errors(self, log: Log) -> dict[str, Column]:
+        """Channel → measured − model, NaN where one of them is missing."""
+        return {name: values - self.outputs[name] for name, values in log.outputs.items()}
+
+
+def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
+    """Free run over the whole log, from `start` (FMU parameters by name) or, without, from the first measurements.
+
+    Raises InputError, FmuError, and StoppedReplay with the rows before.
+    """
+    with Drive(log, fmu) as drive:
+        return free_run(drive, start)
+
+
+def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
+    """Runs of `horizon` seconds, each from row k at time t_k with the start values `starts[k]`.
+
+    A row belongs to the run that ends there; the row of a start is not predicted by it.
+    """
+    with Drive(log, fmu) as drive:
+        return windows(drive, starts, horizon)
+
+
+def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
+    """`replay` on an FMU that is loaded."""
+    chosen = first_start(drive, start_parameters(drive)) if start is None else start
+    table = drive.run(0, drive.log.rows - 1, chosen)
+    return Replay(drive.log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units)
+
+
+def windows(drive: Drive, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
+    """`replay_windows` on an FMU that is loaded."""
+    table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
+    done = -1
+    for first in sorted(starts):
+        last = rows_of(drive.log, first, horizon)
+        if first < done:
+            raise ValueError(f"the window at row {first} begins before the one before it ends, at row {done}")
+        if last > first:
+            table[first + 1 : last + 1] = drive.run(first, last, starts[first])[1:]
+        done = last
+    return Replay(drive.log.time, horizon, dict(starts), as_columns(table, drive.outputs), drive.units)
+
+
+def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
+    """Consecutive windows that start from the measurements themselves; None where FMU or log do not allow it."""
+    rows = window_rows(drive.log, horizon)
+    if not rows or not parameters.keys() & drive.log.outputs.keys():
+        return None
+    return windows(drive, window_starts(drive, parameters, free.outputs, rows), horizon)
+
+
+def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
+    """First rows of consecutive windows, the first `skipped` seconds left out, the last window whole."""
+    rows: list[int] = []
+    k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
+    while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:
+        last = rows_of(log, k, horizon)
+        if last > k:
+            rows.append(k)
+        k = max(last, k + 1)
+    return rows

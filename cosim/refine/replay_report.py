@@ -1,0 +1,280 @@
+"""What a replay leaves: results.csv, residual.csv and one self-contained page."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.files import atomic_write
+from cosim.refine import words
+from cosim.refine.compare import ChannelSummary, Comparison, compare, steps_of
+from cosim.refine.drive import PLANT, Drive, StoppedReplay, as_columns
+from cosim.refine.finding import Finding
+from cosim.refine.gate import gate, refuse_faults
+from cosim.refine.log import Column, Log
+from cosim.refine.replay import HORIZON, free_run
+from cosim.refine.residual import FREE_RUN
+from cosim.report.data import Series, sample_rows, to_json
+from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, display
+from cosim.report.report import TEMPLATES
+from cosim.report.svg import Plot, make_axis, make_plot, time_axis
+from cosim.report.tables import Badge, Row
+from cosim.report.text import MISSING, amount, counted, percent, plain
+from cosim.results import Results
+from cosim.version import __version__
+
+MEASURED = "log"  # the component's name of what was measured, beside PLANT
+POINTS = 1000  # a curve
+STEMS = 100  # of an autocorrelation
+
+
+def write_replay(
+    folder: Path,
+    log: Log,
+    fmu: Path,
+    *,
+    start: Mapping[str, Any] | None = None,
+    rate: float | None = None,
+    report: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
+
+    rate: step the log must have [s]; without, the FMU's own step is told as a warning only.
+    Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
+    """
+    total = steps_of(log)
+    with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
+        findings = gate(log, rate or drive.rate, strict=rate is not None)
+        refuse_faults(log, findings)
+        try:
+            free = free_run(drive, start)
+        except StoppedReplay as stopped:
+            results(drive, as_columns(stopped.done, drive.outputs)).write_csv(folder / "results.csv")
+            raise
+        results(drive, free.outputs).write_csv(folder / "results.csv")
+        comparison = compare(drive, free, findings)
+    residuals(comparison).write_csv(folder / "residual.csv")
+    if report:
+        with atomic_write(folder / "report.html") as stream:
+            stream.write(_render(context(comparison)))
+    return comparison
+
+
+def results(drive: Drive, outputs: Mapping[str, Column]) -> Results:
+    """Commands and outputs of the FMU as `plant.variable`, what was measured as `log.variable`."""
+    log, rows = drive.log, len(next(iter(outputs.values())))
+    columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
+    columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
+    return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())))
+
+
+def residuals(comparison: Comparison) -> Results:
+    """Measured − model of every horizon: `free_run.psi`, `within_2s.psi`, `within_500ms.psi`."""
+    columns: dict[str, Column] = {}
+    for horizon, replayed in sorted(comparison.replays.items(), reverse=True):
+        size = f"{horizon:g}s" if horizon == round(horizon, 0) else f"{1000 * horizon:g}ms"
+        label = "free_run" if horizon == FREE_RUN else f"within_{size}"
+        columns |= {f"{label}.{n}": e for n, e in replayed.errors(comparison.log).items()}
+    return Results(comparison.log.time, tuple(columns), np.column_stack(list(columns.values())))
+
+
+# -- the page ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One channel of the tables, as text."""
+
+    name: str
+    noise: str
+    scores: tuple[tuple[str, str], ...]
+    excess: str
+    matched: bool
+    neighbours: str
+    p_value: str
+    white: str
+    follows: str
+
+
+def context(comparison: Comparison) -> Mapping[str, Any]:
+    """Everything the template names."""
+    log, drive = comparison.log, comparison.drive
+    series, x = Series(sample_rows(log.rows, POINTS)), time_axis(log.time)
+
+    def draw(panels: Sequence[Panel]) -> list[Plot]:
+        return [make_plot(p, log.time, x, series.add(p), POINTS) for p in panels]
+
+    windowed = HORIZON in comparison.replays
+    horizons = sorted(comparison.replays)
+    found = comparison.findings
+    return {
+        "name": log.path.name,
+        "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
+        "drive the model, what it says stands beside what was measured.",
+        "outcome": words.verdict(comparison),
+        "tone": "good" if all(c.matched for c in comparison.channels) else "plain",
+        "badges": _badges(comparison),
+        "tiles": [_tile(c) for c in comparison.channels[:6]],
+        "horizons": [words.horizon_name(h) for h in horizons],
+        "basis": "the free run" if comparison.basis == FREE_RUN else words.horizon_name(comparison.basis),
+        "within": draw(_pair_panels(comparison, HORIZON)) if windowed else [],
+        "free": draw(_pair_panels(comparison, FREE_RUN)),
+        "residual": draw(_residual_panels(comparison)),
+        "commands": draw(_command_panels(log)),
+        "autocorrelation": _autocorrelation(comparison),
+        "inputs": _input_correlation(comparison),
+        "rows": [_row(c, horizons) for c in comparison.channels],
+        "quality": words.quality(found),
+        "warnings": [f"{f.channel} {f.sentence}".strip() for f in found if f.severity != "note"],
+        "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
+        "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
+        "provenance": _provenance(comparison),
+        "repeat": shlex.join(["cosim", "replay", str(log.path), "--plant", str(drive.fmu)]),
+        "data": to_json(log.time, series, []),
+        "version": __version__,
+    }
+
+
+def _badges(comparison: Comparison) -> list[Badge]:
+    log = comparison.log
+    matched, warnings = sum(c.matched for c in comparison.channels), _warnings(comparison.findings)
+    badges = [
+        Badge(f"{matched} of {counted(len(comparison.channels), 'channel')} explained"),
+        Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
+        Badge(counted(log.rows, "row")),
+    ]
+    return badges + ([Badge(counted(warnings, "warning"), "warn")] if warnings else [])
+
+
+def _warnings(findings: Sequence[Finding]) -> int:
+    return sum(f.severity == "warning" for f in findings)
+
+
+def _tile(channel: ChannelSummary) -> Row:
+    measure = channel.measure
+    value = words.size(channel.scores[measure].rmse, channel.unit)
+    over = "in a free run" if measure == FREE_RUN else f"rms over {words.horizon_name(measure)}"
+    noise = f", {plain(channel.excess, 2)} × what noise explains" if np.isfinite(channel.excess) else ""
+    return Row(channel.name, value, over + noise)
+
+
+def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
+    """Measured and model, a channel each."""
+    log, outputs = comparison.log, comparison.replays[horizon].outputs
+    label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {words.horizon_name(horizon)}"
+    panels = []
+    for name, measured in log.outputs.items():
+        unit, factor = display(log.units[name])
+        traces = [Trace("measured", measured * factor, "estimate"), Trace(label, outputs[name] * factor, "true")]
+        panels.append(Panel(name, unit or "1", traces))
+    return panels
+
+
+def _residual_panels(comparison: Comparison) -> list[Panel]:
+    """Residual over the horizon that counts, with ±2σ of the measurement noise."""
+    panels = []
+    for c in comparison.channels:
+        unit, factor = display(c.unit)
+        error = comparison.replays[c.measure].errors(comparison.log)[c.name] * factor
+        width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
+        panels.append(Panel(f"Residual of {c.name}", unit or "1", [Trace("measured − model", error, "error")],
+                            Band("±2σ of its noise", -width, width)))  # fmt: skip
+    return panels
+
+
+def _command_panels(log: Log) -> list[Panel]:
+    groups: dict[str, list[str]] = {}
+    for name in log.inputs:
+        groups.setdefault(log.units[name], []).append(name)
+    panels = []
+    for unit, names in groups.items():
+        shown, factor = display(unit)
+        for first in range(0, len(names), OTHERS_PER_PANEL):
+            chosen = names[first : first + OTHERS_PER_PANEL]
+            traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(chosen)]
+            panels.append(Panel(", ".join(chosen), shown or "1", traces))
+    return panels
+
+
+def _autocorrelation(comparison: Comparison) -> list[Plot]:
+    """Stems: for each lag from zero to ρ and a gap."""
+    plots = []
+    for c in comparison.channels:
+        test = c.whiteness
+        rows = np.arange(1, test.rho.size)[:: max(1, test.rho.size // STEMS)]
+        lag = np.repeat(rows * comparison.log.step, 3)
+        stems = np.stack((np.zeros(rows.size), test.rho[rows], np.full(rows.size, np.nan)), axis=1).ravel()
+        band = np.full(stems.size, test.band)
+        panel = Panel(f"Autocorrelation of {c.name}", "1", [Trace("residual", stems, "error")],
+                      Band("95 % band if white", -band, band))  # fmt: skip
+        plots.append(_over_lag(panel, lag))
+    return plots
+
+
+def _input_correlation(comparison: Comparison) -> list[Plot]:
+    plots = []
+    for c in (c for c in comparison.channels if c.inputs):
+        chosen = c.inputs[:OTHERS_PER_PANEL]
+        traces = [Trace(u.name, u.rho, f"s{i}") for i, u in enumerate(chosen)]
+        width = np.full(chosen[0].rho.size, max(u.band for u in chosen))
+        panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
+        plots.append(_over_lag(panel, chosen[0].lags * comparison.log.step))
+    return plots
+
+
+def _over_lag(panel: Panel, lag: NDArray[Any]) -> Plot:
+    plot = make_plot(panel, lag, make_axis(float(lag[0]), float(lag[-1]), 6), limit=POINTS)
+    return replace(plot, summary=plot.summary.replace("over time", "over lag"))
+
+
+def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
+    scores = tuple(
+        (words.size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
+        for s in (channel.scores[h] for h in horizons)
+    )
+    rho, p = channel.whiteness.rho, channel.whiteness.p_value
+    return TableRow(
+        channel.name, words.size(channel.noise, channel.unit), scores,
+        f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING, channel.matched,
+        plain(float(rho[1]), 2) if rho.size > 1 else MISSING, "< 0.001" if p < 1e-3 else plain(p, 2),
+        words.whiteness_words(channel), words.input_words(channel),
+    )  # fmt: skip
+
+
+def _start(drive: Drive, name: str, value: Any) -> Row:
+    unit = next((v.unit or "" for v in drive.description.modelVariables if v.name == name), "")
+    return Row(name, amount(value, unit, 4) if isinstance(value, float) else str(value))
+
+
+def _provenance(comparison: Comparison) -> list[Row]:
+    drive, log = comparison.drive, comparison.log
+    about = drive.description
+    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU demands"
+    rows = [
+        Row("FMU", f"{about.modelName}\nguid {about.guid}", str(drive.fmu)),
+        Row("Log", f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s", str(log.path)),
+        Row("Steps", steps),
+        Row("cosim", __version__),
+    ]
+    if drive.free_inputs:
+        rows.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
+    measured = [(n, float(np.isfinite(v).mean())) for n, v in log.outputs.items()]
+    return [*rows, Row("Measured", ", ".join(f"{n} ({percent(share)})" for n, share in measured), "share of the rows")]
+
+
+def _render(values: Mapping[str, Any]) -> str:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    style, script = (TEMPLATES.joinpath(f"report.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    return environment.get_template("replay.html.j2").render(**values, style=style, script=script)

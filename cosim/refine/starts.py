@@ -1,0 +1,215 @@
+"""Where a replay starts: a simple estimate of the state out of the measurements, for any FMU with start parameters.
+
+The FMU carries what is fast, the measurements what is slow: over the last PAST seconds the difference
+measured − free run is fitted by a parabola in time, and its end corrects the free run's state there.
+Angle and rate share one parabola, weighted by their noise. States that are not measured are the free run's.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import SimulationError
+from cosim.refine.drive import Drive, as_columns, rows_of
+from cosim.refine.log import Column, Log, rate_of
+from cosim.refine.residual import noise_level
+
+PAST = 0.5  # [s] before a window
+FIRST = 1.0  # [s] after the start of the log, where there is no past
+REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
+FITS = 2.0  # times the noise's variance
+FEWEST = 6  # samples of a parabola
+LEAST = 4  # samples of a channel; slow sensors look further away
+PASSES = 4  # over the first second
+OLDEST = 2.0  # [s] from which even a slow sensor's samples say nothing
+Rows = NDArray[np.intp]
+Error = tuple[Column, float, bool]  # measured − carrier, its noise, whether it is the rate's
+
+
+@dataclass(frozen=True)
+class StartParameter:
+    """A start parameter that an output shows: output = gain·parameter when initialized."""
+
+    name: str
+    gain: float
+    low: float
+    high: float
+
+    def value(self, output: float) -> float:
+        """The parameter that makes the output this value."""
+        return min(max(output / self.gain, self.low), self.high)
+
+
+def start_parameters(drive: Drive) -> dict[str, StartParameter]:
+    """Output → the start parameter it shows, found by trying: `psi_start` of `psi`, `tilt_right_start` of
+    `tilt_right_actual`. One that its output does not follow in proportion is of something else and left alone.
+    """
+    variables = {v.name: v for v in drive.description.modelVariables if v.type == "Real" and v.causality == "parameter"}
+    found = {}
+    for output in drive.outputs:
+        names = (f"{output}_start", f"{output.removesuffix('_actual')}_start")
+        variable = next((variables[n] for n in names if n in variables), None)
+        if variable is not None and (gain := _gain(drive, output, variable)) is not None:
+            found[output] = StartParameter(variable.name, gain, *_limits(variable))
+    return found
+
+
+def _gain(drive: Drive, output: str, variable: Any) -> float | None:
+    default, (low, high) = float(variable.start or 0.0), _limits(variable)
+    width = 0.1 * max(1.0, abs(default))
+    tries = [
+        v for v in (default + width, default + 2 * width, default - width, default - 2 * width) if low <= v <= high
+    ]
+    if len(tries) < 2:
+        return None
+    try:
+        shown = [drive.initial({variable.name: v})[output] for v in tries[:2]]
+    except SimulationError:
+        return None
+    gain = (shown[1] - shown[0]) / (tries[1] - tries[0])
+    proportional = abs(shown[0] - gain * tries[0]) <= 1e-6 * max(map(abs, shown))
+    return gain if proportional and abs(gain) > 1e-9 else None
+
+
+def _limits(variable: Any) -> tuple[float, float]:
+    low, high = (None if v is None else float(v) for v in (variable.min, variable.max))
+    return -math.inf if low is None else low, math.inf if high is None else high
+
+
+def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
+    """Start of the free run: what fits the first second best; states nobody measured start where the FMU does."""
+    log = drive.log
+    seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
+    start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()}
+    sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
+    last = max(rows_of(log, 0, FIRST), min(FEWEST, log.rows - 1))
+    for _ in range(PASSES if seen else 0):
+        carrier = as_columns(drive.run(0, last, start), drive.outputs)
+        state = {name: float(carrier[name][0]) for name in parameters}
+        told = _correct(log, carrier, sigma, state, 0, np.arange(last + 1))
+        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in told}
+    return start
+
+
+def window_starts(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Mapping[str, Column], rows: Sequence[int]
+) -> dict[int, dict[str, float]]:
+    """Start of each window, from the free run and the measurements up to its row."""
+    log, memory, starts = drive.log, _remembered_commands(drive), {}
+    sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
+    for k in rows:
+        state = {name: float(free[name][k]) for name in parameters}
+        oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST))
+        _correct(log, free, sigma, state, k, np.arange(oldest, k + 1))
+        start = {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
+        starts[k] = start | {p: float(log.inputs[name][max(0, k - 1)]) for p, name in memory.items()}
+    return starts
+
+
+def _remembered_commands(drive: Drive) -> dict[str, str]:
+    """`effect.input_start` → the input whose last command an effect such as a delay remembers."""
+    found = {}
+    for variable in drive.description.modelVariables:
+        match = re.fullmatch(r".+\.(\w+)_start", variable.name)
+        if match and match[1] in drive.log.inputs and variable.causality == "parameter":
+            found[variable.name] = match[1]
+    return found
+
+
+def _correct(
+    log: Log, carrier: Mapping[str, Column], sigma: Mapping[str, float], state: dict[str, float], at: int, rows: Rows
+) -> list[str]:
+    """Put right the state at row `at` by what was measured at `rows`; returns the names that were."""
+    told: dict[str, float] = {}
+    slopes: dict[str, float] = {}
+    for name in (n for n in log.outputs if n in carrier):
+        rate = rate_of(name, carrier)
+        if name in {rate_of(other, log.outputs) for other in log.outputs}:
+            continue  # told together with its integral
+        channels = [name, rate] if rate is not None and rate in log.outputs else [name]
+        errors = [(log.outputs[c][rows] - carrier[c][rows], sigma[c], c == rate) for c in channels]
+        value, slope = _parabola(log, errors, at, rows)
+        if value is not None:
+            told[name] = value
+        if slope is not None:
+            slopes[name] = slope
+            if rate is not None:
+                told[rate] = slope
+    before = dict(state)
+    for name, change in told.items():
+        if name in state:
+            state[name] += change
+    if {"x_world", "y_world"} <= slopes.keys() and {"vx", "vy", "psi"} <= state.keys() and "vx" not in log.outputs:
+        state["vx"], state["vy"] = _body_velocity(before, state["psi"], slopes["x_world"], slopes["y_world"])
+        told |= {"vx": 0.0, "vy": 0.0}
+    return [name for name in told if name in state]
+
+
+def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:
+    """Value and slope at row `at` of the parabola through measured − carrier, and its slope through the rate's.
+
+    Over the longest stretch on which it fits to within the noise: a model that lacks much is carried less far.
+    """
+    ahead = bool(rows.size and rows[-1] > at)
+    found: tuple[float | None, float | None] = None, None
+    for reach in REACHES:
+        design, side = _equations(log, errors, at, rows, reach * (FIRST if ahead else PAST))
+        order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
+        if side.size < order:
+            break
+        design = design[:, :order]
+        (value, *rest), *_ = np.linalg.lstsq(design, side, rcond=None)
+        found = float(value), float(rest[0]) if rest else None
+        left = side - design @ (value, *rest)
+        if float(left @ left) <= FITS * max(1, side.size - order):
+            break
+    return found
+
+
+def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: float) -> tuple[Column, Column]:
+    """Weighted equations of (value, slope, curvature) at row `at`, from the errors within `reach` seconds of it."""
+    designs, sides = [], []
+    for error, sigma, derived in errors:
+        good = np.isfinite(error)
+        near, values = _near(log, rows[good], at, reach), error[good]
+        tau = log.time[rows[good]][near] - log.time[at]
+        one, zero = np.ones(tau.size), np.zeros(tau.size)
+        designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
+        sides.append(values[near] / sigma)
+    return np.vstack(designs), np.concatenate(sides)
+
+
+def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
+    """Places of the rows within `reach` seconds of row `at`, or of the nearest few."""
+    away = np.abs(log.time[rows] - log.time[at])
+    near: Rows = np.flatnonzero(away <= reach + 1e-9)
+    if near.size < LEAST:
+        nearest = np.argsort(away, kind="stable")[:LEAST]
+        near = np.sort(nearest[away[nearest] <= OLDEST])
+    return near
+
+
+def sigma_of(values: Column) -> float:
+    """Noise of a channel; of one without noise, its rounding."""
+    level = noise_level(values)
+    floor = 1e-6 * float(np.nanmax(np.abs(values)))
+    return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)
+
+
+def _body_velocity(before: Mapping[str, float], psi: float, dx: float, dy: float) -> tuple[float, float]:
+    """(vx, vy) at heading ψ of the world velocity before, corrected by (dx, dy).
+
+    Ẋ = vx·cos ψ + vy·sin ψ, Ẏ = vx·sin ψ − vy·cos ψ; the matrix is its own inverse.
+    """
+    c, s = math.cos(before["psi"]), math.sin(before["psi"])
+    x_dot = before["vx"] * c + before["vy"] * s + dx
+    y_dot = before["vx"] * s - before["vy"] * c + dy
+    c, s = math.cos(psi), math.sin(psi)
+    return x_dot * c + y_dot * s, x_dot * s - y_dot * c

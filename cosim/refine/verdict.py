@@ -1,0 +1,132 @@
+"""From an attribution to a verdict: claim, or say why not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cosim.refine.attribution import QUIET_LOG_Q, Attribution, Hypothesis
+from cosim.refine.unnamed import Unnamed
+from plant.model import Model
+from plant.quantities import parameters_of
+
+Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
+NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
+REMAINS = 0.1  # of what the claim gains, from which something without a name disputes it
+CI95 = 1.96
+
+# What separates rivals, by what they have in common.
+EXPERIMENTS: Mapping[frozenset[str], str] = {
+    frozenset(
+        {"thrust_asymmetry", "com_offset"}
+    ): "tilt both propellers together and against each other, with position",
+    frozenset({"actuator_delay", "actuator_second_order", "lag"}): "broadband tilt commands: steps, a chirp up to 5 Hz",
+    frozenset({"coulomb_friction", "quadratic_drag", "stribeck_friction", "friction"}): "several speeds, and rest",
+    frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
+    frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
+}
+DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer: its name, what is claimed, rivals, and what is left."""
+
+    name: Name
+    claimed: Hypothesis | None
+    rivals: tuple[str, ...]
+    experiment: str
+    residual: Mapping[str, Any]
+    sentence: str
+
+
+def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequence[str]) -> Verdict:
+    """Claim only where score, significance and held-out likelihood agree and nothing nameless is left."""
+    residual = _residual(a, unnamed, forced)
+    noticed = bool(unnamed) and unnamed[0].gain > NOTICED
+    if a.best is a.base or not a.best.candidates:
+        if noticed or not a.quiet:
+            return Verdict("unexplained", None, (), "", residual, _unexplained(residual, ()))
+        return Verdict(
+            "no_effect",
+            None,
+            (),
+            "",
+            residual,
+            "Nothing is missing: the model explains these logs down to the sensors' noise.",
+        )
+    if (noticed and unnamed[0].gain > REMAINS * (a.base.score - a.best.score)) or a.held_out <= 0:
+        return Verdict("unexplained", None, a.best.names, "", residual, _unexplained(residual, a.best.names))
+    if a.rivals:
+        names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in _common(a)))
+        if len(names) > 1:
+            experiment = _experiment(names)
+            sentence = f"These logs cannot tell {' from '.join(names)}; this would: {experiment}."
+            return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
+    kinds = {c.kind for c in a.best.candidates}
+    name: Name = "effect_found"
+    if kinds == {"parameter"}:
+        name = "parameter_error"
+    elif kinds == {"sensor"}:
+        name = "sensor_error"
+    return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model))
+
+
+def _common(a: Attribution) -> set[str]:
+    """What every rival has too."""
+    return set(a.best.names).intersection(*(h.names for h in a.rivals))
+
+
+def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
+    """Where the misfit sits and on what it depends."""
+    noise = {
+        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": bool(q1 > QUIET_LOG_Q)}
+        for equation, q0, q1 in zip(forced, a.base.fit.log_q, a.best.fit.log_q, strict=True)
+    }
+    terms = [u for u in unnamed if u.gain > NOTICED][:5]
+    where = terms[0].equation if terms else max(noise, key=lambda k: noise[k]["after"]) if not a.quiet else None
+    return {
+        "equation": where,
+        "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
+        "process_noise": noise,
+        "terms": [
+            {"equation": u.equation, "signal": u.signal, "gain": u.gain, "coefficient": u.coefficient} for u in terms
+        ],
+    }
+
+
+def _unexplained(residual: Mapping[str, Any], nearest: Sequence[str]) -> str:
+    where = residual["equation"]
+    if residual["signals"]:
+        text = f"Something outside the catalogue acts on {where}; it depends on {', '.join(residual['signals'][:3])}."
+    elif where:
+        text = f"A disturbance acts on {where}; it depends on nothing that is measured."
+    else:
+        text = "No hypothesis holds on logs it was not fitted on."
+    return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
+
+
+def _claim(best: Hypothesis, name: Name, model: Model) -> str:
+    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
+    units |= {p.name: p.unit for p in model.parameters}
+    said = []
+    for c in best.candidates:
+        values = ", ".join(
+            f"{n.rpartition('.')[2]} = {best.fit.values[n]:.4g} ± {CI95 * best.fit.sigma(n):.2g} {units[n]}".rstrip()
+            for n in c.parameters
+        )
+        said.append(f"{c.name} ({values})")
+    opening = {
+        "effect_found": "The model lacks",
+        "parameter_error": "The model has a wrong",
+        "sensor_error": "The sensors have",
+    }
+    return f"{opening[name]} {' and '.join(said)}."
+
+
+def _experiment(names: Sequence[str]) -> str:
+    shared, text = max((len(row & set(names)), text) for row, text in EXPERIMENTS.items())
+    return text if shared > 1 else DEFAULT_EXPERIMENT

@@ -1,0 +1,101 @@
+"""A comparison in words; each sentence follows from the numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from cosim.refine.compare import ChannelSummary, Comparison
+from cosim.refine.finding import Finding
+from cosim.refine.residual import FREE_RUN
+from cosim.report.text import amount, counted, length, plain
+
+
+def horizon_name(horizon: float) -> str:
+    """`2 s`, `free run`."""
+    return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
+
+
+def size(value: float, unit: str) -> str:
+    """A size as a reader would say it."""
+    return length(value) if unit == "m" else amount(value, unit, 2)
+
+
+def verdict(comparison: Comparison) -> str:
+    """How far the model is off, whether noise explains that, and what the rest follows."""
+    channels, log = comparison.channels, comparison.log
+    measure = channels[0].measure
+    over = (
+        f"a free run of {plain(float(log.time[-1] - log.time[0]))}\u00a0s"
+        if measure == FREE_RUN
+        else f"{measure:g}\u00a0s"
+    )
+    sizes = _and([f"{c.name} by {size(c.scores[measure].rmse, c.unit)}" for c in channels])
+    lead = f"Over {over} the model misses {sizes} (rms)"
+    beyond = sorted((c for c in channels if not c.matched), key=lambda c: -c.excess)
+    if not beyond:
+        return f"{lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
+    if measure == FREE_RUN:
+        worst = min(beyond, key=lambda c: c.scores[measure].fit)
+        return f"{lead}; {worst.name} fits to {amount(worst.scores[measure].fit, '%', 2)}. {_cause(comparison, beyond)}"
+    times = [
+        f"{plain(c.excess, 2)} times {'what the noise of the sensors explains ' * (c is beyond[0])}for {c.name}"
+        for c in beyond
+    ]
+    return f"{lead}. That is {_and(times)}. {_cause(comparison, beyond)}"
+
+
+def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
+    """A delay, or which command the misfit follows."""
+    names = {c.name for c in channels}
+    late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
+    if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
+        first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
+        return f"{first.channel} {first.sentence}."
+    pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
+    if not pairs:
+        return "No command stands out in the residual: a disturbance, a sensor, or commands too regular to tell."
+    channel, found = max(pairs, key=lambda pair: pair[1].strength)
+    rho = plain(float(found.rho[found.peak]), 2)
+    why = "" if found.ahead else ", or the loop answers a disturbance"
+    return (
+        f"The residual of {channel.name} follows {found.name} (correlation {rho}): "
+        f"the model's answer to that command is wrong or incomplete{why}."
+    )
+
+
+def whiteness_words(channel: ChannelSummary) -> str:
+    """White or not."""
+    test = channel.whiteness
+    if math.isnan(test.p_value):
+        return "too few rows to tell"
+    if test.white:
+        return "white"
+    return "not white, yet no larger than noise and start explain" if channel.matched else "not white"
+
+
+def input_words(channel: ChannelSummary) -> str:
+    """The command that stands out, or that none does."""
+    if not channel.inputs:
+        return "no command moves"
+    found = channel.inputs[0]
+    if not found.stands_out:
+        return f"none ({found.name} comes closest, {plain(found.strength, 2)} times the band)"
+    return f"{found.name}, {plain(found.strength, 2)} times the band"
+
+
+def quality(findings: Sequence[Finding]) -> str:
+    """How sound the log is."""
+    warnings = sum(f.severity == "warning" for f in findings)
+    if not warnings:
+        return "Clock, units, signs and channels of the log are in order."
+    return f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
+
+
+def finding_line(finding: Finding) -> str:
+    """A finding as the command line prints it."""
+    return f"{finding.severity}: {finding.channel + ' ' if finding.channel else ''}{finding.sentence}"
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

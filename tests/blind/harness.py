@@ -1,0 +1,179 @@
+"""The blind suite: draw studies, let the refiner judge each, open the answer, count.
+
+    python -m tests.blind.harness 200 [--jobs 2] [--only coulomb_friction outside] [--first 0]
+
+Results are lines of JSON, one a study, appended as they come; a run that is started again skips those its git revision
+has a verdict on. The last line of the output is JSON with the figures of `score.summary`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import shlex
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from tests.blind import score
+from tests.blind.truth import answer, draw, write
+from tests.blind.truth_outside import OUTSIDE
+from tests.blind.truth_study import BASE, EFFECTS, SENSORS
+
+HERE = Path(__file__).resolve().parent
+RESULTS = HERE / "results.jsonl"
+KINDS = ("known", "nothing", "outside")
+
+Refiner = Callable[[Path, Path], None]  # (study.yaml, folder to leave refine.json in)
+
+_writing = threading.Lock()  # one integrator at a time
+
+
+class RefinerFailed(Exception):
+    """The refiner left no verdict."""
+
+
+def default_command() -> str:
+    """`cosim refine`, preferably that of the running environment."""
+    beside = Path(sys.executable).with_name("cosim")
+    return f"{shlex.quote(str(beside)) if beside.exists() else 'cosim'} refine {{study}} --out {{out}}"
+
+
+def command_refiner(template: str, timeout: float) -> Refiner:
+    """A refiner that is a command line with {study} and {out} in it."""
+
+    def refine(study: Path, out: Path) -> None:
+        words = [word.format(study=study, out=out) for word in shlex.split(template)]
+        try:
+            done = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False)
+        except subprocess.TimeoutExpired as e:
+            raise RefinerFailed(f"no verdict within {timeout:g} s") from e
+        except OSError as e:
+            raise RefinerFailed(str(e)) from e
+        if done.returncode:
+            raise RefinerFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
+
+    return refine
+
+
+def revision() -> str:
+    """Commit of the working tree; a + marks changes that are in no commit (the results file's own apart)."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True, check=False)
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    commit = git("rev-parse", "--short=12", "HEAD") or "unknown"
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", f":(exclude,top)**/{RESULTS.name}")
+    return commit + ("+" if changed else "")
+
+
+def conduct(seed: int, refiner: Refiner) -> dict[str, Any]:
+    """One study: the refiner sees a folder with study.yaml and logs; the answer is read when its verdict stands."""
+    with tempfile.TemporaryDirectory() as open_to_all, tempfile.TemporaryDirectory() as sealed:
+        folder, out, secret = Path(open_to_all) / "study", Path(open_to_all) / "out", Path(sealed) / "answer.json"
+        out.mkdir()
+        with _writing:
+            study = write(draw(seed), folder)
+            secret.write_text(answer(draw(seed)))
+        begin = time.perf_counter()
+        try:
+            refiner(study, out)
+            verdict = _verdict(out / "refine.json")
+        except RefinerFailed as e:
+            verdict = {"verdict": "failed", "effects": [], "rivals": [], "failure": str(e)}
+        seconds = time.perf_counter() - begin
+        return json.loads(secret.read_text()) | verdict | {"seconds": round(seconds, 2)}
+
+
+def _verdict(path: Path) -> dict[str, Any]:
+    """What of refine.json goes into the result line: errors are those of the sealed run."""
+    try:
+        found = json.loads(path.read_text())
+        error = {stage: found["error"][stage]["validation"] for stage in ("before", "recalibrated", "after")}
+        line = {
+            "verdict": found["verdict"],
+            "effects": [{"name": e["name"], "parameters": dict(e["parameters"])} for e in found["effects"]],
+            "rivals": [r if isinstance(r, str) else r["name"] for r in found.get("rivals", [])],
+            "error": error,
+            "noise_floor": found["noise_floor"],
+        }
+        score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
+        return line
+    except (OSError, ValueError, KeyError, TypeError) as e:
+        raise RefinerFailed(f"{path.name}: {type(e).__name__}: {e}") from e
+
+
+def seeds(count: int, first: int, only: Sequence[str]) -> list[int]:
+    """`count` consecutive seeds from `first`; with `only`, those whose kind or truth is among it."""
+
+    def wanted(seed: int) -> bool:
+        study = draw(seed)
+        return not only or study.kind in only or bool(study.truth.keys() & set(only))
+
+    return list(itertools.islice(filter(wanted, itertools.count(first)), count))
+
+
+def read(results: Path, of_revision: str) -> dict[int, dict[str, Any]]:
+    """Seed → its line of that revision; of several the last."""
+    if not results.exists():
+        return {}
+    lines = [json.loads(text) for text in results.read_text().splitlines() if text.strip()]
+    return {line["seed"]: line for line in lines if line["revision"] == of_revision}
+
+
+def run(todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1) -> list[dict[str, Any]]:
+    """Conduct what has no verdict yet (a failure is tried again), append each line at once; gives all lines."""
+    have = read(results, of_revision)
+    missing = [seed for seed in todo if seed not in have or have[seed]["verdict"] == "failed"]
+    results.parent.mkdir(parents=True, exist_ok=True)
+    for number, line in enumerate(_conducted(missing, refiner, jobs), start=1):
+        line = {"study": f"{line['seed']:05d}", "revision": of_revision} | line
+        have[line["seed"]] = line
+        with results.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        heard = line.get("failure") or score.said(line)
+        print(f"{number:4d}/{len(missing)}  {score.label(line):40} {heard}  {line['seconds']} s", file=sys.stderr)
+    return [have[seed] for seed in todo]
+
+
+def _conducted(todo: Sequence[int], refiner: Refiner, jobs: int) -> Iterator[dict[str, Any]]:
+    with ThreadPoolExecutor(jobs) as pool:
+        pending = [pool.submit(conduct, seed, refiner) for seed in todo]
+        try:
+            yield from (done.result() for done in as_completed(pending))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.harness", description=__doc__.splitlines()[0])
+    parser.add_argument("count", type=int, metavar="N", help="how many studies")
+    parser.add_argument("--jobs", type=int, default=1, help="studies at a time (seconds are honest with 1)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds or effects to draw")
+    parser.add_argument("--first", type=int, default=0, help="first seed; develop on others than you report")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--command", default=default_command(), help="refiner, with {study} and {out}")
+    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a study may take")
+    options = parser.parse_args(arguments)
+    if options.count < 1 or options.jobs < 1 or options.first < 0:
+        parser.error("N and --jobs are at least 1, --first at least 0")
+    if strangers := set(options.only) - {*KINDS, *EFFECTS, *BASE, *SENSORS, *OUTSIDE}:
+        parser.error(f"--only does not know {', '.join(sorted(strangers))}")
+    todo = seeds(options.count, options.first, options.only)
+    refiner = command_refiner(options.command, options.timeout)
+    lines = run(todo, refiner, options.results, revision(), options.jobs)
+    print(score.table(lines))
+    print(json.dumps(score.summary(lines)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,324 @@
+"""The truth of the blind suite shares nothing with the project, and yet agrees with it and with pencil and paper."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+from tests.blind import truth
+from tests.blind.truth import VARIANCE, Log, craft_of, draw, fly, write
+from tests.blind.truth_craft import DUTY, OUTPUTS, SHEET, STEP, TILT_MAX, Command, Craft, Flight
+from tests.blind.truth_outside import OUTSIDE
+from tests.blind.truth_study import BASE, EFFECTS, SENSORS, Study, size, stream
+from tests.blind.visibility import floor, resemblance, visibility
+
+THRUST = 2.4973  # eq 5.36 [N]
+GAMMA = 1.142024  # ground effect at 95 mm, model sheet
+HOVER: Command = (DUTY, DUTY, 0.0, 0.0)
+
+
+def flown(
+    craft: Craft, command: Command, duration: float, tolerance: float = 1e-11, **start: float
+) -> dict[str, float]:
+    flight = Flight(craft, craft.rest(**start), tolerance=tolerance)
+    for _ in range(round(duration / STEP)):
+        flight.advance(command)
+    return flight.outputs()
+
+
+def known(name: str, seed: int = 0, **conditions: bool) -> Study:
+    values = {name: size(name, np.random.default_rng(seed))}
+    told = {"disturbed": False, "position": True, "duty_varied": name == "thrust_slope"} | conditions
+    return Study(seed, "known", values, **told)
+
+
+NOTHING = Study(3, "nothing", {}, disturbed=False, position=True, duty_varied=False)
+
+
+# -- pencil and paper ---------------------------------------------------------------------------
+
+
+def test_a_hovering_craft_stays_and_carries_the_nominal_thrust() -> None:
+    end = flown(Craft(), HOVER, 2.0)
+    # eq 5.36; the sheet gives T_N to 5 digits
+    assert end["thrust_right"] == pytest.approx(THRUST, abs=5e-5)
+    assert [end[n] for n in ("x", "y", "psi", "phi", "ax")] == [0.0] * 5
+
+
+def test_a_coasting_craft_loses_speed_exponentially() -> None:
+    # eq 5.9 without thrust: vx = v₀·e^(−ct/m); the integrator keeps 1e-11
+    end = flown(Craft(), HOVER, 3.0, vx=0.4, psi=0.3)
+    left = math.exp(-0.25 * 3.0 / 0.705)
+    assert end["vx"] == pytest.approx(0.4 * left, abs=1e-9)
+    assert end["x_world"] == pytest.approx(0.4 * 0.705 / 0.25 * (1.0 - left) * math.cos(0.3), abs=1e-9)
+    assert end["ax"] == pytest.approx(-0.25 / 0.705 * 0.4 * left, abs=1e-9)
+
+
+def test_roll_decays_as_its_linear_equation_says() -> None:
+    # Ixx·φ̈ = (2·L²·T·dΓ/dz − k_t)·φ − d_t·φ̇, with Γ of eq 4.28
+    ratio = (0.127 / (4 * 0.095)) ** 1.902
+    slope = -(GAMMA**2) * 1.902 * ratio / 0.095
+    stiffness = 5.0 - 2 * 0.17145**2 * THRUST / GAMMA * slope
+    a = np.array([[0.0, 1.0], [-stiffness / 0.009377, -0.45 / 0.009377]])
+    end = flown(Craft(), HOVER, 0.1, phi=1e-4)
+    # second-order terms in φ are 1e-4 of it, and the sheet's T_N and Γ carry 5 digits
+    assert [end["phi"], end["phi_dot"]] == pytest.approx(list(expm(0.1 * a) @ [1e-4, 0.0]), rel=5e-4)
+
+
+def test_a_step_of_differential_tilt_spins_the_craft_up_through_the_lag() -> None:
+    # eqs 5.13 and 4.29: ψ̇ = 2·L·T·α/Izz·(t − τ·(1 − e^(−t/τ))), sin α = α to 2e-7 at 1 mrad
+    end = flown(Craft(), (DUTY, DUTY, 1e-3, -1e-3), 0.5)
+    angle = 2 * 0.17145 * THRUST / 0.01023 * 1e-3
+    expected = angle * (0.5 - 0.0884 * (1.0 - math.exp(-0.5 / 0.0884)))
+    assert end["psi_dot"] == pytest.approx(expected, rel=2e-5)  # T_N has 5 digits
+    assert end["phi"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_turn_to_the_left_and_forward_leads_to_positive_y() -> None:
+    end = flown(Craft(), (DUTY, DUTY, 0.06, 0.04), 1.0)
+    assert end["psi"] > 0.1
+    assert end["y_world"] > 0.0
+
+
+# -- against itself and against the plant -------------------------------------------------------------
+
+
+def commands(seed: int, count: int) -> list[Command]:
+    """Levels within the log's ranges, four samples each."""
+    rng = np.random.default_rng(seed)
+    levels = np.repeat(rng.uniform(-1, 1, (count // 4 + 1, 4)) * (0.1, 0.1, 0.2, 0.2), 4, axis=0)[:count]
+    return [tuple((level + HOVER).tolist()) for level in levels]  # type: ignore[misc]
+
+
+START = {"vx": 0.25, "vy": -0.1, "psi": 0.4, "psi_dot": 0.3, "phi": 0.01, "tilt_right": 0.05, "tilt_left": -0.02}
+
+
+def trajectory(craft: Craft, tolerance: float, count: int = 250) -> np.ndarray:
+    flight = Flight(craft, craft.rest(**START), tolerance=tolerance)
+    rows = []
+    for command in commands(1, count):
+        flight.advance(command)
+        rows.append(list(flight.outputs().values()))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("name", [*EFFECTS, *OUTSIDE])
+def test_a_finer_integration_changes_nothing(name: str) -> None:
+    study = known(name) if name in EFFECTS else first_of(name)
+    coarse, fine = trajectory(craft_of(study), 1e-9), trajectory(craft_of(study), 1e-12)
+    # kinks cost an adaptive method a few digits of its 1e-9, and 5 s of a free heading keep what they cost; the
+    # sensors resolve 1e-3
+    assert np.max(np.abs(coarse - fine)) < 1e-5
+
+
+def plant_model(study: Study, substep: float) -> Stepper:
+    """The project's plant with a study's effects, at a substep of one's own."""
+    values = {n if n in BASE else f"{n}.{p}": v for n, parameters in study.truth.items() for p, v in parameters.items()}
+    finer = type("Finer", (Hovercraft,), {"substep": substep})
+    model = finer().with_values(values)
+    return Stepper(model)
+
+
+@pytest.mark.parametrize("name", ["base", *EFFECTS, *BASE])
+def test_truth_and_plant_are_the_same_craft(name: str) -> None:
+    study = NOTHING if name == "base" else known(name)
+    # the plant averages a late command over a substep and steps over the rate limit's kink: first-order errors that
+    # need 1 ms to be as small as the others' at the plant's own 5 ms
+    substep = 0.0005 if name in ("actuator_delay", "servo_rate_limit") else 0.005
+    stepper = plant_model(study, substep)
+    moment = stepper.start(0.0, START)
+    expected = trajectory(craft_of(study), 1e-11)
+    names = [q.name for q in stepper.model.outputs]
+    for row, command in zip(expected, commands(1, 250), strict=True):
+        moment = stepper.step(moment, command, STEP)
+        found = dict(zip(names, stepper.output(moment.t, moment.state, command), strict=True))
+        # RK4 at 5 ms is good to 1e-6 of the roll rate; dry friction's steep tanh costs ten times that
+        assert [found[n] for n in OUTPUTS] == pytest.approx(row.tolist(), abs=1e-5)
+
+
+def test_the_truth_imports_nothing_of_the_project() -> None:
+    for path in Path(truth.__file__).parent.glob("truth*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            modules += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {m.split(".")[0] for m in modules} & {"plant", "controller", "fmus", "cosim"}, path.name
+
+
+# -- logs ------------------------------------------------------------------------------------
+
+
+def parsed(path: Path) -> dict[str, np.ndarray]:
+    header, *rows = path.read_text().splitlines()
+    return dict(zip(header.split(","), np.array([r.split(",") for r in rows], dtype=float).T, strict=True))
+
+
+def test_row_k_holds_the_measurement_and_the_command_that_acts_from_it(tmp_path: Path) -> None:
+    study = known("actuator_delay")
+    write(study, tmp_path, duration=4.0)
+    written, log = parsed(tmp_path / "e1.csv"), fly(study, 0, duration=4.0)
+    assert len(written["time"]) == 201
+    flight = Flight(craft_of(study), craft_of(study).rest(**log.start))
+    for k in range(201):
+        now = flight.outputs()
+        # the written commands are the true ones, so nothing but noise is between row and replay: six deviations
+        for channel, variance in VARIANCE.items():
+            assert abs(written[channel][k] - now[channel]) < 6 * math.sqrt(variance)
+            assert now[channel] == log.noiseless[channel][k]
+        flight.advance(tuple(written[n][k] for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")))  # type: ignore[arg-type]
+
+
+def test_noise_has_the_variances_of_eq_5_46_and_a_millimetre() -> None:
+    logs = [fly(NOTHING, number, duration=20.0) for number in range(3)]
+    for channel, variance in VARIANCE.items():
+        noise = np.concatenate([log.measured[channel] - log.noiseless[channel] for log in logs])
+        # relative standard error of a variance from 3003 samples: √(2/3002) = 2.6 %; four of them
+        assert noise.var() == pytest.approx(variance, rel=0.105)
+        lag_one = np.corrcoef(noise[1:], noise[:-1])[0, 1]
+        assert abs(lag_one) < 4 / math.sqrt(3002)
+
+
+def test_the_disturbance_is_coloured_and_of_the_issues_size() -> None:
+    samples = truth._coloured(np.random.default_rng(5), 200_000)
+    # 4000 s of a 1 s correlation are 4000/2 = 2000 independent squares: 3.2 % of a variance; four of them
+    assert samples.var(axis=0) == pytest.approx(np.square([0.004, 0.004, 0.0002]), rel=0.13)
+    after_one_second = np.corrcoef(samples[50:, 0], samples[:-50, 0])[0, 1]
+    assert after_one_second == pytest.approx(math.exp(-1.0), abs=0.08)  # four times 1/√2000
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "shift"), [("accelerometer_bias", "ax", 0.1), ("gyro_bias", "psi_dot", 0.02)]
+)
+def test_sensor_errors_are_in_the_measurement_and_in_the_feedback(name: str, channel: str, shift: float) -> None:
+    study = replace(NOTHING, kind="known", truth={name: {"value": shift}})
+    with_error, without = fly(study, 0, duration=2.0), fly(NOTHING, 0, duration=2.0)
+    first = with_error.measured[channel][0] - without.measured[channel][0]
+    assert first == pytest.approx(shift, abs=1e-6)  # same noise, six digits logged
+    assert with_error.commands[0] != without.commands[0]
+
+
+def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
+    for seed, folder in ((4, "a"), (4, "b"), (5, "c")):
+        write(draw(seed), tmp_path / folder, duration=2.0)
+    for name in ("e1.csv", "e2.csv", "v1.csv"):
+        a, b, c = ((tmp_path / folder / name).read_bytes() for folder in "abc")
+        assert a == b
+        assert a != c
+
+
+def test_a_study_folder_holds_logs_and_no_answer(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        write(draw(seed), tmp_path / str(seed), duration=1.0)
+        assert {p.name for p in (tmp_path / str(seed)).iterdir()} == {"study.yaml", "e1.csv", "e2.csv", "v1.csv"}
+    assert (tmp_path / "0" / "study.yaml").read_text() == (tmp_path / "1" / "study.yaml").read_text()
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Log]:
+    return [fly(draw(seed), seed % 3) for seed in range(8)]
+
+
+def test_commands_stay_within_the_craft_and_the_fitted_thrust_line(logs: list[Log]) -> None:
+    for seed, log in enumerate(logs):
+        sent = np.array(log.commands)
+        assert np.all((sent[:, :2] > 6.0) & (sent[:, :2] < 7.0))
+        assert np.max(np.abs(sent[:, 2:])) <= TILT_MAX + 1e-6  # six digits logged
+        assert bool(np.ptp(sent[:, 0]) > 0) is draw(seed).duty_varied
+
+
+def test_manoeuvres_excite_every_equation_at_several_speeds(logs: list[Log]) -> None:
+    for log in logs:
+        vx, rate = log.states[:, 5], log.states[:, 7]
+        assert np.mean(np.abs(vx) < 0.05) > 0.02  # slow enough for dry friction, and
+        assert np.max(np.abs(vx)) > 0.3  # fast enough for drag
+        assert np.std(rate) > 0.3
+    starts = [log.start for log in logs]
+    assert {} in starts
+    assert any(starts)
+
+
+# -- what is drawn ----------------------------------------------------------------------------
+
+
+STUDIES = [draw(seed) for seed in range(200)]
+
+
+def first_of(name: str) -> Study:
+    return next(s for s in STUDIES if name in s.truth)
+
+
+def test_two_hundred_studies_are_110_known_50_nothing_40_outside() -> None:
+    assert Counter(s.kind for s in STUDIES) == {"known": 110, "nothing": 50, "outside": 40}
+    assert Counter(s.kind for s in STUDIES[:20]) == {"known": 11, "nothing": 5, "outside": 4}
+    assert Counter(s.disturbed for s in STUDIES if s.kind == "nothing") == {True: 25, False: 25}
+    # half of all, within four standard errors of √(200/4) = 7
+    assert abs(sum(s.disturbed for s in STUDIES) - 100) < 28
+
+
+def test_every_effect_base_number_sensor_and_outsider_has_its_turn() -> None:
+    seen = {name for s in STUDIES for name in s.truth}
+    assert seen == {*EFFECTS, *BASE, *SENSORS, *OUTSIDE}
+    assert sum(len(s.truth) == 2 for s in STUDIES) >= 20
+    assert len(OUTSIDE) >= 8
+
+
+def test_the_catalogue_is_whole_and_no_outsider_is_in_it() -> None:
+    names = {kind.name for kind in Hovercraft.catalogue}
+    assert set(EFFECTS) == names
+    assert not names & set(OUTSIDE)
+
+
+def test_the_thrust_slope_is_only_wrong_where_the_duty_varies() -> None:
+    for s in STUDIES:
+        if "thrust_slope" in s.truth:
+            assert s.duty_varied
+            assert 0.03 <= abs(s.truth["thrust_slope"]["value"] / SHEET["thrust_slope"] - 1.0) <= 0.07
+
+
+# -- effects show ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*EFFECTS, *BASE, *SENSORS])
+def test_each_effect_changes_what_is_measured(name: str) -> None:
+    study = known(name)
+    plain = replace(study, truth={})
+    changed, base = fly(study, 0, duration=6.0), fly(plain, 0, duration=6.0)
+    # same references and noise; half a percent of full scale is beyond any rounding (six digits)
+    shares = [np.ptp(changed.measured[c] - base.measured[c]) / np.ptp(base.measured[c]) for c in base.channels]
+    biased = abs(changed.measured["ax"][0] - base.measured["ax"][0]) > 0.05
+    assert max(shares) > 5e-3 or biased
+
+
+@pytest.fixture(scope="module")
+def levels() -> dict[str, float]:
+    return floor()
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_an_outsider_at_least_doubles_the_replay_error_of_the_base_model(name: str, levels: dict[str, float]) -> None:
+    ratios = visibility(first_of(name), levels, duration=20.0)
+    assert max(ratios.values()) >= 2.0
+
+
+def test_an_effect_mimics_itself_and_nothing_mimics_a_tether(levels: dict[str, float]) -> None:
+    # the drag is scaled about its true size, so what is left is the replays' tolerance of 1e-7
+    assert resemblance(known("quadratic_drag"), levels, duration=8.0)["quadratic_drag"] < 1e-6
+    # what an outsider must leave to be one: a tenth of its error, under the best of the catalogue
+    assert min(resemblance(first_of("tether"), levels, duration=8.0).values()) > 0.1
+
+
+def test_a_perfect_model_shows_nothing(levels: dict[str, float]) -> None:
+    assert max(visibility(NOTHING, levels, duration=6.0).values()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_streams_of_different_purpose_are_independent() -> None:
+    a, b = stream(1, 2).standard_normal(2000), stream(1, 3).standard_normal(2000)
+    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / math.sqrt(2000)

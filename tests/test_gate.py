@@ -1,0 +1,227 @@
+"""The gate: a sound log passes, and each thing that is wrong with a log is found, once, where it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.refine.against import delay, delays
+from cosim.refine.finding import Finding
+from cosim.refine.gate import gate, gate_faults
+from cosim.refine.log import Log, read_log
+from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
+from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times
+
+RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
+Columns = dict[str, Array]
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return fly(times(20.0), start=MOVING)
+
+
+def columns(flight: Flight, **changed: Array) -> Columns:
+    return measured(flight, noise=1.0) | changed
+
+
+def serious(log: Log, rate: float | None = STEP) -> list[tuple[str, str, str]]:
+    return [(f.severity, f.kind, f.channel) for f in gate(log, rate) if f.severity != "note"]
+
+
+def one(log: Log, kind: str) -> Finding:
+    (found,) = (f for f in gate(log, STEP) if f.kind == kind)
+    return found
+
+
+def test_a_sound_log_passes_without_a_warning(tmp_path: Path, flight: Flight) -> None:
+    assert serious(log_of(tmp_path / "a.csv", columns(flight))) == []
+    assert serious(log_of(tmp_path / "b.csv", measured(flight))) == []  # without noise as well
+    assert serious(read_log(RECORDED, INPUTS, OUTPUTS)) == []
+
+
+def thinned(keep: Callable[[Array], Array]) -> Callable[[Columns], Columns]:
+    return lambda c: {n: v[keep(np.arange(c["time"].size)).astype(bool)] for n, v in c.items()}
+
+
+def spoilt(name: str, rows: slice, value: float) -> Callable[[Columns], Columns]:
+    def change(c: Columns) -> Columns:
+        values = c[name].copy()
+        values[rows] = value
+        return c | {name: values}
+
+    return change
+
+
+DEFECTS: dict[str, tuple[Any, ...]] = {  # what is done to the log, what is found
+    "rows lost": (thinned(lambda k: k % 50 != 7), ("warning", "dropouts", "time")),
+    "a pause": (thinned(lambda k: (k < 300) | (k > 340)), ("warning", "gaps", "time")),
+    "every second row": (thinned(lambda k: k % 2 == 0), ("fault", "rate", "time")),
+    "time in ms": (lambda c: c | {"time": 1000.0 * c["time"]}, ("fault", "rate", "time")),
+    "time in minutes": (
+        lambda c: c | {"time": c["time"] / 60.0},
+        ("fault", "rate", "time"),
+        ("warning", "short", "time"),
+    ),
+    "too short": (thinned(lambda k: k < 200), ("warning", "short", "time")),
+    "gyro dead": (lambda c: c | {"psi_dot": 0.0 * c["psi_dot"]}, ("warning", "constant", "psi_dot")),
+    "gyro reversed": (lambda c: c | {"psi_dot": -c["psi_dot"]}, ("fault", "sign", "psi_dot")),
+    "gyro 12 % off": (lambda c: c | {"psi_dot": 1.12 * c["psi_dot"]}, ("warning", "scale", "psi_dot")),
+    "heading in degrees": (lambda c: c | {"psi": np.degrees(c["psi"])}, ("fault", "degrees", "psi")),
+    "rate in degrees": (lambda c: c | {"psi_dot": np.degrees(c["psi_dot"])}, ("fault", "degrees", "psi_dot")),
+    "tilt in degrees": (lambda c: c | {"tilt_left": np.degrees(c["tilt_left"])}, ("fault", "degrees", "tilt_left")),
+    "sensor frozen": (spoilt("ax", slice(400, 460), 0.1), ("warning", "frozen", "ax")),
+    "spikes": (spoilt("ax", slice(100, 900, 200), 9.0), ("warning", "outliers", "ax")),
+    "slow sensor held": (
+        lambda c: c | {"x_world": np.repeat(c["x_world"][::5], 5)[: c["time"].size]},
+        ("warning", "held", "x_world"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_each_defect_is_found_and_nothing_else(tmp_path: Path, flight: Flight, defect: str) -> None:
+    change, *expected = DEFECTS[defect]
+    assert serious(log_of(tmp_path / "a.csv", change(columns(flight)))) == expected
+
+
+def test_a_mirrored_world_is_noticed_while_the_craft_goes_where_it_points(tmp_path: Path) -> None:
+    c = measured(fly(times(20.0), start={"psi": 0.8, "vx": 0.5}), noise=1.0)
+    assert serious(log_of(tmp_path / "a.csv", c)) == []
+    assert serious(log_of(tmp_path / "b.csv", c | {"y_world": -c["y_world"]})) == [("warning", "mirrored", "y_world")]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "cure"),
+    [
+        ("psi_dot", 180.0 / math.pi, "psi_dot [deg/s]"),
+        ("x_world", 1000.0, "x_world [mm]"),
+        ("ax", 1.0 / 9.81, "ax [g]"),
+    ],
+)
+def test_another_unit_is_told_by_a_replay(tmp_path: Path, flight: Flight, name: str, factor: float, cure: str) -> None:
+    c = measured(flight)  # heading and rate both in degrees agree with one another: only the model tells
+    changed = {"psi": factor * c["psi"]} if name == "psi_dot" else {}
+    log = log_of(tmp_path / "a.csv", c | changed | {name: factor * c[name]})
+    told = [f for f in gate(log, STEP, flight.outputs) if f.kind == "unit" and f.channel == name]
+    assert [f.severity for f in told] == ["fault"]
+    assert cure in told[0].sentence
+
+
+def test_an_accelerometer_mounted_backwards_moves_against_the_model(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight, ax=-flight.outputs["ax"]))
+    assert ("warning", "sign", "ax") in [(f.severity, f.kind, f.channel) for f in gate(log, STEP, flight.outputs)]
+    sound = log_of(tmp_path / "b.csv", columns(flight))
+    assert not any(f.kind in ("unit", "sign", "delay") for f in gate(sound, STEP, flight.outputs))
+
+
+def test_jumps_of_a_turn_are_told_though_they_are_undone(tmp_path: Path, flight: Flight) -> None:
+    c = columns(flight)
+    wrapped = np.mod(c["psi"] - c["psi"][500] + math.pi, 2.0 * math.pi)  # jumps where the heading is that of row 500
+    c["psi"] = np.mod(wrapped + math.pi, 2.0 * math.pi)
+    found = one(log_of(tmp_path / "a.csv", c), "wrapped")
+    assert found.severity == "note"
+    assert found.numbers["count"] >= 1
+
+
+def test_a_fault_of_the_gate_is_a_fault_of_the_file(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight, psi_dot=-columns(flight)["psi_dot"]))
+    (fault,) = gate_faults(log, gate(log, STEP))
+    assert str(fault).startswith(f"{log.path}:1:7: psi_dot: has the opposite sign")  # the seventh column
+    assert fault.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("rate", "severity"),
+    [
+        (0.02, None),
+        (0.04, "note"),
+        (0.1, "note"),
+        (0.03, "warning"),
+        (0.0131, "fault"),
+        (0.01, "fault"),
+        (2.0, "fault"),
+    ],
+)
+def test_a_log_is_as_fast_as_its_model_or_a_whole_number_faster(
+    tmp_path: Path, flight: Flight, rate: float, severity: str | None
+) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight))
+    assert [f.severity for f in gate(log, rate) if f.kind == "rate"] == ([] if severity is None else [severity])
+
+
+def test_a_slow_log_is_only_a_warning_where_the_model_does_not_insist(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight))
+    assert [f.severity for f in gate(log, 0.01, strict=False) if f.kind == "rate"] == ["warning"]
+
+
+def test_jitter_is_measured(tmp_path: Path) -> None:
+    time = times(20.0)
+    time[1:-1] += np.random.default_rng(1).uniform(-0.004, 0.004, time.size - 2)
+    found = one(log_of(tmp_path / "a.csv", columns(fly(time))), "jitter")
+    # differences of uniform ±0.2 steps: standard deviation 0.2·√(2/3) = 0.163; 3 % of that is its standard error
+    assert found.numbers["spread"] == pytest.approx(0.163, rel=0.1)
+    assert found.severity == "warning"
+
+
+def test_excitation_is_that_of_the_sine_that_was_played(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight, tilt_right=0.1 * np.sin(2.0 * math.pi * 1.5 * flight.time)))
+    found = next(f for f in gate(log) if f.kind == "excitation" and f.channel == "tilt_right")
+    assert found.numbers["rms"] == pytest.approx(0.1 / math.sqrt(2.0), rel=1e-3)  # 1001 rows: not quite whole periods
+    assert found.numbers["bandwidth"] == pytest.approx(1.5, abs=1 / 20)  # resolution of 20 s
+
+
+def test_share_at_the_limits_is_that_of_the_clipping(tmp_path: Path, flight: Flight) -> None:
+    clipped = np.clip(np.sin(2.0 * math.pi * 0.5 * flight.time), -0.5, 0.5) * 0.2
+    log = log_of(tmp_path / "a.csv", columns(flight, tilt_right=clipped))
+    found = next(f for f in gate(log) if f.kind == "excitation" and f.channel == "tilt_right")
+    assert found.numbers["saturated"] == pytest.approx(
+        2.0 / 3.0, abs=0.03
+    )  # |sin| > ½ two thirds of the time; a row a flank
+
+
+def test_inputs_that_stand_still_or_move_together_excite_less(tmp_path: Path, flight: Flight) -> None:
+    c = columns(flight)
+    still = {n: np.full(flight.time.size, 6.4) for n in ("duty_right", "duty_left")}
+    found = gate(log_of(tmp_path / "a.csv", c | still | {"tilt_left": c["tilt_right"]}))
+    assert {f.channel for f in found if f.kind == "constant"} == set(still)
+    assert [f.channel for f in found if f.kind == "alike"] == ["tilt_right"]
+    stands = {n: np.full(flight.time.size, 0.0) for n in ("tilt_right", "tilt_left")}
+    assert ("warning", "no_excitation", "") in serious(log_of(tmp_path / "b.csv", c | still | stands))
+
+
+def test_a_biased_gyro_is_noticed_with_its_bias(tmp_path: Path, flight: Flight) -> None:
+    c = columns(flight)
+    found = one(log_of(tmp_path / "a.csv", c | {"psi_dot": c["psi_dot"] + 0.05}), "drift")
+    # heading noise over blocks of 0.5 s telescopes: about √2·5.1e-3/20 s and the gyro's 0.021·√(0.02/20): 0.8 mrad/s
+    assert -found.numbers["drift"] == pytest.approx(0.05, abs=0.004)
+
+
+def test_a_share_of_rows_measured_is_a_note(tmp_path: Path, flight: Flight) -> None:
+    c = columns(flight)
+    c["x_world"] = np.where(np.arange(c["time"].size) % 10 == 0, c["x_world"], np.nan)
+    log = log_of(tmp_path / "a.csv", c)
+    assert serious(log) == []
+    assert one(log, "missing").numbers["every"] == pytest.approx(0.2, rel=1e-9)
+
+
+@pytest.mark.parametrize("late", [0.06, 0.01, 0.0])
+def test_a_delay_is_measured_to_a_part_of_a_row(tmp_path: Path, flight: Flight, late: float) -> None:
+    model = Hovercraft().with_values({"actuator_delay.time": late} if late else {})
+    log = log_of(tmp_path / "a.csv", measured(fly(flight.time, model, MOVING), noise=1.0))
+    found = delay(log, log.outputs["psi_dot"], flight.outputs["psi_dot"])
+    assert found is not None
+    assert found.time == pytest.approx(late, abs=0.003)  # seen over seeds: 1 ms standard deviation
+    told = [f.channel for f in delays(log, flight.outputs) if f.severity == "warning"]
+    assert ("psi_dot" in told) == (late > STEP)
+
+
+def test_delay_is_silent_where_the_model_has_nothing_in_common(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight))
+    other = np.random.default_rng(1).standard_normal(flight.time.size)
+    assert delay(log, log.outputs["psi_dot"], other) is None

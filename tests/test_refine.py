@@ -1,0 +1,193 @@
+"""The loop closes: logs of a craft with something undeclared in it go in, the missing effect and a better FMU come out.
+
+The logs are those of the blind suite's own craft (`tests.blind`), which shares no code with the model; short ones, and
+few candidates, so that the suite stays quick.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.refine.candidates import neutral_values
+from cosim.refine.kernel import compiler
+from cosim.refine.log import read_log
+from cosim.refine.model_file import read_model
+from cosim.refine.problem import build_problem
+from cosim.refine.study import read_study
+from cosim.refine.workflow import Refinement, refine
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+from tests.blind.truth import write
+from tests.blind.truth_study import Study
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
+FEW = "[coulomb_friction, quadratic_drag, table_tilt, servo_dead_band, gyro_bias, mass]"
+SECONDS = 12.0
+
+
+def study_of(folder: Path, truth: dict[str, Any], kind: str = "known", seed: int = 3, **conditions: bool) -> Path:
+    """Write a short study with few candidates."""
+    settings = {"disturbed": False, "position": True, "duty_varied": False} | conditions
+    path = write(Study(seed, kind, truth, **settings), folder, duration=SECONDS)
+    path.write_text(path.read_text() + f"candidates: {FEW}\n")
+    return path
+
+
+def refined(folder: Path, *arguments: Any, **conditions: Any) -> Refinement:
+    return refine(study_of(folder / "study", *arguments, **conditions), folder / "out")
+
+
+def named(r: Refinement) -> set[str]:
+    return {e["name"] for e in r.record["effects"]}
+
+
+def holds(r: Refinement, effect: str, parameter: str, truth: float) -> bool:
+    """The interval, widened to 99.99 %, holds the truth: five tests of 95 % would fail one time in four."""
+    entry = next(e for e in r.record["effects"] if e["name"] == effect)["parameters"][parameter]
+    low, high = entry["ci95"]
+    half = 2.0 * (high - low) / 2.0
+    return bool(abs(entry["value"] - truth) <= half)
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    """A study with dry friction in it, refined once for the tests that look at it."""
+    return refined(tmp_path_factory.mktemp("rubbing"), {"coulomb_friction": {"force": 0.06}})
+
+
+@needs_compiler
+def test_a_missing_force_is_found_and_the_sealed_error_falls_to_the_noise(rubbing: Refinement) -> None:
+    r = rubbing
+    assert r.record["verdict"] == "effect_found"
+    assert named(r) == {"coulomb_friction"}
+    assert holds(r, "coulomb_friction", "force", 0.06)
+    error, floor = r.record["error"], r.record["noise_floor"]["validation"]
+    for channel in ("x_world", "y_world"):
+        before, after = (error[name]["validation"][channel] for name in ("before", "after"))
+        assert before > 5 * floor[channel]
+        assert (after**2 - floor[channel] ** 2) / (before**2 - floor[channel] ** 2) < 0.05  # the excess left
+    written = json.loads((r.folder / "refine.json").read_text())
+    assert written["effects"] == r.record["effects"]
+
+
+@needs_compiler
+def test_a_refined_model_has_nothing_missing(rubbing: Refinement, tmp_path: Path) -> None:
+    first = rubbing
+    model = read_model(first.folder / "model.yaml")
+    assert model.parameters["coulomb_friction.force"] == first.record["effects"][0]["parameters"]["force"]["value"]
+    second = first.study.path.with_name("again.yaml")
+    second.write_text(first.study.path.read_text().replace("model: base", f"model: {first.folder / 'model.yaml'}"))
+    r = refine(second, tmp_path / "again")
+    assert r.record["verdict"] == "no_effect"
+    assert r.record["error"]["before"] == r.record["error"]["after"]
+
+
+@needs_compiler
+def test_two_missing_effects_are_found_together(tmp_path: Path) -> None:
+    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.5}, "servo_dead_band": {"width": math.radians(1.5)}})
+    assert r.record["verdict"] == "effect_found"
+    assert named(r) == {"quadratic_drag", "servo_dead_band"}
+    assert holds(r, "servo_dead_band", "width", math.radians(1.5))
+
+
+@needs_compiler
+def test_a_wrong_parameter_is_told_from_a_missing_effect(tmp_path: Path) -> None:
+    r = refined(tmp_path, {"mass": {"value": 0.85}})
+    assert r.record["verdict"] == "parameter_error"
+    assert named(r) == {"mass"}
+    assert holds(r, "mass", "value", 0.85)
+
+
+@needs_compiler
+def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tmp_path: Path) -> None:
+    r = refined(tmp_path, {"gyro_bias": {"value": 0.03}}, position=False)
+    assert r.record["verdict"] == "sensor_error"
+    assert named(r) == {"gyro_bias"}
+    assert holds(r, "gyro_bias", "value", 0.03)
+    assert "effects" not in (tmp_path / "out" / "model.yaml").read_text()
+    assert read_model(tmp_path / "out" / "model.yaml").sensors["gyro_bias.value"] == pytest.approx(0.03, abs=5e-3)
+
+
+@needs_compiler
+def test_nothing_missing_is_said_and_the_model_left_alone(tmp_path: Path) -> None:
+    r = refined(tmp_path, {}, kind="nothing")
+    assert r.record["verdict"] == "no_effect"
+    assert r.record["effects"] == []
+    assert r.record["error"]["before"] == r.record["error"]["after"]
+
+
+@needs_compiler
+def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
+    from tests.blind.truth_outside import OUTSIDE
+
+    name = next(n for n in OUTSIDE if "tether" in n)
+    truth = {name: {p: sum(limits) / 2 for p, limits in OUTSIDE[name].ranges.items()}}
+    r = refined(tmp_path, truth, kind="outside")
+    assert r.record["verdict"] in {"unexplained", "ambiguous"}
+    assert r.record["residual"]["equation"] in {"vx", "vy"}
+
+
+@needs_compiler
+def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
+    # generated C and Python differ by rounding alone: 12 s of closed loop, integrators included
+    path = study_of(tmp_path, {})
+    craft = Hovercraft()
+    log = read_log(path.parent / "e1.csv", craft.inputs, craft.outputs)
+    problem = build_problem(craft, [log])
+    generated, data = problem.kernel.generated, problem.logs[0]
+    values = neutral_values(craft) | {
+        "actuator_delay.time": 0.053, "servo_backlash.width": 0.02, "servo_dead_band.width": 0.01,
+        "tilt_offset.right": 0.01, "coulomb_friction.force": 0.05, "servo_rate_limit.rate": 0.8,
+        "battery_sag.drop": 0.2,
+        "actuator_second_order.natural_frequency": 14.0, "actuator_second_order.damping_ratio": 0.4,
+        "com_offset.right": 0.004, "coriolis.gain": 1.0, "table_tilt.x": 0.003, "inflow_thrust_loss.coefficient": 0.2,
+    }  # fmt: skip
+    p = np.array([values[name] for name in generated.parameters])
+    run = problem.kernel.simulate(data, p, problem.x0[0], np.zeros(generated.memory))
+    sensors = {k.name for k in craft.sensors}
+    stepper = Stepper(craft.with_values({n: v for n, v in values.items() if n.split(".")[0] not in sensors}))
+    start = dict(zip(generated.states, problem.x0[0].tolist(), strict=True))
+    start |= {f"actuator_delay.{q.name}": float(data.u[0, j]) for j, q in enumerate(craft.inputs)}
+    moment = stepper.start(0.0, start)
+    columns = [generated.states.index(q.name) for q in stepper.model.states]
+    for k in range(1, len(data.u)):
+        moment = stepper.step(moment, tuple(data.u[k - 1].tolist()), 0.02)
+        assert np.allclose(run.states[k, columns], moment.state, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("e2.csv", "e3.csv"), "no such file"),
+        (("v1.csv", "e1.csv"), "is listed for estimation too"),
+        (("model: base", "model: none.yaml"), "no such file"),
+        (("model: base", "modle: base"), 'unknown key "modle"; did you mean "model"?'),
+        (("mass]", "mas]"), 'no candidate "mas"; did you mean "mass"?'),
+    ],
+)
+def test_a_faulty_study_is_told_with_its_place(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    path = study_of(tmp_path, {})
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(InputError) as caught:
+        read_study(path)
+    assert any(words in str(f) and str(tmp_path) in str(f) for f in caught.value.faults), caught.value
+
+
+def test_a_faulty_model_file_is_told_all_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(
+        "schema_version: 1\nparameters:\n  mass: -1\n  coulomb_fiction.force: 0.1\n  coulomb_friction.force: 99\n"
+        "sensors:\n  gyro_bias.value: 7\n"
+    )
+    with pytest.raises(InputError) as caught:
+        read_model(path)
+    told = [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
+    assert [t.split(":")[0] for t in told] == ["3", "4", "5", "7"]
+    assert 'did you mean "coulomb_friction.force"?' in told[1]

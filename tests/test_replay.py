@@ -1,0 +1,390 @@
+"""Replay: what the FMU itself would have done, row by row, from wherever it starts."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError, SimulationError
+from cosim.refine import drive as drive_module
+from cosim.refine.drive import Drive, StoppedReplay, model_signals
+from cosim.refine.log import Log, read_log
+from cosim.refine.replay import Replay, replay, replay_windows, window_rows
+from cosim.refine.replay_report import write_replay
+from cosim.refine.residual import rmse
+from cosim.refine.starts import start_parameters
+from cosim.refine.words import verdict
+from cosim.results import read_csv
+from cosim.run import run
+from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
+from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
+from tests.misbehaving import misbehaving_fmu
+
+RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
+ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
+
+CART = '''
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+
+class Cart(Fmi2Slave):
+    """A cart of 2 kg with viscous friction of 1 N s/m, v(t + h) by Euler's rule."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.force, self.position, self.velocity = 0.0, 0.0, 0.0
+        self.position_start, self.velocity_start = 0.0, 0.0
+        self.register_variable(Real("force", causality=Fmi2Causality.input))
+        self.register_variable(Real("position", causality=Fmi2Causality.output))
+        self.register_variable(Real("velocity", causality=Fmi2Causality.output))
+        for name in ("position_start", "velocity_start")[: {starts}]:
+            self.register_variable(Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed))
+
+    def exit_initialization_mode(self):
+        self.position, self.velocity = self.position_start, self.velocity_start
+
+    enter_initialization_mode = exit_initialization_mode
+
+    def do_step(self, current_time, step_size):
+        self.position += step_size * self.velocity
+        self.velocity += step_size * (self.force - self.velocity) / 2.0
+        return True
+'''
+
+
+def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
+    """Build the cart; its initial outputs follow the start values when initialization ends."""
+    import sys
+
+    from pythonfmu.builder import FmuBuilder
+
+    script = folder / "cart.py"
+    script.write_text(CART.replace("{starts}", str(starts)))
+    path, modules = list(sys.path), set(sys.modules)
+    try:
+        fmu = Path(FmuBuilder.build_FMU(script, folder / "Cart.fmu"))
+    finally:
+        sys.path[:] = path
+        for module in set(sys.modules) - modules & {"cart"}:
+            del sys.modules[module]
+    return fmu if variable_step else with_equal_steps(fmu)
+
+
+def with_equal_steps(fmu: Path) -> Path:
+    """The same FMU, saying that it takes equal steps only."""
+    with zipfile.ZipFile(fmu) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    flag = b'canHandleVariableCommunicationStepSize="true"'
+    assert flag in files["modelDescription.xml"]
+    files["modelDescription.xml"] = files["modelDescription.xml"].replace(flag, flag.replace(b"true", b"false"))
+    with zipfile.ZipFile(fmu, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return fmu
+
+
+def largest(errors: dict[str, np.ndarray]) -> float:
+    return max(float(np.nanmax(np.abs(e))) for e in errors.values())
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return fly(times(12.0), start=MOVING)
+
+
+@pytest.fixture(scope="module")
+def log(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return log_of(tmp_path_factory.mktemp("log") / "noisy.csv", measured(flight, noise=1.0))
+
+
+# -- timing -----------------------------------------------------------------------------------
+
+
+def test_the_rows_of_a_run_are_the_rows_of_a_log(project: Path) -> None:
+    """Row k of a result holds what is measured at t_k and the command that acts from there: so does a log."""
+    outcome = run(project / "scenarios" / "regulate.yaml", project, ["noise=off", "duration=4"], report=False)
+    ran, scenario = outcome.results, outcome.manifest["scenario"]
+    names = [q.name for q in INPUTS] + ["psi", "psi_dot", "ax", "x", "vx"]
+    path = write_log(project / "run.csv", {"time": ran.time} | {n: ran[f"plant.{n}"] for n in names})
+    start = scenario["components"]["plant"]["start"]
+    found = replay(read_log(path, INPUTS, OUTPUTS), project / "build" / "plant.fmu", start)
+    assert np.ptp(ran["plant.psi"]) > 0.5
+    assert largest(found.errors(read_log(path, INPUTS, OUTPUTS))) == 0.0  # the same steps: bit for bit
+
+
+def test_jitter_is_replayed_as_it_was(tmp_path: Path, plant_fmu: Path) -> None:
+    time = times(6.0)
+    time[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, time.size - 2)
+    flown = fly(time, start=MOVING)
+    log = log_of(tmp_path / "a.csv", measured(flown))
+    assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
+
+
+def test_rows_that_were_lost_are_stepped_over(tmp_path: Path, plant_fmu: Path) -> None:
+    time = np.delete(times(6.0), [50, 51, 120])
+    flown = fly(time, start=MOVING)  # the truth holds its commands over the holes as the replay does
+    log = log_of(tmp_path / "a.csv", measured(flown))
+    assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
+
+
+def test_an_fmu_of_equal_steps_is_given_equal_steps(tmp_path: Path) -> None:
+    fmu = cart_fmu(tmp_path, variable_step=False)
+    even, uneven = times(4.0), times(4.0)
+    uneven[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, uneven.size - 2)
+    ends = []
+    for k, time in enumerate((even, uneven)):
+        columns = {"time": time, "force": np.where(time < 2.0, 1.0, -1.0), "position": 0.0 * time}
+        log = read_log(write_log(tmp_path / f"{k}.csv", columns), *model_signals(fmu))
+        with Drive(log, fmu) as driven:
+            _, steps, _ = driven._steps(0, log.rows - 1)
+            assert set(steps) == {log.step}
+        ends.append(replay(log, fmu, {}).outputs["position"])
+    # the force may turn a step late: 2 N on 2 kg for 0.02 s, then up to 2 s of 0.02 m/s
+    assert ends[1] == pytest.approx(ends[0], abs=0.04)
+    assert np.all(np.isfinite(ends[1]))
+
+
+# -- windows ----------------------------------------------------------------------------------
+
+
+def test_windows_begin_after_two_seconds_and_predict_each_row_once(log: Log, plant_fmu: Path) -> None:
+    rows = window_rows(log, 2.0)
+    assert rows == [100, 200, 300, 400, 500]  # 12 s at 50 Hz: the last whole one ends at row 600
+    found = replay_windows(log, plant_fmu, {k: {} for k in rows}, 2.0)
+    assert np.flatnonzero(np.isfinite(found.outputs["psi"])).tolist() == list(range(101, 601))
+    assert window_rows(log, 0.5)[-1] == 575
+
+
+def test_from_the_true_state_a_window_has_no_residual(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
+    log = log_of(tmp_path / "a.csv", measured(flight, (*IMU, *POSITION, "phi", "vx")))
+    found = replay_windows(log, plant_fmu, {k: flight.start(k) for k in window_rows(log, 0.5)}, 0.5)
+    assert largest(found.errors(log)) < ROUNDING
+
+
+def test_a_window_knows_the_time_at_which_it_starts(tmp_path: Path, plant_fmu: Path) -> None:
+    sag = {"battery_sag.drop": 0.2, "battery_sag.time": 5.0}  # acts by FMU time
+    flown = fly(times(8.0), Hovercraft().with_values(sag), MOVING)
+    log = log_of(tmp_path / "a.csv", measured(flown))
+    rows = window_rows(log, 2.0)
+    found = replay_windows(log, plant_fmu, {k: flown.start(k) | sag for k in rows}, 2.0)
+    assert largest(found.errors(log)) < ROUNDING
+    without = replay_windows(log, plant_fmu, {k: flown.start(k) for k in rows}, 2.0)
+    assert rmse(without.errors(log)["psi_dot"]) > 1e-3  # the sag is seen at all
+
+
+def test_an_fmu_that_cannot_be_reset_gives_the_same_windows(
+    log: Log, plant_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = {k: {"psi_start": 0.1 * k, "vx_start": 0.2} for k in (100, 200)}
+    reset = replay_windows(log, plant_fmu, starts, 1.0)
+    monkeypatch.setattr(drive_module.RestartableFmu, "_reset", lambda _: False)
+    opened = replay_windows(log, plant_fmu, starts, 1.0)
+    for name, values in reset.outputs.items():
+        assert np.array_equal(values, opened.outputs[name], equal_nan=True)
+
+
+def test_windows_that_overlap_are_refused(log: Log, plant_fmu: Path) -> None:
+    with pytest.raises(ValueError, match="row 150 begins before"):
+        replay_windows(log, plant_fmu, {100: {}, 150: {}}, 2.0)
+
+
+def test_a_pause_of_the_log_lies_between_windows_not_in_them(tmp_path: Path, plant_fmu: Path) -> None:
+    time = np.concatenate((times(4.0), 10.0 + times(4.0)))
+    log = log_of(tmp_path / "a.csv", measured(fly(time)))
+    rows = window_rows(log, 0.5)
+    assert [k for k in rows if 170 < k < 210] == [175, 201]  # 3.5 s, then the first row after the pause
+    found = replay_windows(log, plant_fmu, {k: {} for k in rows}, 0.5)
+    assert math.isnan(found.outputs["psi"][201])  # the first row after the pause is nobody's prediction
+
+
+# -- starts -----------------------------------------------------------------------------------
+
+
+def test_start_parameters_are_found_by_what_they_do(log: Log, plant_fmu: Path) -> None:
+    with Drive(log, plant_fmu) as driven:
+        found = start_parameters(driven)
+    assert {p.name for p in found.values()} == {f"{q.name}_start" for q in STATES}
+    assert found["tilt_right_actual"].gain == pytest.approx(1.0)
+    # the output is in ground effect, the parameter is not: Γ(0.095 m) = 1.142024
+    assert found["thrust_left"].gain == pytest.approx(1.142024, abs=1e-6)
+
+
+def test_a_moving_craft_is_caught_where_it_is(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
+    log = log_of(tmp_path / "a.csv", measured(flight))
+    start = replay(log, plant_fmu).starts[0]
+    for name, value in MOVING.items():
+        assert start[f"{name}_start"] == pytest.approx(value, abs=1e-5)  # parabolas over 1 s, four passes
+
+
+def test_the_start_is_as_good_as_the_noise_allows(plant_fmu: Path, tmp_path: Path) -> None:
+    off = []
+    for seed in range(6):
+        flown = fly(times(2.0), start=MOVING, seed=seed)
+        log = log_of(tmp_path / f"{seed}.csv", measured(flown, noise=1.0, seed=seed))
+        start = replay(log, plant_fmu).starts[0]
+        off.append([start[f"{name}_start"] - value for name, value in MOVING.items()])
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    # least squares over the first second by hand, doubled for six draws: the end of a parabola through 51 samples
+    # is known to 3σ/√51, its slope to 14σ/(1 s·√51); with the gyro, ψ̇ to 2σ/√51
+    count = math.sqrt(51)
+    bound = dict.fromkeys(POSITION, 3 * 1e-3 / count) | dict.fromkeys(("vx", "vy"), 14 * 1e-3 / count)
+    bound |= {"psi": 3 * NOISE["psi"] / count, "psi_dot": 2 * NOISE["psi_dot"] / count}
+    for name, value in zip(MOVING, spread.tolist(), strict=True):
+        assert value < 2.0 * bound[name], name
+
+
+def test_a_start_that_is_given_is_not_touched(log: Log, plant_fmu: Path) -> None:
+    found = replay(log, plant_fmu, {"psi_start": 1.0, "mass": 0.8})
+    assert found.starts[0] == {"psi_start": 1.0, "mass": 0.8}
+    assert (found.outputs["psi"][0], found.outputs["vx"][0]) == (1.0, 0.0)
+
+
+def test_an_unknown_start_parameter_is_an_error_with_a_hint(log: Log, plant_fmu: Path) -> None:
+    with pytest.raises(InputError, match=r'has no parameter "psy_start"; did you mean "psi_start"\?'):
+        replay(log, plant_fmu, {"psy_start": 1.0})
+
+
+# -- any model, any sensors -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("starts", [2, 0])
+def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
+    fmu = cart_fmu(tmp_path, starts)
+    time = times(12.0, 0.01)
+    force = np.sin(3.0 * time) + np.where(time > 6.0, 0.5, 0.0)
+    position, velocity = np.zeros(time.size), np.zeros(time.size)
+    position[0], velocity[0] = (3.0, -0.5) if starts else (0.0, 0.0)
+    for k in range(time.size - 1):
+        position[k + 1] = position[k] + 0.01 * velocity[k]
+        velocity[k + 1] = velocity[k] + 0.01 * (force[k] - velocity[k]) / 2.0
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(time.size)
+    columns = {"time": time, "force": force, "position": position + noise}
+    log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
+    comparison = write_replay(tmp_path / "out", log, fmu)
+    assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
+    assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
+    assert "position" in verdict(comparison)
+
+
+def test_a_log_of_the_imu_alone_is_enough(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
+    log = log_of(tmp_path / "imu.csv", measured(flight, IMU, noise=1.0))
+    comparison = write_replay(tmp_path / "out", log, plant_fmu)
+    assert [c.name for c in comparison.channels] == list(IMU)
+    assert all(c.matched for c in comparison.channels)
+
+
+def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        replay(log, cart_fmu(tmp_path))
+    told = "\n".join(map(str, refused.value.faults))
+    assert 'has no input "duty_right"' in told
+    assert 'has no output "psi"' in told
+
+
+# -- the answer -------------------------------------------------------------------------------
+
+
+def test_the_plant_explains_its_own_flight(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    comparison = write_replay(tmp_path / "out", log, plant_fmu)
+    assert "nothing that the model lacks" in verdict(comparison)
+    psi_dot = next(c for c in comparison.channels if c.name == "psi_dot")
+    # 500 rows: standard error of an RMSE is 3 %; the start adds a little
+    assert psi_dot.scores[2.0].rmse == pytest.approx(NOISE["psi_dot"], rel=0.15)
+
+
+def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> None:
+    late = Hovercraft().with_values({"actuator_delay.time": 0.06})
+    log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), late, MOVING), noise=1.0))
+    comparison = write_replay(tmp_path / "out", log, plant_fmu, report=False)
+    assert re.search(r"psi_dot trails the model by (5[5-9]|6[0-5])\u00a0ms", verdict(comparison))
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_friction_shows_in_position_and_only_there(tmp_path: Path, plant_fmu: Path) -> None:
+    rough = Hovercraft().with_values({"coulomb_friction.force": 0.08})
+    log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), rough, MOVING), noise=1.0))
+    comparison = write_replay(tmp_path / "out", log, plant_fmu, report=False)
+    assert {c.name for c in comparison.channels if not c.matched} == {"x_world", "y_world"}
+
+
+def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    comparison = write_replay(tmp_path, log, plant_fmu)
+    results, residual = read_csv(tmp_path / "results.csv"), read_csv(tmp_path / "residual.csv")
+    assert results.time.tolist() == residual.time.tolist() == log.time.tolist()
+    assert results["log.psi"].tolist() == log.outputs["psi"].tolist()
+    assert results["plant.tilt_left"].tolist() == log.inputs["tilt_left"].tolist()
+    assert (results["log.psi"] - results["plant.psi"]).tolist() == residual["free_run.psi"].tolist()
+    assert {c.partition(".")[0] for c in residual.columns} == {"free_run", "within_2s", "within_500ms"}
+    score = next(c for c in comparison.channels if c.name == "psi").scores[2.0]
+    assert rmse(residual["within_2s.psi"]) == pytest.approx(score.rmse, rel=1e-12)
+
+
+def test_rows_before_a_failure_are_kept(tmp_path: Path) -> None:
+    fmu = misbehaving_fmu(tmp_path, "Raises", at=5)
+    time = times(1.0)
+    log = read_log(write_log(tmp_path / "a.csv", {"time": time, "u": 0 * time, "y": time}), *model_signals(fmu))
+    with pytest.raises(StoppedReplay, match="the bearing seized") as stopped:
+        write_replay(tmp_path / "out", log, fmu)
+    assert isinstance(stopped.value, SimulationError)
+    assert stopped.value.exit_code == 4
+    with (tmp_path / "out" / "results.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(r["plant.y"]) for r in rows] == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_an_fmu_that_fails_before_its_first_row_leaves_a_header(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    with pytest.raises(StoppedReplay, match="mass") as stopped:
+        write_replay(tmp_path, log, plant_fmu, start={"mass": -1.0})
+    assert stopped.value.exit_code == 4
+    assert (tmp_path / "results.csv").read_text().count("\n") == 1
+
+
+def test_a_faulty_log_leaves_nothing_behind(tmp_path: Path, plant_fmu: Path, flight: Flight) -> None:
+    columns = measured(flight) | {"psi_dot": -flight.outputs["psi_dot"]}
+    log = log_of(tmp_path / "a.csv", columns)
+    with pytest.raises(InputError, match="opposite sign"):
+        write_replay(tmp_path / "out", log, plant_fmu)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path) -> None:
+    log = read_log(RECORDED, *model_signals(plant_fmu))
+    seen: list[tuple[int, int]] = []
+    comparison = write_replay(tmp_path, log, plant_fmu, rate=0.02, progress=lambda k, n: seen.append((k, n)))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert verdict(comparison).split(".")[0] in page
+    for heading in ("Free run", "Is it white?", "Which command does it follow?", "Numbers", "The log"):
+        assert heading in page
+    assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
+    assert len(page) < 600_000
+    assert seen
+    assert all(a <= b and k <= n for (a, _), (b, _), (k, n) in zip(seen, seen[1:], seen, strict=False))
+
+
+def test_the_name_of_a_log_never_becomes_markup(tmp_path: Path, plant_fmu: Path) -> None:
+    path = tmp_path / "<i>&.csv"
+    path.write_bytes(RECORDED.read_bytes())
+    write_replay(tmp_path / "out", read_log(path, INPUTS, OUTPUTS), plant_fmu)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<i>" not in page
+    assert "&lt;i&gt;&amp;.csv" in page
+
+
+def test_a_comparison_is_the_same_each_time(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    pages = []
+    for folder in ("a", "b"):
+        write_replay(tmp_path / folder, log, plant_fmu)
+        pages.append([(tmp_path / folder / n).read_bytes() for n in ("results.csv", "residual.csv", "report.html")])
+    assert pages[0] == pages[1]
+
+
+def test_a_replay_says_where_it_did_not_predict(log: Log, plant_fmu: Path) -> None:
+    found: Replay = replay_windows(log, plant_fmu, {100: {}}, 1.0)
+    assert np.isnan(found.errors(log)["psi"][[0, 100, 151]]).all()
+    assert np.isfinite(found.errors(log)["psi"][101:151]).all()

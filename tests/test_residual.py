@@ -1,0 +1,134 @@
+"""The residual's statistics, each against its formula or against chance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cosim.refine.residual import (
+    fit_percent,
+    input_correlations,
+    noise_level,
+    pooled,
+    rmse,
+    score,
+    surprise,
+    whiteness,
+)
+
+Array = NDArray[np.float64]
+
+
+def coloured(rng: np.random.Generator, phi: float, count: int = 2000) -> Array:
+    """First-order autoregression r(t) = φ·r(t − 1) + e(t)."""
+    e, r = rng.standard_normal(count), np.zeros(count)
+    for t in range(1, count):
+        r[t] = phi * r[t - 1] + e[t]
+    return r
+
+
+def test_fit_is_100_for_the_truth_and_0_for_its_mean() -> None:
+    y = np.array([1.0, 2.0, 3.0, 4.0])
+    assert fit_percent(y, y) == 100.0
+    assert fit_percent(y, np.full(4, y.mean())) == 0.0
+    # ‖y − ŷ‖ = √(4·0.25) = 1, ‖y − mean‖ = √(2·1.5² + 2·0.5²) = √5
+    assert fit_percent(y, y + 0.5) == pytest.approx(100.0 * (1.0 - 1.0 / math.sqrt(5.0)), rel=1e-15)
+    assert math.isnan(fit_percent(np.ones(4), y))
+
+
+def test_rmse_is_pooled_over_rows_not_over_logs() -> None:
+    assert rmse(np.array([3.0]), np.array([4.0, 0.0, 0.0])) == 2.5  # √((9 + 16)/4)
+    assert pooled([{"psi": np.array([3.0])}, {"psi": np.array([4.0, 0.0, 0.0])}]) == {"psi": 2.5}
+    assert math.isnan(rmse(np.array([math.nan])))
+
+
+def test_cells_that_were_not_measured_do_not_count() -> None:
+    measured = np.array([1.0, math.nan, 3.0, 4.0])
+    found = score(measured, np.array([1.0, 100.0, 3.0, 2.0]))
+    assert (found.rmse, found.rows) == (pytest.approx(2.0 / math.sqrt(3.0), rel=1e-15), 3)
+
+
+def test_noise_is_told_from_a_fast_signal_and_from_outliers() -> None:
+    t = np.arange(2000) * 0.02
+    noise = 0.02 * np.random.default_rng(1).standard_normal(t.size)
+    signal = np.sin(3.0 * t) + np.where(t > 20.0, 5.0, 0.0)  # a step is no noise
+    seen = signal + noise
+    seen[::100] += 3.0
+    # robust estimate: standard error about 1.2/√2000·√(70/36) = 4 % with neighbours' overlap; outliers add some
+    assert noise_level(seen) == pytest.approx(0.02, rel=0.15)
+    assert noise_level(signal) < (3.0 * 0.02) ** 4 / 6.0  # what (ωh)⁴/6 of a unit sine leaves where it is largest
+
+
+def test_noise_of_a_slow_sensor_is_seen_between_its_own_samples() -> None:
+    t = np.arange(4000) * 0.02
+    y = np.where(np.arange(t.size) % 10 == 0, 0.1 * t, np.nan) + 0.001 * np.random.default_rng(2).standard_normal(
+        t.size
+    )
+    assert noise_level(y) == pytest.approx(0.001, rel=0.25)  # 400 samples: four standard errors of 6 %
+
+
+def test_a_cubic_is_no_surprise() -> None:
+    t = np.arange(50.0)
+    assert np.nanmax(np.abs(surprise(t**3 - 4 * t))) < 1e-9  # rounding of 1e5
+
+
+def test_autocorrelation_is_that_of_the_process() -> None:
+    e = np.random.default_rng(3).standard_normal(200_001)
+    rho = whiteness(e[1:] + 0.5 * e[:-1], 5).rho
+    # MA(1): ρ(1) = θ/(1 + θ²) = 0.4, then 0; standard error 1/√2e5 = 2.2e-3, five of them
+    assert rho[:4] == pytest.approx([1.0, 0.4, 0.0, 0.0], abs=0.012)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.4])
+def test_white_residuals_are_called_coloured_as_often_as_the_level_says(missing: float) -> None:
+    rng = np.random.default_rng(4)
+    p = []
+    for _ in range(400):
+        r = rng.standard_normal(500)
+        r[rng.random(500) < missing] = np.nan
+        p.append(whiteness(r, 30).p_value)
+    # 5 % of 400 is 20, standard deviation 4.4; the statistic is chi-square only for many rows: five of them
+    assert abs(sum(v < 0.05 for v in p) - 20) < 22
+    assert 0.4 < np.median(p) < 0.65
+
+
+def test_ljung_box_is_its_formula() -> None:
+    from scipy.stats import chi2
+
+    r = np.random.default_rng(5).standard_normal(200)
+    z = r - r.mean()
+    q = 200 * 202 * sum(float(z[k:] @ z[:-k] / (z @ z)) ** 2 / (200 - k) for k in range(1, 21))
+    assert whiteness(r, 40).p_value == pytest.approx(float(chi2.sf(q, 20)), rel=1e-9)
+
+
+def test_slow_residuals_are_not_white() -> None:
+    assert not whiteness(coloured(np.random.default_rng(6), 0.5), 50).white
+
+
+def test_the_input_a_residual_follows_stands_out_at_its_lag() -> None:
+    rng = np.random.default_rng(7)
+    u, v = coloured(rng, 0.5), coloured(rng, 0.5)
+    r = 0.3 * np.concatenate((np.zeros(7), u[:-7])) + rng.standard_normal(u.size)
+    first, second = input_correlations(r, {"v": v, "u": u, "still": np.ones(u.size)}, 50)
+    assert (first.name, first.lags[first.peak], first.stands_out, first.ahead) == ("u", 7, True, True)
+    assert (second.name, second.stands_out) == ("v", False)
+
+
+def test_slow_signals_do_not_follow_one_another_by_chance() -> None:
+    rng = np.random.default_rng(8)
+    found = [input_correlations(coloured(rng, 0.9), {"u": coloured(rng, 0.9)}, 50)[0] for _ in range(200)]
+    beyond = sum(abs(float(c.rho[c.lags == 1][0])) > c.band for c in found)
+    assert beyond < 25  # 5 % of 200 is 10, standard deviation 3.1; with 1.96/√n as the band it is more than half
+    assert sum(c.stands_out for c in found) <= 2  # four standard errors, over 50 lags that are nearly one
+
+
+def test_feedback_is_not_mistaken_for_a_cause() -> None:
+    rng = np.random.default_rng(9)
+    noise = rng.standard_normal(2000)
+    u = 0.5 * np.concatenate((np.zeros(3), noise[:-3])) + rng.standard_normal(2000)  # answers what it measured
+    (found,) = input_correlations(noise, {"u": u}, 50)
+    assert not found.stands_out
+    assert found.rho[found.lags == -3][0] > 3 * found.band
