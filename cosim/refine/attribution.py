@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -125,17 +125,18 @@ class Attributor:
         return min((h, again), key=lambda x: x.score)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
-        """Log-likelihood gained over the base on each log, fitted on the others; 0 where there is one log only."""
-        count = len(self.problem.logs)
-        if h is base or count < 2:
+        """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half."""
+        if h is base:
             return 0.0
+        problem = self.problem if len(self.problem.logs) > 1 else halved(self.problem)
+        count = len(problem.logs)
         gained = 0.0
         for left_out in range(count):
             others = [k for k in range(count) if k != left_out]
             nll = []
             for x in (base, h):
-                f = fit(self.problem, self.free(x.candidates), x.fit.values, x.fit.log_q, others, SCREEN_ITERATIONS)
-                nll.append(self.problem.scored(f.values, f.log_q, [left_out]).nll)
+                f = fit(problem, self.free(x.candidates), x.fit.values, x.fit.log_q, others, SCREEN_ITERATIONS)
+                nll.append(problem.scored(f.values, f.log_q, [left_out]).nll)
             gained += nll[0] - nll[1]
         return gained
 
@@ -216,3 +217,16 @@ class Attributor:
             else:
                 reasons[c.name] = f"explains less than {' and '.join(best.names)} by {h.score - best.score:.0f}"
         return reasons
+
+
+def halved(problem: Problem) -> Problem:
+    """One log as two; the second starts where the filter is then."""
+    (log,), (x0,) = problem.logs, problem.x0
+    half = len(log.u) // 2
+    halves = [
+        replace(log, u=log.u[:half], y=log.y[:half]),
+        replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
+    ]
+    log_q = np.full(len(problem.kernel.generated.noisy), FIRST_LOG_Q)
+    reached = problem.run(problem.values, log_q, 0, states=True).states[half]
+    return replace(problem, logs=halves, x0=[x0, reached], evaluations=0)

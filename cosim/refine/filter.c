@@ -2,7 +2,7 @@
  *
  * The mean of all states runs by RK4 with the command held; the covariance is that of the stochastic states S only, for the
  * others (lags driven by known commands) are known. Measurements are independent and taken one at a time:
- *   P = Phi P Phi' + Q h,   Phi = I + hA + (hA)^2/2 + (hA)^3/6
+ *   P = Phi P Phi' + Q dt,   Phi = (I + hA + (hA)^2/2 + (hA)^3/6)^substeps
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
  */
 #include <math.h>
@@ -99,6 +99,18 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
     return log->rows;
 }
 
+/* Over a whole step: the series is good for a substep, its power for the step. */
+static void transition_over(int substeps, double h, const double *A, double *Phi)
+{
+    double once[NS * NS], next[NS * NS];
+    transition(h, A, once);
+    memcpy(Phi, once, sizeof once);
+    for (int s = 1; s < substeps; s++) {
+        multiply(once, Phi, next, 0);
+        memcpy(Phi, next, sizeof next);
+    }
+}
+
 /* errors and variances: rows x NY, of each measurement before it is taken (NaN where missing); states: rows x NX, filtered. */
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories)
@@ -118,7 +130,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 act(log, k, s, delay, memory, p, u);
                 if (s == 0) {
                     jacobian(before, x, u, p, A);
-                    transition(log->step, A, Phi);
+                    transition_over(log->substeps, h, A, Phi);
                     multiply(Phi, P, M, 0);
                     multiply(M, Phi, P, 1);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step * (k <= SETTLE / log->step ? BOOST : 1.0);

@@ -31,6 +31,7 @@ class Generated:
     inputs:     number of inputs
     memory:     number of remembered values
     delay:      place of the delay among the parameters, -1 where the model has none
+    substep:    longest integration substep [s]
     """
 
     source: str
@@ -42,6 +43,7 @@ class Generated:
     inputs: int
     memory: int
     delay: int
+    substep: float
 
 
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Generated:
@@ -99,6 +101,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Ge
         len(s.command),
         memory,
         ordered.index(delay) if delay in ordered else -1,
+        model.substep,
     )
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.refine.generate import Generated
+from plant.integrate import substeps
 
 Array = NDArray[np.float64]
-SUBSTEPS = 4  # as the FMU: of 5 ms
 SETTLE, BOOST = 0.5, 1e3  # [s] while the lags forget their unknown start, process noise is this much larger
 
 
@@ -84,7 +84,9 @@ class CompiledKernel:
         filtered = np.empty((rows, nx)) if states else np.empty((0, nx))
         memory = np.empty((rows, nm)) if states else np.empty((0, nm))
         u, y = np.ascontiguousarray(data.u), np.ascontiguousarray(data.y)
-        log = _Log(rows, SUBSTEPS, data.step, data.start, u.ctypes.data, y.ctypes.data)
+        log = _Log(
+            rows, substeps(data.step, self.generated.substep), data.step, data.start, u.ctypes.data, y.ctypes.data
+        )
         vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, P0, q, r)]
         done = self._filter(
             ctypes.byref(log),
@@ -106,7 +108,7 @@ class CompiledKernel:
         outputs = np.full((rows, len(self.generated.outputs)), np.nan)
         states, memories = np.full((rows, nx), np.nan), np.zeros((rows, max(1, nm)))
         u = np.ascontiguousarray(data.u)
-        log = _Log(rows, SUBSTEPS, data.step, data.start, u.ctypes.data, None)
+        log = _Log(rows, substeps(data.step, self.generated.substep), data.step, data.start, u.ctypes.data, None)
         vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, memory)]
         kicked = None if kicks is None else np.ascontiguousarray(kicks)
         self._library.simulate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,9 +55,7 @@ def load_model(text: str, folder: Path) -> LoadedModel:
     if text == BASE:
         return LoadedModel(Hovercraft(), HOVERCRAFT)
     if ".py:" in text:
-        return LoadedModel(
-            own_model(text, folder), str((folder / text.rpartition(":")[0]).resolve()) + ":" + text.rpartition(":")[2]
-        )
+        return LoadedModel(own_model(text, folder), _absolute(text, folder))
     return read_model(folder / text)
 
 
@@ -78,7 +77,14 @@ def read_model(path: Path) -> LoadedModel:
                 faults.append(yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip(".")))
     if faults:
         raise InputError(faults)
-    return LoadedModel(model.with_values(content.parameters), content.model, content.parameters, content.sensors)
+    source = content.model if content.model == HOVERCRAFT else _absolute(content.model, path.parent)
+    return LoadedModel(model.with_values(content.parameters), source, content.parameters, content.sensors)
+
+
+def _absolute(text: str, folder: Path) -> str:
+    """`file.py:Class` with the whole path of the file, so that a model file written elsewhere finds it."""
+    file, _, name = text.rpartition(":")
+    return f"{(folder / file).resolve()}:{name}"
 
 
 def own_model(text: str, folder: Path) -> Model:
@@ -87,10 +93,11 @@ def own_model(text: str, folder: Path) -> Model:
     path = (folder / file).resolve()
     if not path.is_file():
         raise InputError([Fault(path, 0, 0, "no such model file")])
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec = importlib.util.spec_from_file_location(f"own_model_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look up what an annotation of theirs means
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever the user's file does
