@@ -135,12 +135,17 @@ def replay(
 def refine(
     study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
     out: Out = Path("refined"),
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
-    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu."""
+    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     from cosim.refine.workflow import refine as refine_study
 
     with stages() as progress:
         result = refine_study(study, out, progress)
+        if report:
+            from cosim.refine.refine_report import write_refine_report
+
+            write_refine_report(out / "report.html", result)
     say(str(result.record["sentence"]))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
 

@@ -6,7 +6,7 @@ kernel serves every candidate; an effect is switched off by its neutral value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,9 +61,9 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Ge
     f = [sympy.sympify(e) for e in body.derivative(s.time, s.state, s.command)]
     outputs = dict(zip((q.name for q in s.model.outputs), body.output(s.time, s.state, s.command), strict=True))
     parameters = dict(s.parameters)
-    noisy, uncertain = _uncertain(model, measured)
+    noisy, uncertain, drifting = _uncertain(model, measured)
     if unnamed:
-        for name, basis in bases(s).items():
+        for name, basis in bases(s, drifting).items():
             for state in noisy:
                 parameters[f"unnamed.{state}.{name}"] = c = sympy.Symbol(f"unnamed.{state}.{name}", real=True)
                 f[names.index(state)] += c * basis
@@ -105,12 +105,14 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Ge
     )
 
 
-def bases(s: SymbolicModel) -> dict[str, Any]:
+def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
     """Basis functions of one signal: 1, the time, states, v·|v| and v³ of velocities, circles of angles, commands."""
     import sympy
 
     found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
     for q, x in zip(s.model.base_states, s.state, strict=False):
+        if q.name in unknown:  # drifts unseen: nothing can be said to depend on it
+            continue
         found[q.name] = x
         if q.unit in {"m/s", "rad/s"}:
             found[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
@@ -124,8 +126,8 @@ def bases(s: SymbolicModel) -> dict[str, Any]:
     return found
 
 
-def _uncertain(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Forced states that the base model lets reach a measured output, and all states that they reach on the way.
+def _uncertain(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str], set[str]]:
+    """Forced states that the base model lets reach a measured output, all they reach on the way, and what only drifts.
 
     Of other forced states no noise can be told. What only an effect couples (thrust to inflow, say) is left out of the
     covariance, not out of the mean.
@@ -138,12 +140,15 @@ def _uncertain(model: Model, measured: Sequence[str]) -> tuple[list[str], list[s
     outputs = dict(zip((q.name for q in s.model.outputs), body.output(s.time, s.state, s.command), strict=True))
     names = [q.name for q in s.model.states]
     forced = [names.index(n) for n in model.forced]
-    reach = _stochastic(f, [sympy.sympify(outputs[n]) for n in measured], s.state, forced)
-    return [names[k] for k in forced if k in reach], [names[k] for k in reach]
+    reached, seen = _reached_and_seen(f, [sympy.sympify(outputs[n]) for n in measured], s.state, forced)
+    both = sorted(reached & seen)
+    return [names[k] for k in forced if k in both], [names[k] for k in both], {names[k] for k in reached - seen}
 
 
-def _stochastic(f: list[Any], g: list[Any], state: tuple[Any, ...], noisy: list[int]) -> list[int]:
-    """States that a noisy state reaches and that reach a measured output."""
+def _reached_and_seen(
+    f: list[Any], g: list[Any], state: tuple[Any, ...], noisy: list[int]
+) -> tuple[set[int], set[int]]:
+    """States that a noisy state reaches, and states that reach a measured output."""
     index = {symbol: k for k, symbol in enumerate(state)}
     feeds = [{index[v] for v in e.free_symbols if v in index} for e in f]  # states in the equation of each
     reached = set(noisy)
@@ -152,7 +157,7 @@ def _stochastic(f: list[Any], g: list[Any], state: tuple[Any, ...], noisy: list[
     seen = {index[v] for e in g for v in e.free_symbols if v in index}
     while grown := {j for i in seen for j in feeds[i]} - seen:
         seen |= grown
-    return sorted(reached & seen | set(noisy) & seen)
+    return reached, seen
 
 
 def _array_names(s: SymbolicModel, parameters: dict[str, Any]) -> dict[Any, str]:

@@ -114,10 +114,8 @@ def _claim(best: Hypothesis, name: Name, model: Model) -> str:
     units |= {p.name: p.unit for p in model.parameters}
     said = []
     for c in best.candidates:
-        values = ", ".join(
-            f"{n.rpartition('.')[2]} = {best.fit.values[n]:.4g} ± {CI95 * best.fit.sigma(n):.2g} {units[n]}".rstrip()
-            for n in c.parameters
-        )
+        moved = [(n, best.fit.values[n], CI95 * best.fit.sigma(n), shown(units[n])) for n in c.parameters]
+        values = ", ".join(f"{n.rpartition('.')[2]} = {v:.4g} ± {ci:.2g} {unit}".rstrip() for n, v, ci, unit in moved)
         said.append(f"{c.name} ({values})")
     opening = {
         "effect_found": "The model lacks",
@@ -125,6 +123,11 @@ def _claim(best: Hypothesis, name: Name, model: Model) -> str:
         "sensor_error": "The sensors have",
     }
     return f"{opening[name]} {' and '.join(said)}."
+
+
+def shown(unit: str) -> str:
+    """A unit as it is read: `N·s²/m²`, nothing for a pure number."""
+    return "" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("4", "⁴")
 
 
 def _experiment(names: Sequence[str]) -> str:

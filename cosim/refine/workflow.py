@@ -167,11 +167,16 @@ def _record(
         "candidates": _ranking(a),
         "residual": verdict.residual,
         "horizon": study.loaded.model.horizon if np.isfinite(study.loaded.model.horizon) else "free run",
-        "error": {name: {part: rmse(e) for part, e in parts.items()} for name, parts in evidence.items()},
-        "noise_floor": floor,
+        "error": {name: {part: _known(rmse(e)) for part, e in parts.items()} for name, parts in evidence.items()},
+        "noise_floor": {part: _known(channels) for part, channels in floor.items()},
         "held_out_gain": a.held_out,
         "seconds": seconds,
     }
+
+
+def _known(channels: Mapping[str, float]) -> dict[str, float]:
+    """Figures of the channels that were predicted at all: a log too short for one replay gives none."""
+    return {name: value for name, value in channels.items() if np.isfinite(value)}
 
 
 def _effects(study: Study, claimed: Hypothesis, a: Attribution) -> list[dict[str, Any]]:

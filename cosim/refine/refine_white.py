@@ -1,0 +1,101 @@
+"""What the filter did not expect, before and after: the innovations and their autocorrelation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.refine.fit import SKIPPED
+from cosim.refine.kernel import Array
+from cosim.refine.refine_panels import POINTS, over, rms, side_by_side
+from cosim.refine.residual import Whiteness, lags_of, whiteness
+from cosim.refine.workflow import Refinement
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import Plot, make_axis, make_plot, time_axis
+from cosim.report.text import MISSING, plain
+
+STEMS = 50  # of an autocorrelation
+SURE = -16.0  # ln q of a filter that trusts its equations
+STYLES = ("s1", "true")
+
+
+@dataclass(frozen=True)
+class WhitenessRow:
+    """Innovations of a channel in numbers, before and after."""
+
+    channel: str
+    size: tuple[str, str]
+    neighbours: tuple[str, str]
+    white: tuple[str, str]
+    tells: bool
+    plots: tuple[Plot, ...]
+
+
+def modes(r: Refinement) -> tuple[str, str]:
+    """What is compared: two models in one filter, or one model in two filters."""
+    return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
+
+
+def innovations(r: Refinement) -> list[WhitenessRow]:
+    """One-step errors over what the filter expects, channel by channel in the order of the logs."""
+    after, logs = r.variants["after"], range(len(r.problem.logs))
+    pair = [(after, np.full(len(after.log_q), SURE)), (after, after.log_q)]
+    if r.verdict.claimed:
+        pair[0] = (r.variants["before"], after.log_q)
+    both = [[_innovations(r, dict(v.values), q, k) for k in logs] for v, q in pair]
+    outputs = r.problem.kernel.generated.outputs
+    ordered = sorted(outputs, key=list(r.study.logs[0].outputs).index)
+    return [_channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both]) for name in ordered]
+
+
+def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> WhitenessRow:
+    first, names = r.problem.logs[0], modes(r)
+    lags = lags_of(min(len(part) for part in both[0]), first.step)
+    tests = [whiteness(_joined(parts, lags), lags) for parts in both]
+    time = (first.start + first.step * np.arange(len(first.y), dtype=np.float64))[-len(both[0][0]) :]
+    traces = [Trace(n, parts[0], s) for n, parts, s in zip(names, both, STYLES, strict=True)]
+    edge = np.full(time.size, 1.96)
+    panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
+    plots = (make_plot(panel, time, time_axis(time), limit=POINTS), _autocorrelation(channel, tests, names, first.step))
+    return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
+
+
+def _innovations(r: Refinement, values: dict[str, float], log_q: Array, index: int) -> Array:
+    run = r.problem.run({**r.problem.values, **values}, log_q, index)
+    first = min(round(SKIPPED / r.problem.logs[index].step), max(0, len(run.errors) - 2))
+    scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
+    return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
+
+
+def _joined(parts: Sequence[Array], lags: int) -> Array:
+    """Logs one after the other, so far apart that no lag reaches from one into the next."""
+    gap = np.full(lags + 1, np.nan)
+    return np.concatenate([piece for part in parts for piece in (part, gap)])
+
+
+def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], step: float) -> Plot:
+    """Two stems side by side at each lag."""
+    every = max(1, tests[0].rho.size // STEMS)
+    rows = np.arange(1, tests[0].rho.size)[::every]
+    pieces = []
+    for shift, test in zip((-0.16, 0.16), tests, strict=True):
+        at = (rows + shift * every) * step
+        stems = np.stack((np.zeros(rows.size), test.rho[rows], np.full(rows.size, np.nan)), axis=1).ravel()
+        pieces.append((np.repeat(at, 3), stems))
+    edge = np.array([step * (rows[0] - 0.5 * every), step * (rows[-1] + 0.5 * every)])
+    width = tests[1].band if np.isfinite(tests[1].band) else 0.0
+    x, columns = side_by_side([(edge, np.zeros(2)), *pieces])
+    traces = [Trace(n, v, s) for n, v, s in zip(names, columns[1:], ("s1 solid", "true"), strict=True)]
+    band = Band("95 % band if white", *(np.where(np.arange(x.size) < 2, s * width, np.nan) for s in (-1, 1)))
+    panel = Panel(f"Autocorrelation of {channel}", "1", traces, band)
+    return over(make_plot(panel, x, make_axis(float(edge[0]), float(edge[1]), 6), limit=2 * len(x)), "lag")
+
+
+def _row(channel: str, parts: Sequence[Array], tests: Sequence[Whiteness], plots: tuple[Plot, ...]) -> WhitenessRow:
+    size = [plain(rms(p), 2) for p in parts]
+    rho = [plain(float(t.rho[1]), 2) if t.rho.size > 1 else MISSING for t in tests]
+    white = [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests]
+    tells = not all(t.white for t in tests)
+    return WhitenessRow(channel, (size[0], size[1]), (rho[0], rho[1]), (white[0], white[1]), tells, plots)
