@@ -147,9 +147,7 @@ class _Builder:
         if variable is None:
             known = [v.name for v in description.modelVariables if settable(v)]
             self.faults.append(
-                self.file.fault(
-                    where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}'
-                )
+                self.file.fault(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
             )
             return None
         if not settable(variable):
