@@ -38,7 +38,7 @@ refine: $(RUNTIME)
 blind: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N)
 
-bench: fmus
+bench: $(RUNTIME)
 	@$(BIN)/cosim bench
 
 check: $(CHECKING)

@@ -212,6 +212,9 @@ def entry() -> None:
     except CosimError as error:
         typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         sys.exit(error.exit_code)
+    except OSError as error:  # a folder that cannot be written, a disk that is full
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -8,25 +8,32 @@ import os
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import InputError
+from controller.gains import Settings
 from cosim.files import atomic_write
 from cosim.scenario_file import ScenarioFile
 
-FORMAT = 1  # raise when the meaning of a cached design changes
+GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))
+FORMAT = 2  # raise when the meaning of a cached design changes
 
 
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
-    """Start values by component that the design gives: gains, estimator and the numbers of the design model."""
+    """Start values by component that the design gives: gains, estimator and the numbers of the design model.
+
+    A design that fails is one more fault of the file.
+    """
     design = file.scenario.design
     if design is None or file.faults:  # a faulty scenario is not run
         return {}
     given = {k: v for k in ("thrust_nominal", "lag", "estimator") if (v := getattr(design, k)) is not None}
-    request = {"format": FORMAT, "Q": design.Q, "R": design.R, **given}
-    cached = _cache_file(request)
-    try:
-        gains = json.loads(cached.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        gains = _design(file, design.Q, design.R, given)
+    numbers = {n: getattr(Settings(**given), n) for n in ("mass", "izz", "arm", "friction", "lag", "thrust_nominal")}
+    cached = _cache_file({"format": FORMAT, "Q": design.Q, "R": design.R, "model": numbers})
+    gains = _read(cached)
+    if gains is None:
+        try:
+            gains = _design(design.Q, design.R, given)
+        except ValueError as error:
+            file.faults.append(file.fault(("design",), f"design: {error}"))
+            return {}
         try:
             with atomic_write(cached) as stream:
                 json.dump(gains, stream)
@@ -35,15 +42,21 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     return {design.component: {**gains, **given}}
 
 
-def _design(file: ScenarioFile, Q: list[float], R: list[float], given: dict[str, Any]) -> dict[str, float]:
-    from controller.gains import Settings
+def _design(Q: list[float], R: list[float], given: dict[str, Any]) -> dict[str, float]:
     from controller.synthesis import lqr_gain
 
+    K = lqr_gain(Settings(**given), Q, R)
+    return {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)}
+
+
+def _read(cached: Path) -> dict[str, float] | None:
+    """A cached design; None where there is none, or it is not one."""
     try:
-        K = lqr_gain(Settings(**given), Q, R)
-    except ValueError as error:
-        raise InputError([file.fault(("design",), f"design: {error}")]) from None
-    return {f"k_{i + 1}_{j + 1}": float(K[i, j]) for i in range(2) for j in range(5)}
+        gains = json.loads(cached.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    whole = isinstance(gains, dict) and list(gains) == list(GAINS) and all(isinstance(k, float) for k in gains.values())
+    return gains if whole else None
 
 
 def _cache_file(request: dict[str, Any]) -> Path:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
+
+from cosim.errors import Fault, InputError
 
 
 @contextmanager
@@ -20,3 +22,18 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path, names: Sequence[str]) -> None:
+    """Make the folder and see that files of these names can be written there; InputError before any work is done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError([Fault(folder, 0, 0, f"cannot be the folder for results: {error.strerror}")]) from None
+    faults = [
+        Fault(folder / n, 0, 0, "is a folder; a file is to be written there") for n in names if (folder / n).is_dir()
+    ]
+    if not os.access(folder, os.W_OK):
+        faults.append(Fault(folder, 0, 0, "cannot be written"))
+    if faults:
+        raise InputError(faults)

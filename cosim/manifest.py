@@ -36,7 +36,9 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
             start = {**designed.get(name, {}), **component.start}
             components[name] = FmuComponent(fmu=str(path), start=start, sha256=sha256(path))
         elif component.block == "playback":
-            components[name] = component.model_copy(update={"file": str(file.resolve(component.file))})
+            components[name] = component.model_copy(
+                update={"file": str(file.resolve(component.file)), "sha256": sha256(file.resolve(component.file))}
+            )
         else:
             components[name] = component
     return file.scenario.model_copy(update={"components": components, "design": None})
@@ -46,13 +48,15 @@ def check_pinned(file: ScenarioFile) -> None:
     """A manifest is repeated only with the FMUs it was made with."""
     faults = []
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent) and component.sha256 is not None:
-            path = file.resolve(component.fmu)
-            if path.is_file() and sha256(path) != component.sha256:
-                message = (
-                    f"{path} is not the FMU of this run: its SHA-256 differs; put that one back, or run the scenario"
-                )
-                faults.append(file.fault(("components", name, "fmu"), message))
+        key = "fmu" if isinstance(component, FmuComponent) else "file"
+        pinned: str | None = getattr(component, "sha256", None)
+        path = file.resolve(getattr(component, key, ""))
+        if pinned is not None and path.is_file() and sha256(path) != pinned:
+            what = "FMU" if key == "fmu" else "file"
+            message = (
+                f"{path} is not the {what} of this run: its SHA-256 differs; put that one back, or run the scenario"
+            )
+            faults.append(file.fault(("components", name, key), message))
     if faults:
         raise InputError(faults)
 

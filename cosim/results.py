@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.files import atomic_write
 
+CHUNK = 1000  # rows
+
 
 @dataclass(frozen=True)
 class Results:
@@ -39,9 +41,11 @@ class Results:
     def write_csv(self, path: Path) -> None:
         """Write `time` and every column; numbers as the shortest text that reads back bit for bit."""
         with atomic_write(path) as stream:
-            stream.write(",".join(("time", *self.columns)) + "\n")
-            for t, row in zip(self.time.tolist(), self.values.tolist(), strict=True):
-                stream.write(",".join(map(repr, (t, *row))) + "\n")
+            csv.writer(stream, lineterminator="\n").writerow(("time", *self.columns))
+            for first in range(0, len(self.time), CHUNK):  # Python's floats take four times the room
+                part = slice(first, first + CHUNK)
+                for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
+                    stream.write(",".join(map(repr, (t, *row))) + "\n")
 
 
 def read_csv(path: Path) -> Results:

@@ -11,6 +11,7 @@ from typing import Any
 from cosim.criteria import evaluate
 from cosim.design import designed_values
 from cosim.errors import SimulationError
+from cosim.files import check_writable
 from cosim.manifest import check_pinned, manifest, write_manifest
 from cosim.master import StoppedRun, simulate
 from cosim.results import Results
@@ -50,6 +51,7 @@ def run(
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
+    check_writable(folder, ("results.csv", "manifest.json", "report.html"))
     loaded = time.perf_counter()
     steps = file.scenario.steps
     failure: SimulationError | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -19,13 +18,14 @@ from pydantic import (
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+LARGEST = 1e308  # about what a double holds; larger integers are no numbers of FMI
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
 
 
 def _scalar(value: Any) -> Any:
     """A start value: a finite number, true or false, or text (a number with a unit, or the value of a string)."""
-    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and math.isfinite(value)):
+    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST):
         return value
     raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
 
@@ -108,6 +108,7 @@ class PlaybackComponent(Part):
 
     block: Literal["playback"]
     file: str
+    sha256: str | None = None
 
 
 class Design(Part):

@@ -14,6 +14,7 @@ from cosim.errors import Fault, InputError
 from cosim.scenario import Scenario
 from cosim.yaml_file import YamlFile, plain
 
+MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative slack when a duration is divided into steps
 
 
@@ -29,13 +30,14 @@ class ScenarioFile:
         self.yaml = YamlFile(path)
         data = plain(self.yaml.root)
         self.manifest: Mapping[str, Any] | None = None
-        if "scenario" in data and "schema_version" in data:
+        if isinstance(data.get("scenario"), dict) and "schema_version" in data:
             self.manifest, data = data, data["scenario"]
             self.yaml.root = self.yaml.root["scenario"]
         for override in overrides:
             _override(path, data, override)
         self.broken: set[str] = set()
-        self.connection_lines: list[int] = list(range(len(data.get("connections") or [])))
+        self.stands_in = False
+        self.connection_lines = _numbered(data.get("connections"))
         self.faults: list[Fault] = []
         self.scenario = self._validate(data)
         self.faults += [*self._step_faults(), *self._criteria_faults()]
@@ -54,6 +56,7 @@ class ScenarioFile:
                 left.drop([e["loc"] for e in error.errors()])
             else:
                 self.broken, self.connection_lines = left.broken, left.connection_lines
+                self.stands_in = left.stands_in
                 return scenario
         raise InputError(self.faults)
 
@@ -67,9 +70,12 @@ class ScenarioFile:
 
     def _step_faults(self) -> list[Fault]:
         s = self.scenario
-        if s.name == PLACEHOLDER:
+        if self.stands_in:  # duration or step is faulty itself
             return []
         count = s.duration / s.step
+        if not count <= MOST_STEPS:
+            message = f"step is {s.step:g} s: {count:.3g} steps are more than the {MOST_STEPS:g} a run may have"
+            return [self.fault(("step",), message)]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
         cure = s.duration / max(1, math.ceil(count))
@@ -89,7 +95,7 @@ class ScenarioFile:
                     self.fault(where, f"{kind} needs a band" if kind == "settling_time" else f"{kind} takes no band")
                 )
             end = self.scenario.duration if criterion.until is None else criterion.until
-            if not 0 <= criterion.after < end <= self.scenario.duration:
+            if not 0 <= criterion.after < end <= self.scenario.duration or end - criterion.after < self.scenario.step:
                 faults.append(
                     self.fault(
                         where,
@@ -99,8 +105,7 @@ class ScenarioFile:
         return faults
 
 
-PLACEHOLDER = "?"
-STAND_INS: dict[str, Any] = {"name": PLACEHOLDER, "duration": 1.0, "step": 0.1}
+STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 
 
 class Salvage:
@@ -109,7 +114,8 @@ class Salvage:
     def __init__(self, data: dict[str, Any]) -> None:
         self.data = copy.deepcopy(data)
         self.broken: set[str] = set()
-        self.connection_lines = list(range(len(data.get("connections") or [])))
+        self.connection_lines = _numbered(data.get("connections"))
+        self.stands_in = False
 
     def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
         """Leave out the part at each location, as little as will do."""
@@ -123,6 +129,7 @@ class Salvage:
                 self.data["criteria"].pop(rest[0], None)
             elif first in STAND_INS:
                 self.data |= STAND_INS
+                self.stands_in = True
             else:
                 self.data.pop(str(first), None)
         if connections:
@@ -143,6 +150,16 @@ class Salvage:
                 self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
 
 
+def _numbered(connections: Any) -> list[int]:
+    """Places of the connections in the file."""
+    return list(range(len(connections))) if isinstance(connections, list) else []
+
+
+def _place(key: str, node: list[Any]) -> int | None:
+    """A key as the place of an item that is there."""
+    return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
+
+
 def _override(path: Path, data: dict[str, Any], text: str) -> None:
     """Put one `path=value` into the data; the value is read as YAML (JSON included)."""
     from ruamel.yaml import YAML
@@ -161,15 +178,15 @@ def _override(path: Path, data: dict[str, Any], text: str) -> None:
     if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
         keys = [*keys[:3], ".".join(keys[3:])]
     for key in keys[:-1]:
-        if isinstance(node, list) and key.isdigit() and int(key) < len(node):
-            node = node[int(key)]
+        if isinstance(node, list) and _place(key, node) is not None:
+            node = node[_place(key, node) or 0]
         elif isinstance(node, dict):
             node = node.setdefault(key, {})
         else:
             raise InputError([Fault(path, 0, 0, f'--set "{text}": there is no {target} in the scenario')])
     if isinstance(node, dict):
         node[keys[-1]] = parsed
-    elif isinstance(node, list) and keys[-1].isdigit() and int(keys[-1]) < len(node):
-        node[int(keys[-1])] = parsed
+    elif isinstance(node, list) and _place(keys[-1], node) is not None:
+        node[_place(keys[-1], node) or 0] = parsed
     else:
         raise InputError([Fault(path, 0, 0, f'--set "{text}": there is no {target} in the scenario')])

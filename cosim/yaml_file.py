@@ -41,6 +41,8 @@ class YamlFile:
             self.root: Any = yaml.load(text)
         except MarkedYAMLError as error:
             raise InputError([self._yaml_fault(error)]) from None
+        except RecursionError:
+            raise InputError([Fault(path, 1, 1, "is nested too deep")]) from None
         except (YAMLError, ValueError) as error:
             raise InputError([Fault(path, 1, 1, f"is not YAML: {str(error).splitlines()[0]}")]) from None
         if not isinstance(self.root, CommentedMap):

@@ -162,7 +162,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     script = folder / f"{package}_slave.py"
     script.write_text(_script(recipe, package, module, class_name), encoding="utf-8")
     documentation = folder / "documentation"
-    write_documentation(documentation, recipe.about, recipe.text, __version__, ROOT / "LICENSE")
+    write_documentation(documentation, recipe.about, recipe.text, __version__, ASSETS / "license.txt")
     path, modules = list(sys.path), set(sys.modules)
     try:
         draft = folder / "draft.fmu"

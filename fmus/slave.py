@@ -24,6 +24,11 @@ def tuples(value: Any) -> Any:
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
+def loggable(error: Exception) -> Exception:
+    """The error with its text fit for FMI's logger, which takes a message for a format of C's printf."""
+    return RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%"))
+
+
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     """Values by value reference. A subclass gives `ports`, `initialize`, `advance`, `snapshot`, `restore`."""
 
@@ -94,11 +99,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
         try:
             self.advance(current_time, step_size)
-        except Exception:
+        except Exception as error:
             # pythonfmu loses the exception's text where messages still wait to be handed over
             self.log_queue.clear()
-            raise
+            raise loggable(error) from error
         return True
+
+    def log(self, msg: str, *arguments: Any, **options: Any) -> None:
+        super().log(msg.replace("%", "%%"), *arguments, **options)
 
     def get_real(self, vrs: list[int]) -> list[Any]:
         if self.phase is INITIALIZATION:
@@ -167,7 +175,10 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     def _refresh(self) -> None:
         if not self.current:
-            self.initialize(self._given())
+            try:
+                self.initialize(self._given())
+            except Exception as error:
+                raise loggable(error) from error
             self.current = True
 
     def _mark(self, vrs: list[int]) -> None:

@@ -26,6 +26,14 @@ def test_noise_has_the_variance_and_bias_it_is_given() -> None:
     assert samples.var() == pytest.approx(0.04479, abs=1e-3)
 
 
+def test_row_k_carries_sample_k_of_its_stream(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
+    results = simulate(build_system(file), 20, 0.02)
+    samples = gaussian(stream(1, "controller.ax"), 0.04479, 0.0, 21)
+    # a sum of two doubles, and their difference again: 1e-15 of numbers below 4
+    assert np.allclose(results["controller.ax"] - results["plant.ax"], samples, atol=1e-14)
+
+
 def test_noise_is_the_measured_noise_of_eq_5_46_in_a_run(project: Path) -> None:
     file = ScenarioFile(project / "scenarios" / "manoeuvre.yaml")
     results = simulate(build_system(file), file.scenario.steps, 0.02)

@@ -68,7 +68,7 @@ def test_a_missing_force_is_found_and_the_sealed_error_falls_to_the_noise(rubbin
     assert r.record["verdict"] == "effect_found"
     assert named(r) == {"coulomb_friction"}
     assert holds(r, "coulomb_friction", "force", 0.06)
-    error, floor = r.record["error"], r.record["noise_floor"]["validation"]
+    error, floor = r.record["error"], r.record["noise_floor"]
     for channel in ("x_world", "y_world"):
         before, after = (error[name]["validation"][channel] for name in ("before", "after"))
         assert before > 5 * floor[channel]

@@ -146,7 +146,7 @@ def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
     return {
         "sentence": verdict.sentence, "seconds": 1.0, "held_out_gain": 0.0, "candidates": rows,
         "error": {name: {"estimation": sizes} for name in ("before", "recalibrated", "after")},
-        "noise_floor": {"estimation": {"psi": 0.01}},
+        "noise_floors": {"estimation": {"psi": 0.01}},
     }  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
 
 
 def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refinement) -> None:
-    error, floor = cart.record["error"], cart.record["noise_floor"]["validation"]["s"]
+    error, floor = cart.record["error"], cart.record["noise_floors"]["validation"]["s"]
     shown_sizes = re.findall(r"([\d.]+)\u00a0mm", second_sentence(cart))
     expected = [error["before"]["validation"]["s"], error["after"]["validation"]["s"], floor]
     # three digits are printed: 0.5 % at most off

@@ -184,3 +184,36 @@ def test_a_duty_outside_the_fitted_thrust_line_is_warned_of_once(project: Path) 
     warnings = [w for w in run(path, project / "o", report=False).manifest["warnings"] if "extrapolates" in w]
     assert len(warnings) == 1
     assert "at t = 0 s: duty 7.5 %" in warnings[0]
+
+
+def test_a_manifest_is_not_repeated_with_another_log_played_back(project: Path) -> None:
+    log = project / "scenarios" / "l.csv"
+    log.write_text("time,tilt\n0,0.1\n")
+    path = project / "scenarios" / "p.yaml"
+    path.write_text(
+        "name: p\nduration: 0.1\nstep: 0.02\ncomponents:\n  plant: {fmu: ../build/plant.fmu}\n"
+        "  log: {block: playback, file: l.csv}\nconnections:\n  - {from: log.tilt, to: plant.tilt_right}\n"
+    )
+    first = run(path, project / "first", report=False)
+    run(first.folder / "manifest.json", project / "again", report=False)
+    log.write_text("time,tilt\n0,0.2\n")
+    with pytest.raises(InputError, match="is not the file of this run"):
+        run(first.folder / "manifest.json", project / "third", report=False)
+
+
+def test_results_that_cannot_be_written_are_refused_before_the_run(project: Path) -> None:
+    (project / "taken").write_text("a file")
+    (project / "full" / "report.html").mkdir(parents=True)
+    for out in ("taken", "taken/below", "full"):
+        done = cosim("run", "scenarios/regulate.yaml", "--out", out, cwd=project)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+    assert [p.name for p in (project / "full").iterdir()] == ["report.html"]
+
+
+def test_a_percent_sign_in_a_value_reaches_the_user_whole(project: Path) -> None:
+    # FMI's logger formats like printf: "%s%n" in a message once brought the host down
+    done = cosim("run", "scenarios/regulate.yaml", "--out", "o", "--no-report", "--set",
+                 "components.controller.start.estimator=%s%s%n 50% sure", cwd=project)  # fmt: skip
+    assert done.returncode == 4
+    assert "'%s%s%n 50% sure'" in done.stderr

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from cosim.design import designed_values
 from cosim.errors import InputError
 from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
@@ -18,7 +19,8 @@ def faults_of(project: Path, text: str, *overrides: str) -> list[str]:
     path = project / "scenarios" / "case.yaml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        build_system(ScenarioFile(path, overrides))
+        file = ScenarioFile(path, overrides)
+        build_system(file, designed_values(file))
     return [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
 
 
@@ -34,6 +36,9 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("duration: 10", "duration: ten", "ten", "duration is 'ten': it should be a valid number"),
         ("duration: 10", "duration: -1", "-1", "greater than 0"),
         ("duration: 10", "duration: .inf", ".inf", "finite"),
+        ("step: 0.02", "step: 1e-9", "1e-9", "steps are more than"),
+        ("x_start: 1,", "x_start: 1" + 400 * "0" + ",", "1" + 400 * "0", "finite number"),
+        ("Q: [1, 0.5, 0.1, 0.01, 0]", "Q: [0, 0.5, 0.1, 0.01, 0]", None, "no stabilising gain"),
         ("step: 0.02", "step: true", "true", "step is True"),
         ("step: 0.02", "step: .nan", ".nan", "finite"),
         ("step: 0.02", "step: 0.03", "0.03", "step is 0.03 s; use a whole divisor of duration 10 s"),
@@ -107,6 +112,9 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         (b"just words\n", ":1:1", "is not a mapping"),
         (b"", ":1:1", "is not a mapping"),
         (b"\x00\x01", ":1:1", "not YAML"),
+        (b"[" * 3000, ":1:1", "nested too deep"),
+        (b"{scenario: 5, schema_version: 1}", ":1:1", "is missing"),
+        (b"connections: 5", ":1:14", "valid list"),
         (b"\xff\xfe\x00", "", "cannot be read as text"),
     ],
 )
@@ -145,7 +153,9 @@ def test_set_reaches_every_place_of_a_scenario(project: Path) -> None:
     assert ScenarioFile(path, overrides[-1:]).scenario.components["plant"].start == {"x_start": 2}  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("override", ["noise", "=3", "connections.99.noise=1", "name.x.y=1"])
+@pytest.mark.parametrize(
+    "override", ["noise", "=3", "connections.².noise=null", "connections.99.noise=1", "name.x.y=1"]
+)
 def test_a_set_that_fits_nowhere_is_refused(project: Path, override: str) -> None:
     with pytest.raises(InputError, match="--set"):
         ScenarioFile(project / "scenarios" / "regulate.yaml", [override])

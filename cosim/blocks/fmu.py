@@ -135,9 +135,9 @@ class FmuBlock:
         self._component = self._fmu.component
         self._bare_functions()
         try:
-            self._fmu.setupExperiment(startTime=start, stopTime=stop)
+            self._check(self._fmu.setupExperiment(startTime=start, stopTime=stop), "fmi2SetupExperiment")
             self._set_start_values()
-            self._fmu.enterInitializationMode()
+            self._check(self._fmu.enterInitializationMode(), "fmi2EnterInitializationMode")
         except FMICallException as error:
             self._fail(error.function, error.status)
         self._check(self._get_real(self._component, *self._all_inputs), "fmi2GetReal")
@@ -146,7 +146,7 @@ class FmuBlock:
         from fmpy.fmi1 import FMICallException
 
         try:
-            self._fmu.exitInitializationMode()
+            self._check(self._fmu.exitInitializationMode(), "fmi2ExitInitializationMode")
         except FMICallException as error:
             self._fail(error.function, error.status)
         self._initialized = True
@@ -237,6 +237,8 @@ class FmuBlock:
             self._fmu = None
         elif function == "fmi2DoStep" and self._ended():
             reason += ": the FMU ended the simulation early"
+        if "KeyboardInterrupt" in self.last_words():  # it came while the FMU's Python ran
+            raise KeyboardInterrupt
         if words := self.last_words():
             reason += f": {words}"
         raise SimulationError(self.name, self._time, reason)

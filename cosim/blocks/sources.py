@@ -100,18 +100,31 @@ def _held(times: Sequence[float], values: Sequence[float]) -> Callable[[float], 
     return lambda t: values[max(0, bisect.bisect_right(times, t + 1e-9) - 1)]
 
 
+def _header_faults(path: Path, header: Sequence[str]) -> list[Fault]:
+    names = [cell.partition("[")[0].strip() for cell in header]
+    faults = []
+    if header[0].partition("[")[2].strip(" ]") not in {"", "s"}:
+        faults.append(Fault(path, 1, 1, f'"{header[0].strip()}": time is in seconds'))
+    for column, name in enumerate(names, 1):
+        if not name:
+            faults.append(Fault(path, 1, column, "the column has no name"))
+        elif name in names[: column - 1]:
+            faults.append(Fault(path, 1, column, f'"{name}" stands twice; keep one'))
+    return faults
+
+
 def _read_columns(path: Path) -> tuple[list[str], list[list[float]]]:
     """Header and columns; InputError with every faulty cell."""
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = list(csv.reader(stream))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError([Fault(path, 0, 0, f"cannot be read: {error}")]) from None
     if len(rows) < 2 or not rows[0] or rows[0][0].partition("[")[0].strip() != "time":
         raise InputError(
             [Fault(path, 1, 1, 'is no log: the first column is "time" and at least one row follows the header')]
         )
-    width, faults = len(rows[0]), []
+    width, faults = len(rows[0]), _header_faults(path, rows[0])
     table: list[list[float]] = []
     for line, row in enumerate(rows[1:], 2):
         if len(row) != width:

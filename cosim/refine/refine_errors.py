@@ -89,7 +89,7 @@ def _numbers(r: Refinement, part: str, name: str) -> tuple[float, float, float, 
     """Before, recalibrated, after, floor."""
     error = r.record["error"]
     before, between, after = (float(error[v][part].get(name, math.nan)) for v in ("before", "recalibrated", "after"))
-    return before, between, after, float(r.record["noise_floor"].get(part, {}).get(name, math.nan))
+    return before, between, after, float(r.record["noise_floors"].get(part, {}).get(name, math.nan))
 
 
 def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:

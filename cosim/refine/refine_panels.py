@@ -54,7 +54,7 @@ def runs(r: Refinement) -> list[Run]:
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if before and after:
             log = before[0][0]
-            floor = r.record["noise_floor"].get(part, {})
+            floor = r.record["noise_floors"].get(part, {})
             pairs = [_pair(r, before, after, name, floor.get(name, 0.0)) for name in list(log.outputs)[:CHANNELS]]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
             found.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))

@@ -168,7 +168,8 @@ def _record(
         "residual": verdict.residual,
         "horizon": study.loaded.model.horizon if np.isfinite(study.loaded.model.horizon) else "free run",
         "error": {name: {part: _known(rmse(e)) for part, e in parts.items()} for name, parts in evidence.items()},
-        "noise_floor": {part: _known(channels) for part, channels in floor.items()},
+        "noise_floor": _known(floor.get("validation") or floor["estimation"]),
+        "noise_floors": {part: _known(channels) for part, channels in floor.items()},
         "held_out_gain": a.held_out,
         "seconds": seconds,
     }

@@ -16,7 +16,7 @@ from cosim.report.roles import Craft, Signal
 
 BAND = 0.02  # m and rad: 2 % of the unit steps the thesis shows
 MERGE = 0.1  # s; changes of a reference closer than this are one ramp
-BELIEVED = 0.05  # m; an estimate this close to its target counts as arrived
+WANDERED = 0.05  # m; a craft this far off has not arrived, whatever its estimator says
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,8 @@ class Belief:
 
     @property
     def wanders(self) -> bool:
-        """The estimator has arrived and the craft has not."""
-        return self.estimated <= BELIEVED and self.true > max(BAND, 3 * self.estimated)
+        """The craft has not arrived, and the estimator puts it nearer by half or more."""
+        return self.true > max(WANDERED, 2 * self.estimated)
 
 
 def belief(craft: Craft) -> Belief | None:

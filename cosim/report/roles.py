@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.results import Results
+from cosim.start_values import QUANTITY
 
 Signal = NDArray[np.float64]
 
@@ -61,8 +62,9 @@ def number(value: Any, default: float = float("nan")) -> float:
 
 def angle(value: Any) -> float:
     """An angle [rad], given as a number or as text such as `12 deg`; NaN where it is neither."""
-    size, _, unit = str(value).strip().partition(" ")
-    return number(size) * {"": 1.0, "rad": 1.0, "deg": math.pi / 180}.get(unit.strip(), math.nan)
+    if match := QUANTITY.fullmatch(str(value)):
+        return number(match[1]) * {"rad": 1.0, "deg": math.pi / 180}.get(match[2], math.nan)
+    return number(value)
 
 
 @dataclass(frozen=True)
