@@ -14,13 +14,18 @@ from cosim.system import build_system
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
 
 
+def read(path: Path, *overrides: str) -> None:
+    """As a run reads it."""
+    file = ScenarioFile(path, overrides)
+    build_system(file, designed_values(file))
+
+
 def faults_of(project: Path, text: str, *overrides: str) -> list[str]:
     """Faults of a scenario text, each `line:column: message`."""
     path = project / "scenarios" / "case.yaml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        file = ScenarioFile(path, overrides)
-        build_system(file, designed_values(file))
+        read(path, *overrides)
     return [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
 
 
