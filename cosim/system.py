@@ -92,12 +92,13 @@ class _Builder:
         ]
         self._check_sources()
         self._check_signals_of_criteria(set(columns), whole)
+        ordered: tuple[Stage, ...] = ()
+        held: tuple[Transfer, ...] = ()
+        if whole and len(transfers) == len(self.scenario.connections):
+            ordered, held = self._order(transfers)
         if self.faults:
             raise InputError(self.faults)
         self._report_unconnected()
-        ordered, held = self._order(transfers)
-        if self.faults:
-            raise InputError(self.faults)
         return System(
             ordered, held, columns, units, self.scenario.seed, self.scenario.start_time, tuple(self.warnings), self.fmus
         )

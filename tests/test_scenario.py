@@ -97,6 +97,7 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         "  b: {fmu: ../build/controller.fmu}\nconnections:\n  - {from: a.psi_hat, to: b.psi}\n"
         "  - {from: b.psi_hat, to: a.psi}\n"
     )
+    assert len(faults_of(project, text.replace("step: 0.02", "step: 0.03"))) == 2  # told beside other faults
     (fault,) = faults_of(project, text)
     assert fault.startswith("8:3: algebraic loop under gauss-seidel: ")
     assert "order: [a, b]" in fault

@@ -26,12 +26,12 @@ TERMINATED = 3  # fmi2StatusKind
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 EXCHANGE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
-SETTERS = {
-    "Real": "setReal",
-    "Integer": "setInteger",
-    "Enumeration": "setInteger",
-    "Boolean": "setBoolean",
-    "String": "setString",
+SETTERS: dict[str, tuple[str, Any]] = {
+    "Real": ("Real", ctypes.c_double),
+    "Integer": ("Integer", ctypes.c_int),
+    "Enumeration": ("Integer", ctypes.c_int),
+    "Boolean": ("Boolean", ctypes.c_int),
+    "String": ("String", ctypes.c_char_p),
 }
 
 
@@ -224,7 +224,14 @@ class FmuBlock:
         by_name = {v.name: v for v in self.description.modelVariables}
         for name, value in self.start_values.items():
             variable = by_name[name]
-            getattr(self._fmu, SETTERS[variable.type])([variable.valueReference], [value])
+            kind, ctype = SETTERS[variable.type]
+            given = value.encode() if isinstance(value, str) else value
+            function = f"fmi2Set{kind}"
+            # FMPy's own setters do not hand the status on, and a Warning is no OK
+            status = getattr(self._fmu, function)(
+                self._component, (ctypes.c_uint * 1)(variable.valueReference), 1, (ctype * 1)(given)
+            )
+            self._check(status, f"{function} of {name}")
 
     def _check(self, status: int, function: str) -> None:
         if status:
