@@ -20,14 +20,14 @@ from cosim.master import PROGRESS_EVERY, simulate
 from cosim.scenario_file import ScenarioFile
 from cosim.system import System, build_system
 from fmus.build import build, controller_recipe, plant_recipe
-from plant.hovercraft import Hovercraft
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.integrate import Stepper
 
 H = 0.02
 STEPS = 1000
 ROUNDS = 9
 IMPORTS = "import numpy, fmpy, filterpy.kalman"
-NOISE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479}
+NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
 
 SCENARIO = """
 name: bench

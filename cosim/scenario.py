@@ -133,7 +133,6 @@ class Criterion(Part):
     max: Number
 
 
-KINDS = ("settling_time", "overshoot", "rms_error", "final_error", "peak", "effort")
 Criteria = dict[
     Literal["settling_time", "overshoot", "rms_error", "final_error", "peak", "effort"], Criterion | list[Criterion]
 ]

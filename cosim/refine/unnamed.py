@@ -7,7 +7,6 @@ which equation the misfit sits and on which signal it depends.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +61,3 @@ def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
         if float(residual @ residual) * 1e-12 < F:
             found.append(Unnamed(equation, signal, 0.5 * g * g / F, -g / F))
     return sorted(found, key=lambda u: -u.gain)
-
-
-def strongest(terms: Sequence[Unnamed], count: int = 5) -> list[Unnamed]:
-    """The first few."""
-    return list(terms[:count])
