@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.refine.generate import Generated
-from plant.integrate import substeps
 
 Array = NDArray[np.float64]
 SETTLE, BOOST = 0.5, 1e3  # [s] while the lags forget their unknown start, process noise is this much larger
@@ -35,12 +34,16 @@ class _Log(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Data:
-    """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing."""
+    """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing.
+
+    substeps: RK4 steps from row to row
+    """
 
     step: float
     start: float
     u: Array
     y: Array
+    substeps: int
 
 
 @dataclass(frozen=True)
@@ -84,9 +87,7 @@ class CompiledKernel:
         filtered = np.empty((rows, nx)) if states else np.empty((0, nx))
         memory = np.empty((rows, nm)) if states else np.empty((0, nm))
         u, y = np.ascontiguousarray(data.u), np.ascontiguousarray(data.y)
-        log = _Log(
-            rows, substeps(data.step, self.generated.substep), data.step, data.start, u.ctypes.data, y.ctypes.data
-        )
+        log = _Log(rows, data.substeps, data.step, data.start, u.ctypes.data, y.ctypes.data)
         vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, P0, q, r)]
         done = self._filter(
             ctypes.byref(log),
@@ -108,7 +109,7 @@ class CompiledKernel:
         outputs = np.full((rows, len(self.generated.outputs)), np.nan)
         states, memories = np.full((rows, nx), np.nan), np.zeros((rows, max(1, nm)))
         u = np.ascontiguousarray(data.u)
-        log = _Log(rows, substeps(data.step, self.generated.substep), data.step, data.start, u.ctypes.data, None)
+        log = _Log(rows, data.substeps, data.step, data.start, u.ctypes.data, None)
         vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, memory)]
         kicked = None if kicks is None else np.ascontiguousarray(kicks)
         self._library.simulate(

@@ -6,7 +6,7 @@ Each replay starts from that model's own filtered state and effect memory, of pa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +87,6 @@ def start_values(variant: Variant, problem: Problem, index: int, filtered: Filte
 
 def without_sensor_errors(log: Log, variant: Variant) -> Log:
     """The log with its readings corrected for what the model knows of its sensors."""
-    from dataclasses import replace
-
     outputs = dict(log.outputs)
     for kind in reversed(variant.model.sensors):
         if kind.output in outputs:
@@ -123,9 +121,7 @@ def noise_floor(
             )
             truth = problem.kernel.simulate(data, p, first.states[0], np.zeros(generated.memory), kicks)
             sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
-            drawn = type(data)(
-                data.step, data.start, data.u, np.where(np.isnan(data.y), np.nan, truth.outputs + sensed)
-            )
+            drawn = replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
             q = np.zeros(len(generated.stochastic))
             q[list(generated.noisy)] = np.exp(variant.log_q)
             seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
@@ -145,7 +141,7 @@ def _windows(problem: Problem, data: Any, p: Array, seen: Filtered, rows: Sequen
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)
-        part = type(data)(data.step, data.start, data.u[: end + 1], data.y[: end + 1])
+        part = replace(data, u=data.u[: end + 1], y=data.y[: end + 1])
         run = problem.kernel.simulate(part, p, seen.states[k], seen.memory[k], first=k)
         predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
     return predicted

@@ -11,6 +11,7 @@ from cosim.refine.fit import Problem
 from cosim.refine.generate import generate
 from cosim.refine.kernel import Array, CompiledKernel, Data
 from cosim.refine.log import Log
+from plant.integrate import substeps
 from plant.model import Model
 
 # Standard deviation with which a state that no sensor reads is known at the start, by unit.
@@ -48,7 +49,7 @@ def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
     """A log as the filter sees it."""
     u = np.column_stack([log.inputs[q.name] for q in model.inputs])
     y = np.column_stack([log.outputs[name] for name in measured])
-    return Data(log.step, float(log.time[0]), u, y)
+    return Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
 
 
 def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:

@@ -10,12 +10,12 @@ Claimed: a step of the model with the hypothesis less a step of the model withou
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.refine.fit import SKIPPED, Problem
-from cosim.refine.kernel import Array, Data
+from cosim.refine.kernel import Array
 
 MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
 LEAST_LOG_Q = -9.0  # d may be this large even where the fit found nothing: a few mN on the craft
@@ -61,7 +61,7 @@ class Steps:
         d = self.data
         back = min(row, round(HISTORY / d.step))
         first = row - back
-        part = Data(d.step, d.start + first * d.step, d.u[first : row + 2], d.y[first : row + 2])
+        part = replace(d, start=d.start + first * d.step, u=d.u[first : row + 2], y=d.y[first : row + 2])
         run = self.kernel.simulate(part, self.p, state, memory, first=back)
         return run.states[back + 1], run.outputs[back]
 
