@@ -1,4 +1,4 @@
-"""C from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
+"""Code from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
 
 The model is evaluated with symbols, every effect of the catalogue and every sensor error awake, so that one compiled
 kernel serves every candidate; an effect is switched off by its neutral value.
@@ -10,6 +10,7 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cosim.refine.languages import Language
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.symbols import SymbolicModel, symbolic
@@ -19,7 +20,7 @@ DELAY = "actuator_delay"  # the one effect whose memory is a history: the kernel
 
 @dataclass(frozen=True)
 class Generated:
-    """C functions and what their arguments are.
+    """Functions in C or Python and what their arguments are.
 
     source:     `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, p, y)`,
                 `measure_jacobian(t, x, p, C)`, `shape_all(u, memory, p, out)`
@@ -46,8 +47,8 @@ class Generated:
     substep: float
 
 
-def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Generated:
-    """C for a model and the outputs a log holds.
+def generate(model: Model, measured: Sequence[str], language: Language, unnamed: bool = False) -> Generated:
+    """Functions for a model and the outputs a log holds.
 
     With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
     times a basis function of one signal: they tell that something is missing where no effect fits.
@@ -77,15 +78,13 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Ge
     A = [sympy.diff(f[i], xj) for i in stochastic for xj in x]
     C = [sympy.diff(e, xj) for e in g for xj in x]
     arrays = _array_names(s, parameters)
-    memory, shaping = _shaping(s, arrays)
+    memory, shaping = _shaping(s, arrays, language)
     text = "\n".join(
         (
-            _function("deriv", "double t, const double *x, const double *u, const double *p, double *out", f, arrays),
-            _function(
-                "jacobian", "double t, const double *x, const double *u, const double *p, double *out", A, arrays
-            ),
-            _function("measure", "double t, const double *x, const double *p, double *out", g, arrays),
-            _function("measure_jacobian", "double t, const double *x, const double *p, double *out", C, arrays),
+            language.function("deriv", "t x u p", f, arrays),
+            language.function("jacobian", "t x u p", A, arrays),
+            language.function("measure", "t x p", g, arrays),
+            language.function("measure_jacobian", "t x p", C, arrays),
             shaping,
         )
     )
@@ -161,31 +160,14 @@ def _reached_and_seen(
 
 
 def _array_names(s: SymbolicModel, parameters: dict[str, Any]) -> dict[Any, str]:
-    """What each symbol is called in C."""
+    """Where each symbol stands in the arguments."""
     named = {s.time: "t"}
     named |= {symbol: f"x[{k}]" for k, symbol in enumerate(s.state)}
     named |= {symbol: f"u[{k}]" for k, symbol in enumerate(s.command)}
     return named | {symbol: f"p[{k}]" for k, symbol in enumerate(parameters.values())}
 
 
-def _function(name: str, arguments: str, expressions: list[Any], arrays: dict[Any, str]) -> str:
-    """One C function that writes its expressions to `out`, common subexpressions computed once."""
-    import sympy
-    from sympy.printing.c import C99CodePrinter
-
-    class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
-        def _print_Symbol(self, symbol: Any) -> str:
-            return arrays.get(symbol) or str(super()._print_Symbol(symbol))
-
-    printer = Printer()
-    replaced, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("c"), optimizations=[])
-    lines = [f"const double {symbol} = {printer.doprint(e)};" for symbol, e in replaced]
-    lines += [f"out[{k}] = {printer.doprint(e)};" for k, e in enumerate(reduced)]
-    body = "\n    ".join(lines)
-    return f"static void {name}({arguments})\n{{\n    {body}\n}}\n"
-
-
-def _shaping(s: SymbolicModel, arrays: dict[Any, str]) -> tuple[int, str]:
+def _shaping(s: SymbolicModel, arrays: dict[Any, str], language: Language) -> tuple[int, str]:
     """`shape(u, memory, p)`: what the effects on a command make of it, in place, the delay left out."""
     import sympy
 
@@ -200,6 +182,5 @@ def _shaping(s: SymbolicModel, arrays: dict[Any, str]) -> tuple[int, str]:
         places |= {symbol: f"memory[{len(remembered) + k}]" for k, symbol in enumerate(own)}
         command, after = effect.shape(m, s.time, sympy.Symbol("h"), command, own)
         remembered += after
-    arguments = "const double *u, const double *memory, const double *p, double *out"
-    function = _function("shape_all", arguments, [*map(sympy.sympify, command), *remembered], places)
+    function = language.function("shape_all", "u memory p", [*map(sympy.sympify, command), *remembered], places)
     return len(remembered), function

@@ -1,12 +1,10 @@
-"""The compiled filter: built once for a model and the outputs a log holds, cached by content."""
+"""A kernel's arrays, in and out, whatever it is compiled from."""
 
 from __future__ import annotations
 
-import ctypes
+import functools
 import hashlib
 import os
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,17 +17,6 @@ from cosim.refine.generate import Generated
 
 Array = NDArray[np.float64]
 SETTLE, BOOST = 0.5, 1e3  # [s] while the lags forget their unknown start, process noise is this much larger
-
-
-class _Log(ctypes.Structure):
-    _fields_ = (
-        ("rows", ctypes.c_int),
-        ("substeps", ctypes.c_int),
-        ("step", ctypes.c_double),
-        ("start", ctypes.c_double),
-        ("u", ctypes.c_void_p),
-        ("y", ctypes.c_void_p),
-    )
 
 
 @dataclass(frozen=True)
@@ -65,38 +52,20 @@ class Simulated:
     memory: Array
 
 
-def compiler() -> str | None:
-    """The C compiler of this machine, if there is one."""
-    return next((c for c in (os.environ.get("CC"), "cc", "gcc", "clang") if c and shutil.which(c)), None)
+class ArrayKernel:
+    """What kernels share: room for results. An array without rows stands for what is not given or not wanted."""
 
-
-class CompiledKernel:
-    """The filter in C."""
-
-    def __init__(self, generated: Generated) -> None:
-        self.generated = generated
-        self._library = ctypes.CDLL(str(_compiled(_source(generated))))
-        self._filter = self._library.filter
-        self._filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 9]
+    generated: Generated
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log; q is per stochastic state, r per output. A run that diverges gives infinite errors."""
         rows, ny = data.y.shape
-        nx, nm = len(self.generated.states), self.generated.memory
+        kept = rows if states else 0
         errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
-        filtered = np.empty((rows, nx)) if states else np.empty((0, nx))
-        memory = np.empty((rows, nm)) if states else np.empty((0, nm))
-        u, y = np.ascontiguousarray(data.u), np.ascontiguousarray(data.y)
-        log = _Log(rows, data.substeps, data.step, data.start, u.ctypes.data, y.ctypes.data)
-        vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, P0, q, r)]
-        done = self._filter(
-            ctypes.byref(log),
-            *(v.ctypes.data for v in vectors),
-            errors.ctypes.data,
-            variances.ctypes.data,
-            filtered.ctypes.data if states else None,
-            memory.ctypes.data if states and nm else None,
-        )
+        filtered = np.full((kept, len(self.generated.states)), np.nan)
+        memory = np.full((kept, self.generated.memory), np.nan)
+        vectors = [_plain(v) for v in (p, x0, P0, q, r)]
+        done = self._filter(data, _plain(data.u), _plain(data.y), vectors, [errors, variances, filtered, memory])
         if done < rows:
             errors[done:], variances[done:] = np.inf, 1.0
         return Filtered(errors, variances, filtered, memory)
@@ -105,67 +74,55 @@ class CompiledKernel:
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
         """Run on the commands of a log from row `first`, `kicks` (rows, states) added to the state at each row."""
-        rows, nx, nm = len(data.u), len(self.generated.states), self.generated.memory
-        outputs = np.full((rows, len(self.generated.outputs)), np.nan)
-        states, memories = np.full((rows, nx), np.nan), np.zeros((rows, max(1, nm)))
-        u = np.ascontiguousarray(data.u)
-        log = _Log(rows, data.substeps, data.step, data.start, u.ctypes.data, None)
-        vectors = [np.ascontiguousarray(v, dtype=float) for v in (p, x0, memory)]
-        kicked = None if kicks is None else np.ascontiguousarray(kicks)
-        self._library.simulate(
-            ctypes.byref(log),
-            ctypes.c_int(first),
-            *(ctypes.c_void_p(v.ctypes.data) for v in vectors),
-            ctypes.c_void_p(None if kicked is None else kicked.ctypes.data),
-            ctypes.c_void_p(outputs.ctypes.data),
-            ctypes.c_void_p(states.ctypes.data),
-            ctypes.c_void_p(memories.ctypes.data if nm else None),
-        )
-        return Simulated(outputs, states, memories[:, :nm])
+        rows, nx = len(data.u), len(self.generated.states)
+        outputs, states = np.full((rows, len(self.generated.outputs)), np.nan), np.full((rows, nx), np.nan)
+        memories = np.zeros((rows, self.generated.memory))
+        vectors = [_plain(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
+        self._simulate(data, _plain(data.u), first, vectors, [outputs, states, memories])
+        return Simulated(outputs, states, memories)
+
+    def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
+        """Fill errors, variances, states and memory from p, x0, P0, q and r; the number of rows done."""
+        raise NotImplementedError
+
+    def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
+        """Fill outputs, states and memory from p, x0, memory and kicks."""
+        raise NotImplementedError
 
 
-def _source(g: Generated) -> str:
-    """The whole C file."""
-    constants: Mapping[str, object] = {
+def _plain(a: Array) -> Array:
+    """Doubles side by side that may be written, which is what compiled code was promised."""
+    return np.require(a, np.float64, ["C", "W"])
+
+
+def constants(g: Generated) -> Mapping[str, float | tuple[int, ...]]:
+    """What the text of a filter takes as known, by name."""
+    return {
         "NX": len(g.states),
         "NU": g.inputs,
         "NY": len(g.outputs),
         "NS": len(g.stochastic),
         "NM": g.memory,
-        "DELAY": f"({g.delay})",
-        "STOCHASTIC": "{" + ", ".join(map(str, g.stochastic)) + "}",
+        "DELAY": g.delay,
+        "STOCHASTIC": g.stochastic,
         "SETTLE": SETTLE,
         "BOOST": BOOST,
     }
-    head = "\n".join(f"#define {name} {value}" for name, value in constants.items())
-    body = (Path(__file__).parent / "filter.c").read_text(encoding="utf-8")
-    return f"#include <math.h>\n{head}\n{g.source}\n{body}"
 
 
-def _compiled(source: str) -> Path:
-    """The shared library of a source, from the cache or compiled now."""
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim-hovercraft" / "kernels"
-    target = root / f"{hashlib.sha256(source.encode()).hexdigest()[:32]}.so"
-    if target.exists():
-        return target
-    cc = compiler()
-    if cc is None:
-        raise FileNotFoundError("no C compiler")
-    root.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=root) as folder:
-        file, library = Path(folder) / "filter.c", Path(folder) / "filter.so"
-        file.write_text(source, encoding="utf-8")
-        options: Sequence[str] = (  # errno of sin and pow is not looked at
-            "-O3",
-            "-fno-math-errno",
-            "-shared",
-            "-fPIC",
-            "-std=c99",
-            "-o",
-            str(library),
-            str(file),
-            "-lm",
-        )
-        subprocess.run([cc, *options], check=True, capture_output=True, timeout=120)
-        library.replace(target)
-    return target
+def cached(source: str, suffix: str) -> Path:
+    """Where what is made of a source is kept: in the user's cache, or, where none can be written, as long as we run."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim-hovercraft" / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        writable = False
+    name = hashlib.sha256(source.encode()).hexdigest()[:32]
+    return (folder if writable else Path(_temporary().name)) / f"{name}{suffix}"
+
+
+@functools.cache
+def _temporary() -> tempfile.TemporaryDirectory[str]:
+    """A folder of this process alone."""
+    return tempfile.TemporaryDirectory(prefix="cosim-kernels-", ignore_cleanup_errors=True)

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from cosim.refine.backend import kernel
 from cosim.refine.candidates import neutral_values
 from cosim.refine.fit import Problem
-from cosim.refine.generate import generate
-from cosim.refine.kernel import Array, CompiledKernel, Data
+from cosim.refine.kernel import Array, Data
 from cosim.refine.log import Log
 from plant.integrate import substeps
 from plant.model import Model
@@ -30,8 +30,8 @@ def build_problem(
     `noise`: standard deviations of outputs where they are not the model's own; `sensors`: errors known already.
     """
     measured = tuple(q.name for q in model.outputs if all(q.name in log.outputs for log in logs))
-    kernel = CompiledKernel(generate(model, measured, unnamed))
-    generated = kernel.generated
+    compiled = kernel(model, measured, unnamed)
+    generated = compiled.generated
     data = [as_data(model, log, measured) for log in logs]
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
     variance |= {name: sigma * sigma for name, sigma in (noise or {}).items()}
@@ -42,7 +42,7 @@ def build_problem(
     ]
     x0 = [start_state(model, d, measured, generated.states) for d in data]
     values = {**dict.fromkeys(generated.parameters, 0.0), **neutral_values(model), **(sensors or {})}
-    return Problem(kernel, data, x0, np.diag(P0), np.array([variance[n] for n in measured]), values)
+    return Problem(compiled, data, x0, np.diag(P0), np.array([variance[n] for n in measured]), values)
 
 
 def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:

@@ -1,0 +1,262 @@
+"""Extended Kalman filter over a log, line for line that of filter.c.
+
+Plain Python on arrays, for numba to compile: read as text, and the model's constants and functions written below it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:  # stand below: numbers of states, inputs, outputs, stochastic states, memory; the model's functions
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    NX = NU = NY = NS = NM = DELAY = 0
+    STOCHASTIC = np.zeros(0, np.intp)
+    SETTLE = BOOST = 0.0
+
+    def deriv(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
+        """Derivative of the state."""
+
+    def jacobian(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
+        """A, of the stochastic states, row by row."""
+
+    def measure(t: float, x: Array, p: Array, out: Array) -> None:
+        """Outputs."""
+
+    def measure_jacobian(t: float, x: Array, p: Array, out: Array) -> None:
+        """C, by the stochastic states, row by row."""
+
+    def shape_all(u: Array, memory: Array, p: Array, out: Array) -> None:
+        """Command that acts, and the memory after it."""
+
+
+def held_mean(log_u: Array, t0: float, t1: float, out: Array) -> None:
+    """Mean over [t0, t1] (in rows from the start) of the held commands; the first row has always been there."""
+    for j in range(NU):
+        out[j] = 0.0
+    at = t0
+    while at < t1 - 1e-12:
+        row = math.floor(at + 1e-9)
+        until = min(row + 1.0, t1)
+        held = max(0, min(row, len(log_u) - 1))
+        for j in range(NU):
+            out[j] += log_u[held, j] * (until - at) / (t1 - t0)
+        at = until
+
+
+def rk4(t: float, h: float, x: Array, u: Array, p: Array, k: Array) -> None:
+    """Advance x by h; k (5, NX) is room for four derivatives and the state at which they are taken."""
+    z = k[4]
+    deriv(t, x, u, p, k[0])
+    for i in range(NX):
+        z[i] = x[i] + 0.5 * h * k[0, i]
+    deriv(t + 0.5 * h, z, u, p, k[1])
+    for i in range(NX):
+        z[i] = x[i] + 0.5 * h * k[1, i]
+    deriv(t + 0.5 * h, z, u, p, k[2])
+    for i in range(NX):
+        z[i] = x[i] + h * k[2, i]
+    deriv(t + h, z, u, p, k[3])
+    for i in range(NX):
+        x[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+
+
+def multiply(a: Array, b: Array, out: Array, transpose_b: bool) -> None:
+    """Product of square matrices of order NS."""
+    for i in range(NS):
+        for j in range(NS):
+            total = 0.0
+            for k in range(NS):
+                total += a[i, k] * (b[j, k] if transpose_b else b[k, j])
+            out[i, j] = total
+
+
+def transition(h: float, A: Array, Phi: Array) -> None:
+    """Phi = I + hA + (hA)²/2 + (hA)³/6."""
+    term, after = np.zeros((NS, NS)), np.empty((NS, NS))
+    for i in range(NS):
+        for j in range(NS):
+            Phi[i, j] = term[i, j] = 1.0 if i == j else 0.0
+    for order in range(1, 4):
+        multiply(term, A, after, False)
+        for i in range(NS):
+            for j in range(NS):
+                term[i, j] = after[i, j] * h / order
+                Phi[i, j] += term[i, j]
+
+
+def transition_over(substeps: int, h: float, A: Array, Phi: Array) -> None:
+    """Over a whole step: the series is good for a substep, its power for the step."""
+    once, after = np.empty((NS, NS)), np.empty((NS, NS))
+    transition(h, A, once)
+    copy(once, Phi)
+    for _ in range(1, substeps):
+        multiply(once, Phi, after, False)
+        copy(after, Phi)
+
+
+def copy(a: Array, out: Array) -> None:
+    """Copy a matrix."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j]
+
+
+def act(
+    log_u: Array, substeps: int, k: int, s: int, delay: float, memory: Array, p: Array, u: Array, shaped: Array
+) -> None:
+    """What acts over substep s of the step that ends in row k: the log's command after delay and what shapes it."""
+    start = k - 1 + s / substeps
+    if delay > 0.0:
+        held_mean(log_u, start - delay, start + 1.0 / substeps - delay, u)
+    else:
+        for j in range(NU):
+            u[j] = log_u[k - 1, j]
+    shape_all(u, memory, p, shaped)
+    for j in range(NU):
+        u[j] = shaped[j]
+    for j in range(NM):
+        memory[j] = shaped[NU + j]
+
+
+def kept(k: int, x: Array, memory: Array, states: Array, memories: Array) -> bool:
+    """Write down row k where room is given; true where the state is finite."""
+    if len(states) > 0:
+        for i in range(NX):
+            states[k, i] = x[i]
+        for i in range(NM):
+            memories[k, i] = memory[i]
+    finite = True
+    for i in range(NX):
+        finite = finite and math.isfinite(x[i])
+    return finite
+
+
+def simulate(
+    step: float,
+    start: float,
+    substeps: int,
+    log_u: Array,
+    first: int,
+    p: Array,
+    x0: Array,
+    memory0: Array,
+    kicks: Array,
+    outputs: Array,
+    states: Array,
+    memories: Array,
+) -> int:
+    """Run without looking at measurements: kicks (rows, NX; or none) are added to the state at each row.
+
+    Outputs (rows, NY) are free of noise. `first` is the row of x0 and memory0: rows before it matter to a delay alone.
+    """
+    x, u, shaped, work = x0.copy(), np.empty(NU), np.empty(NU + NM), np.empty((5, NX))
+    memory = memory0.copy()
+    h = step / substeps
+    delay = p[DELAY] / step if DELAY >= 0 else 0.0
+    for k in range(first, len(log_u)):
+        t = start + k * step
+        if k > first:
+            for s in range(substeps):
+                act(log_u, substeps, k, s, delay, memory, p, u, shaped)
+                rk4(t - step + s * h, h, x, u, p, work)
+            if len(kicks) > 0:
+                for i in range(NX):
+                    x[i] += kicks[k, i]
+        measure(t, x, p, outputs[k])
+        if not kept(k, x, memory, states, memories):
+            return k
+    return len(log_u)
+
+
+def predict(
+    before: float,
+    step: float,
+    substeps: int,
+    boost: float,
+    x: Array,
+    u: Array,
+    p: Array,
+    q: Array,
+    P: Array,
+    work: Array,
+) -> None:
+    """P = Φ P Φ' + Q·step, along the state at the start of the step; work (3, NS, NS)."""
+    A, Phi, M = work[0], work[1], work[2]
+    jacobian(before, x, u, p, A.reshape(NS * NS))
+    transition_over(substeps, step / substeps, A, Phi)
+    multiply(Phi, P, M, False)
+    multiply(M, Phi, P, True)
+    for i in range(NS):
+        P[i, i] += q[i] * step * boost
+
+
+def update(
+    measured: Array, y: Array, C: Array, r: Array, P: Array, moved: Array, errors: Array, variances: Array
+) -> None:
+    """Take the measurements of a row one at a time; moved is what they move the state by."""
+    PC = np.empty(NS)
+    for i in range(NS):
+        moved[i] = 0.0
+    for j in range(NY):
+        errors[j] = variances[j] = np.nan
+        if math.isnan(measured[j]):
+            continue
+        s, e = r[j], measured[j] - y[j]
+        for i in range(NS):
+            PC[i] = 0.0
+            for m in range(NS):
+                PC[i] += P[i, m] * C[j, m]
+        for i in range(NS):
+            s += C[j, i] * PC[i]
+            e -= C[j, i] * moved[i]
+        errors[j], variances[j] = e, s
+        for i in range(NS):
+            moved[i] += PC[i] * e / s
+            for m in range(NS):
+                P[i, m] -= PC[i] * PC[m] / s
+
+
+def filter(
+    step: float,
+    start: float,
+    substeps: int,
+    log_u: Array,
+    log_y: Array,
+    p: Array,
+    x0: Array,
+    P0: Array,
+    q: Array,
+    r: Array,
+    errors: Array,
+    variances: Array,
+    states: Array,
+    memories: Array,
+) -> int:
+    """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after."""
+    x, u, shaped, y, work = x0.copy(), np.empty(NU), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
+    P, square, C, moved = P0.copy(), np.empty((3, NS, NS)), np.empty((NY, NS)), np.empty(NS)
+    memory = np.zeros(NM)
+    h = step / substeps
+    delay = p[DELAY] / step if DELAY >= 0 else 0.0
+    for k in range(len(log_u)):
+        t = start + k * step
+        if k > 0:
+            before = t - step
+            for s in range(substeps):
+                act(log_u, substeps, k, s, delay, memory, p, u, shaped)
+                if s == 0:
+                    predict(before, step, substeps, BOOST if k <= SETTLE / step else 1.0, x, u, p, q, P, square)
+                rk4(before + s * h, h, x, u, p, work)
+        measure(t, x, p, y)
+        measure_jacobian(t, x, p, C.reshape(NY * NS))
+        update(log_y[k], y, C, r, P, moved, errors[k], variances[k])
+        for i in range(NS):
+            x[STOCHASTIC[i]] += moved[i]
+        if not kept(k, x, memory, states, memories):
+            return k
+    return len(log_u)

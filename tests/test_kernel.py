@@ -1,0 +1,162 @@
+"""The kernel is one filter, whatever it is compiled from: C and numba give the same numbers."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.refine.backend import kernel
+from cosim.refine.candidates import neutral_values
+from cosim.refine.compiled import CompiledKernel, compiler
+from cosim.refine.generate import Generated, generate
+from cosim.refine.jit import JitKernel
+from cosim.refine.kernel import Array, Data, Filtered, Simulated, cached
+from cosim.refine.languages import C, Python
+from cosim.refine.model_file import own_model
+from cosim.refine.problem import as_data, start_state
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+from plant.model import Model
+from tests.conftest import ROOT
+from tests.logs import IMU, fly, log_of, measured, times
+
+AWAKE = {
+    "coulomb_friction.force": 0.05, "actuator_delay.time": 0.053, "servo_backlash.width": 0.02,
+    "actuator_second_order.natural_frequency": 14.0, "actuator_second_order.damping_ratio": 0.4,
+    "servo_rate_limit.rate": 0.8, "gyro_bias.value": 0.01, "unnamed.vx.vx·|vx|": -0.1, "unnamed.psi_dot.1": 0.02,
+    "unnamed.vy.cos psi": 0.01,
+}  # fmt: skip
+SAME = 1e-10  # of the largest value of a channel; the two differ in the order of sums at most
+
+
+@pytest.fixture(scope="module")
+def jitted() -> JitKernel:
+    """The craft as an IMU sees it, terms of no catalogue and all; compiling it takes longest here."""
+    return JitKernel(generate(Hovercraft(), IMU, Python(), unnamed=True))
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
+    """3 s of flight; one sensor is silent for a while, another one at every second row."""
+    columns = measured(fly(times(3.0)), IMU, noise=1.0)
+    columns["psi"][40:60] = np.nan
+    columns["ax"][1::2] = np.nan
+    return as_data(Hovercraft(), log_of(tmp_path_factory.mktemp("log") / "a.csv", columns), IMU)
+
+
+def parameters(model: Model, g: Generated, **changes: float) -> Array:
+    values = dict.fromkeys(g.parameters, 0.0) | neutral_values(model) | changes
+    return np.array([values[name] for name in g.parameters])
+
+
+def filtered(k: CompiledKernel | JitKernel, data: Data, p: Array) -> Filtered:
+    """Filter from a start of some uncertainty, with some noise."""
+    g = k.generated
+    q = np.zeros(len(g.stochastic))
+    q[list(g.noisy)] = 1e-3
+    x0 = start_state(Hovercraft(), data, g.outputs, g.states)
+    return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
+
+
+def assert_same(one: Filtered | Simulated, other: Filtered | Simulated) -> None:
+    for name, a in vars(one).items():
+        b = getattr(other, name)
+        scale = np.nanmax(np.abs(a), axis=0, initial=0.0)
+        assert np.array_equal(np.isnan(a), np.isnan(b)), name
+        assert np.all((np.abs(a - b) <= SAME * scale) | np.isnan(a)), name
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
+def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data) -> None:
+    model = Hovercraft()
+    compiled = CompiledKernel(generate(model, IMU, C(), unnamed=True))
+    assert replace(compiled.generated, source="") == replace(jitted.generated, source="")
+    p = parameters(model, jitted.generated, **AWAKE)
+    run = filtered(compiled, seen, p)
+    assert_same(run, filtered(jitted, seen, p))
+    assert np.array_equal(np.isnan(run.errors), np.isnan(seen.y))
+    assert np.ptp(run.memory, axis=0).min() > 0.0  # the play was taken up
+    kicks = 1e-3 * np.random.default_rng(2).standard_normal(run.states.shape)
+    for first, pushed in ((0, None), (20, kicks)):
+        both = [
+            k.simulate(seen, p, run.states[first], run.memory[first], pushed, first=first) for k in (compiled, jitted)
+        ]
+        assert_same(*both)
+        assert np.isfinite(both[0].outputs[first:]).all()
+
+
+def test_a_run_that_diverges_has_infinite_errors_from_there_on(jitted: JitKernel, seen: Data) -> None:
+    p = parameters(Hovercraft(), jitted.generated, **{"unnamed.vx.vx³": 1e6})
+    run = filtered(jitted, seen, p)
+    lost = int(np.flatnonzero(np.isinf(run.errors).all(axis=1))[0])
+    assert lost > 0
+    assert np.isinf(run.errors[lost:]).all()
+    assert not np.isinf(run.errors[:lost]).any()
+    assert np.isnan(run.states[lost + 1 :]).all()
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """The model that docs/own_model.md shows."""
+    folder = tmp_path_factory.mktemp("table")
+    text = (ROOT / "docs" / "own_model.md").read_text(encoding="utf-8")
+    (folder / "table.py").write_text(text.split("```python\n")[1].split("```")[0], encoding="utf-8")
+    return own_model("table.py:Table", folder)
+
+
+@pytest.mark.parametrize("cc", ["", "false", "no-such-compiler"])
+def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
+    table: Model, monkeypatch: pytest.MonkeyPatch, cc: str
+) -> None:
+    monkeypatch.setenv("CC", cc)
+    k = kernel(table, ("angle",))
+    assert isinstance(k, JitKernel)
+    torque = 0.1 * np.sin(2.0 * times(2.0))[:, None]
+    data = Data(0.02, 0.0, torque, np.full_like(torque, np.nan), 4)
+    run = k.simulate(data, parameters(table, k.generated, **{"dry_friction.level": 0.05}), np.zeros(2), np.zeros(0))
+    stepper = Stepper(table.with_values({"dry_friction.level": 0.05}))
+    moment = stepper.start()
+    for state, u in zip(run.states, torque.tolist(), strict=True):
+        assert state == pytest.approx(moment.state, rel=1e-9, abs=1e-12)  # the same steps, sums in another order
+        moment = stepper.step(moment, tuple(u), 0.02)
+
+
+def files(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+def test_another_process_takes_the_kernel_from_the_cache(table: Model) -> None:
+    g = generate(table, ("angle",), Python())
+    JitKernel(g)
+    folder = cached("", "").parent
+    before = files(folder)
+    call = (
+        "import sys, pickle; from cosim.refine.jit import JitKernel; k = JitKernel(pickle.load(sys.stdin.buffer));"
+        "print(sum(k._module.filter.stats.cache_hits.values()), sum(k._module.simulate.stats.cache_hits.values()))"
+    )
+    run = subprocess.run([sys.executable, "-c", call], input=pickle.dumps(g), capture_output=True, check=True)
+    assert run.stdout.split() == [b"1", b"1"]
+    assert files(folder) == before
+
+
+def test_where_neither_is_to_be_had_the_cure_is_told(table: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "")
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(InputError, match="install a C compiler"):
+        kernel(table, ("angle",))
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    elsewhere = cached("source", ".py")
+    assert tmp_path not in elsewhere.parents
+    assert elsewhere.parent.is_dir()
+    assert elsewhere == cached("source", ".py")
