@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import math
 import re
 from dataclasses import replace
@@ -10,31 +11,30 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from cosim.refine.attribution import Attribution, Attributor
 from cosim.refine.candidates import candidates
-from cosim.refine.kernel import compiler
 from cosim.refine.measure import Variant
 from cosim.refine.model_file import BASE, LoadedModel
 from cosim.refine.problem import build_problem
-from cosim.refine.refine_errors import excess, second_sentence
-from cosim.refine.refine_evidence import Shown, shown
-from cosim.refine.refine_panels import runs
-from cosim.refine.refine_report import context, write_refine_report
-from cosim.refine.refine_signals import bins, explained
-from cosim.refine.refine_tables import pretty
-from cosim.refine.refine_white import innovations
+from cosim.refine.record import SCHEMA
 from cosim.refine.replay import Replay
+from cosim.refine.report.errors import excess, second_sentence
+from cosim.refine.report.innovations import innovations
+from cosim.refine.report.page import context, write_refine_report
+from cosim.refine.report.panels import runs
+from cosim.refine.report.signals import bins, explained
+from cosim.refine.report.tables import pretty
+from cosim.refine.report.terms import Shown, shown
 from cosim.refine.study import LogLists, Study, StudyFile
 from cosim.refine.verdict import Verdict
 from cosim.refine.workflow import Refinement, refine
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log
-
-pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
 
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
@@ -143,9 +143,10 @@ def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
         for h in found.tried
     ]  # fmt: skip
     sizes = {"psi": 0.1, "psi_dot": 0.2, "ax": math.nan}
+    error = {name: {"estimation": sizes} for name in ("before", "recalibrated", "after")}
     return {
         "sentence": verdict.sentence, "seconds": 1.0, "held_out_gain": 0.0, "candidates": rows,
-        "error": {name: {"estimation": sizes} for name in ("before", "recalibrated", "after")},
+        "error": error, "horizons": {"0.5 s": error, "free run": error},
         "noise_floors": {"estimation": {"psi": 0.01}},
     }  # fmt: skip
 
@@ -276,7 +277,10 @@ def test_every_verdict_has_its_page(
 ) -> None:
     claimed = cart.verdict.claimed if name in ("ambiguous", "parameter_error") else None
     verdict = Verdict(name, claimed, rivals, "push harder", NONE[1], "A sentence.")
-    text = page(replace(cart, verdict=verdict, record={**cart.record, "sentence": "A sentence."}), tmp_path)
+    rivalry = {"rivals": list(rivals) if name == "ambiguous" else [], "experiment": "push harder"}
+    record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
+    jsonschema.validate(record, json.loads(SCHEMA.read_text()))
+    text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text
     assert ("Excess left" in text) == (claimed is not None)
     assert ('id="term"' in text) == (name != "no_effect")

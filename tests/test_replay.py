@@ -16,7 +16,7 @@ from cosim.refine import drive as drive_module
 from cosim.refine.drive import Drive, StoppedReplay, model_signals
 from cosim.refine.log import Log, read_log
 from cosim.refine.replay import Replay, replay, replay_windows, window_rows
-from cosim.refine.replay_report import write_replay
+from cosim.refine.report.replay import write_replay
 from cosim.refine.residual import rmse
 from cosim.refine.starts import start_parameters
 from cosim.refine.words import verdict

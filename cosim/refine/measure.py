@@ -1,6 +1,7 @@
 """The error of a model on logs: replays through the FMU over the model's horizon (2 s, or a free run), and their floor.
 
 Each replay starts from that model's own filtered state and effect memory, of past data only, at its first row's time.
+All horizons are measured through the FMU; the floor, which needs dozens of runs, through the kernel, which equals it.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from cosim.refine.drive import Drive, StoppedReplay
 from cosim.refine.fit import Problem
 from cosim.refine.generate import DELAY
 from cosim.refine.kernel import Array, Filtered
 from cosim.refine.log import Log
-from cosim.refine.problem import build_problem
-from cosim.refine.replay import Replay, replay_windows, window_rows
+from cosim.refine.problem import as_data, start_state
+from cosim.refine.replay import Replay, window_rows, windows
 from cosim.refine.residual import FREE_RUN, pooled
 from plant.model import Effect, Model, overrides
 
@@ -38,16 +40,39 @@ class Variant:
 Evidence = list[tuple[Log, Replay]]
 
 
-def replays(variant: Variant, problem: Problem, logs: Sequence[Log], horizon: float | None = None) -> Evidence:
-    """Each log, its readings corrected, and its consecutive replays through the FMU, over the model's own horizon."""
-    found: Evidence = []
-    horizon = variant.model.horizon if horizon is None else horizon
+def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
+    """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
+    generated = problem.kernel.generated
+    lacking = [{name: np.full(log.rows, np.nan) for name in generated.outputs} for log in logs]
+    whole = [replace(log, outputs=nothing | dict(log.outputs)) for log, nothing in zip(logs, lacking, strict=True)]
+    data = [as_data(model, log, generated.outputs) for log in whole]
+    x0 = [start_state(model, d, generated.outputs, generated.states) for d in data]
+    return replace(problem, logs=data, x0=x0)
+
+
+def replays(
+    variant: Variant, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
+) -> dict[float, Evidence]:
+    """Horizon → each log, its readings corrected, and its consecutive replays through the FMU.
+
+    The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
+    """
+    problem = filtering(problem, variant.model, logs)
+    own = variant.model.horizon
+    found: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         filtered = problem.run(variant.values, variant.log_q, index, states=True)
-        rows = first_rows(log, horizon)
-        starts = {k: {**variant.parameters, **start_values(variant, problem, index, filtered, k)} for k in rows}
         corrected = without_sensor_errors(log, variant)
-        found.append((corrected, replay_windows(corrected, variant.fmu, starts, horizon)))
+        with Drive(corrected, variant.fmu) as drive:
+            for horizon, evidence in found.items():
+                rows = first_rows(log, horizon)
+                starts = {k: {**variant.parameters, **start_values(variant, problem, index, filtered, k)} for k in rows}
+                try:
+                    evidence.append((corrected, windows(drive, starts, horizon)))
+                except StoppedReplay:
+                    if horizon == own:
+                        raise
+                    break  # a failed FMU is not called again
     return found
 
 
@@ -96,16 +121,9 @@ def without_sensor_errors(log: Log, variant: Variant) -> Log:
     return replace(log, outputs=outputs)
 
 
-def noise_floor(
-    variant: Variant,
-    logs: Sequence[Log],
-    rng: np.random.Generator,
-    horizon: float | None = None,
-    noise: Mapping[str, float] | None = None,
-) -> dict[str, float]:
+def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
-    problem = build_problem(variant.model, logs, noise=noise)
-    horizon = variant.model.horizon if horizon is None else horizon
+    problem, horizon = filtering(problem, variant.model, logs), variant.model.horizon
     generated = problem.kernel.generated
     p = np.array([variant.values[name] for name in generated.parameters])
     sums = np.zeros(len(generated.outputs))
@@ -126,7 +144,7 @@ def noise_floor(
             q[list(generated.noisy)] = np.exp(variant.log_q)
             seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
             length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-            predicted = _windows(problem, drawn, p, seen, first_rows(log, horizon), length)
+            predicted = _predicted(problem, drawn, p, seen, first_rows(log, horizon), length)
             missed = drawn.y - predicted
             sums += np.nansum(missed**2, axis=0)
             counts += np.isfinite(missed).sum(axis=0)
@@ -136,7 +154,7 @@ def noise_floor(
     }
 
 
-def _windows(problem: Problem, data: Any, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
+def _predicted(problem: Problem, data: Any, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
     """Outputs of replays as the kernel runs them; NaN where none predicts."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:

@@ -7,6 +7,8 @@ validation logs are opened when everything is decided.
 from __future__ import annotations
 
 import json
+import math
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,18 +25,20 @@ from cosim.refine.log import Log
 from cosim.refine.measure import Evidence, Variant, noise_floor, replays, rmse
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model
 from cosim.refine.problem import build_problem, varied_inputs
+from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, known, ranking, residual
 from cosim.refine.study import Study, read_study
 from cosim.refine.unnamed import unnamed_terms
-from cosim.refine.verdict import CI95, Verdict, judge
-from cosim.version import __version__
+from cosim.refine.verdict import Verdict, judge
 from plant.quantities import parameters_of
 
 if TYPE_CHECKING:
     from fmus.build import Recipe
 
-SCHEMA_VERSION = 1
 FLOOR_SEED = 20121
 Progress = Callable[[str, float], None]
+LogSets = dict[Part, Sequence[Log]]
+Floors = dict[Part, dict[str, float]]
+Replayed = dict[str, dict[Part, dict[float, Evidence]]]  # before, recalibrated, after → set of logs → horizon
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Refinement:
     folder: Path
     problem: Problem
     variants: Mapping[str, Variant]
-    evidence: Mapping[str, Mapping[str, Evidence]]  # before, recalibrated, after → estimation, validation
+    evidence: Mapping[str, Mapping[Part, Evidence]]  # before, recalibrated, after → estimation, validation
 
 
 def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refinement:
@@ -71,19 +75,21 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     refined = refined_model(study.loaded, verdict.claimed)
     folder.mkdir(parents=True, exist_ok=True)
     write_model(folder / "model.yaml", refined)
-    tell("building the refined FMU", 0.0)
-    fmus = _build_fmus(study.loaded, refined, folder)
-    tell("replaying through the FMUs", 0.0)
-    variants = _variants(study, attribution, verdict, refined, fmus)
-    parts = {part: logs for part, logs in (("estimation", study.logs), ("validation", study.unseal())) if logs}
-    evidence = _replayed(variants, parts, study)
-    fmus["given"].unlink()
+    with tempfile.TemporaryDirectory(prefix="cosim-refine-") as scratch:
+        tell("building the refined FMU", 0.0)
+        variants = _variants(study, attribution, verdict, refined, *_build_fmus(study.loaded, refined, folder, scratch))
+        tell("replaying through the FMUs", 0.0)
+        validation: LogSets = {"validation": sealed} if (sealed := study.unseal()) else {}
+        sets: LogSets = {"estimation": study.logs, **validation}
+        replayed = _replayed(variants, problem, sets)
+    tell("measuring the noise floor", 0.0)
     rng = np.random.default_rng(FLOOR_SEED)
-    floor = {part: noise_floor(variants["after"], logs, rng, noise=study.content.noise) for part, logs in parts.items()}
-    record = _record(study, attribution, verdict, evidence, floor, time.perf_counter() - began)
+    floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
+    record = _record(study, attribution, verdict, replayed, floors, time.perf_counter() - began).model_dump(mode="json")
     with atomic_write(folder / "refine.json") as stream:
         json.dump(record, stream, indent=2, ensure_ascii=False, allow_nan=False)
         stream.write("\n")
+    evidence = {name: {part: found[model.horizon] for part, found in parts.items()} for name, parts in replayed.items()}
     return Refinement(study, attribution, verdict, record, folder, problem, variants, evidence)
 
 
@@ -98,12 +104,12 @@ def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedMode
     return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
 
 
-def _build_fmus(loaded: LoadedModel, refined: LoadedModel, folder: Path) -> dict[str, Path]:
-    """FMUs of the model named in the study and of the refined one."""
+def _build_fmus(loaded: LoadedModel, refined: LoadedModel, folder: Path, scratch: str) -> tuple[Path, Path]:
+    """FMUs of the model named in the study and of the refined one, which stays; where nothing changed it is both."""
     from fmus.build import build
 
-    given = build(recipe_of(loaded), folder / ".given.fmu")
-    return {"given": given, "refined": build(recipe_of(refined), folder / "plant.fmu")}
+    after = build(recipe_of(refined), folder / "plant.fmu")
+    return (after if refined is loaded else build(recipe_of(loaded), Path(scratch) / "given.fmu")), after
 
 
 def recipe_of(loaded: LoadedModel) -> Recipe:
@@ -116,108 +122,59 @@ def recipe_of(loaded: LoadedModel) -> Recipe:
 
 
 def _variants(
-    study: Study, a: Attribution, verdict: Verdict, refined: LoadedModel, fmus: Mapping[str, Path]
+    study: Study, a: Attribution, verdict: Verdict, refined: LoadedModel, given_fmu: Path, refined_fmu: Path
 ) -> dict[str, Variant]:
     """The model before, recalibrated and after, each with the filter that starts its replays."""
     given, base = study.loaded, a.base.fit
     nominal = {**neutral_values(given.model), **given.values}
     recalibrated = {f.name: float(base.values[f.name]) for f in base.free}
     changed = given.model.with_values(recalibrated)
-    claimed = verdict.claimed
-    values, log_q = (nominal, base.log_q) if claimed is None else ({**nominal, **claimed.fit.values}, claimed.fit.log_q)
+    before = after = Variant(given.model, nominal, base.log_q, given_fmu, {})
+    if claimed := verdict.claimed:
+        after = Variant(refined.model, {**nominal, **claimed.fit.values}, claimed.fit.log_q, refined_fmu, {})
     return {
-        "before": Variant(given.model, nominal, base.log_q, fmus["given"], {}),
-        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.log_q, fmus["given"], recalibrated),
-        "after": Variant(refined.model, values, log_q, fmus["refined"], {}),
+        "before": before,
+        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.log_q, given_fmu, recalibrated),
+        "after": after,
     }
 
 
-def _replayed(
-    variants: Mapping[str, Variant], parts: Mapping[str, Sequence[Log]], study: Study
-) -> dict[str, dict[str, Evidence]]:
-    """Replays of every variant on the estimation and the validation logs."""
-    found: dict[str, dict[str, Evidence]] = {}
-    for name, variant in variants.items():
-        found[name] = {}
-        for part, logs in parts.items():
-            problem = build_problem(variant.model, logs, noise=study.content.noise)
-            found[name][part] = replays(variant, problem, logs)
-    return found
+def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) -> Replayed:
+    """Replays of every variant on every set of logs; a variant that stands for two is replayed once."""
+    found: dict[int, dict[Part, dict[float, Evidence]]] = {}
+    for variant in variants.values():
+        if id(variant) not in found:
+            horizons = list(OTHER_HORIZONS.values())
+            found[id(variant)] = {part: replays(variant, problem, logs, horizons) for part, logs in sets.items()}
+    return {name: found[id(variant)] for name, variant in variants.items()}
 
 
-def _record(
-    study: Study,
-    a: Attribution,
-    verdict: Verdict,
-    evidence: Mapping[str, Mapping[str, Evidence]],
-    floor: Mapping[str, Any],
-    seconds: float,
-) -> dict[str, Any]:
+def _record(study: Study, a: Attribution, verdict: Verdict, replayed: Replayed, floors: Floors, spent: float) -> Record:
     """What refine.json holds."""
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "cosim_version": __version__,
-        "study": str(study.path),
-        "verdict": verdict.name,
-        "sentence": verdict.sentence,
-        "effects": [] if verdict.claimed is None else _effects(study, verdict.claimed, a),
-        "rivals": list(verdict.rivals) if verdict.name == "ambiguous" else [],
-        "experiment": verdict.experiment,
-        "nearest": list(verdict.rivals) if verdict.name == "unexplained" else [],
-        "candidates": _ranking(a),
-        "residual": verdict.residual,
-        "horizon": study.loaded.model.horizon if np.isfinite(study.loaded.model.horizon) else "free run",
-        "error": {name: {part: _known(rmse(e)) for part, e in parts.items()} for name, parts in evidence.items()},
-        "noise_floor": _known(floor.get("validation") or floor["estimation"]),
-        "noise_floors": {part: _known(channels) for part, channels in floor.items()},
-        "held_out_gain": a.held_out,
-        "seconds": seconds,
-    }
+    own = study.loaded.model.horizon
 
-
-def _known(channels: Mapping[str, float]) -> dict[str, float]:
-    """Figures of the channels that were predicted at all: a log too short for one replay gives none."""
-    return {name: value for name, value in channels.items() if np.isfinite(value)}
-
-
-def _effects(study: Study, claimed: Hypothesis, a: Attribution) -> list[dict[str, Any]]:
-    """What was added, most important first: that whose loss alone would cost most."""
-    model = study.loaded.model
-    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
-    units |= {p.name: p.unit for p in model.parameters}
-    alone = {h.names: h.score for h in a.tried if len(h.candidates) == 1}
-    ordered = sorted(claimed.candidates, key=lambda c: alone.get((c.name,), np.inf))
-    return [
-        {
-            "name": c.name,
-            "parameters": {
-                n.partition(".")[2] or "value": {
-                    "value": float(claimed.fit.values[n]),
-                    "unit": units[n],
-                    "ci95": [float(claimed.fit.values[n] + s * CI95 * claimed.fit.sigma(n)) for s in (-1, 1)],
-                }
-                for n in c.parameters
-            },
+    def errors(horizon: float) -> Errors:
+        sizes = {
+            name: {part: known(rmse(found[horizon])) for part, found in parts.items()}
+            for name, parts in replayed.items()
         }
-        for c in ordered
-    ]
+        return Errors(**sizes)
 
-
-def _ranking(a: Attribution) -> list[dict[str, Any]]:
-    """Every hypothesis tried, best first, with its scores and why it lost."""
-    rows = []
-    for h in a.tried:
-        rows.append(
-            {
-                "names": list(h.names),
-                "log_likelihood_gain": a.base.fit.nll - h.fit.nll,
-                "score_gain": a.base.score - h.score,
-                "parameters": {n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
-                "why": a.reasons.get(h.names[0], "")
-                if len(h.names) == 1
-                else "claimed"
-                if h is a.best
-                else "explains less",
-            }
-        )
-    return rows
+    return Record(
+        study=str(study.path),
+        verdict=verdict.name,
+        sentence=verdict.sentence,
+        effects=effects(study.loaded.model, verdict.claimed, a.tried) if verdict.claimed else [],
+        rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
+        experiment=verdict.experiment,
+        nearest=list(verdict.rivals) if verdict.name == "unexplained" else [],
+        candidates=ranking(a),
+        residual=residual(verdict),
+        horizon=own if math.isfinite(own) else "free run",
+        error=errors(own),
+        horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
+        noise_floor=floors["validation" if "validation" in floors else "estimation"],
+        noise_floors=floors,
+        held_out_gain=a.held_out,
+        seconds=spent,
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.panels import DEGREES, Panel
-from cosim.report.roles import Craft, Signal
+from cosim.report.roles import SIDES, Craft, Signal
 from cosim.report.svg import Rows
 from cosim.report.topview import estimated_track, horizontal_thrust, newtons_per_decimetre, true_track
 
@@ -65,11 +65,10 @@ def poses(craft: Craft, rows: Rows) -> dict[str, Any]:
     entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
     for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
         if track is not None:
-            entry[f"{prefix}u"] = rounded(-1000 * track.y[rows], 0)
-            entry[f"{prefix}v"] = rounded(-1000 * track.x[rows], 0)
-            entry[f"{prefix}a"] = rounded(-DEGREES * track.psi[rows], 1)
-    for side in ("right", "left"):
-        force, tilt = horizontal_thrust(craft, side), craft.signal(f"tilt_{side}_actual")
+            for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
+                entry[f"{prefix}{key}"] = rounded(line[rows], digits)
+    for side in SIDES:
+        force, tilt = horizontal_thrust(craft, side), craft.tilt(side)
         if force is not None and tilt is not None:
             entry[f"force_{side}"] = rounded(force[rows], 4)
             entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)

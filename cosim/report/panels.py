@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.report.roles import Craft, Run, Signal
+from cosim.report.roles import SIDES, Craft, Run, Signal
 
 DEGREES = 180 / math.pi
 DISPLAY = {
@@ -121,8 +121,8 @@ def _band(centre: Signal | None, sigma: Signal | None, factor: float, label: str
 def tilt_panels(craft: Craft) -> list[Panel]:
     """Tilt commands with their limits, and the tilt that followed."""
     panels = []
-    for side in ("right", "left"):
-        command, actual = craft.command(f"tilt_{side}"), craft.signal(f"tilt_{side}_actual")
+    for side in SIDES:
+        command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
         lines = [("command", command, side, True), ("actual", actual, "actual", False)]
         traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
         limit = craft.tilt_limit
@@ -135,15 +135,20 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 
 def other_panels(run: Run, shown: Callable[[str], bool]) -> list[Panel]:
     """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
+    left = [column for column in run.results.columns if not shown(column)]
+    return [_other_panel(run, unit, columns) for unit, columns in by_unit(left, run.unit)]
+
+
+def by_unit(names: Iterable[str], unit: Callable[[str], str]) -> list[tuple[str, list[str]]]:
+    """Each unit, in the order the units come, with names that share a panel; many of one unit take several."""
     groups: dict[str, list[str]] = {}
-    for column in run.results.columns:
-        if not shown(column):
-            groups.setdefault(run.unit(column), []).append(column)
-    panels = []
-    for unit, columns in groups.items():
-        for first in range(0, len(columns), OTHERS_PER_PANEL):
-            panels.append(_other_panel(run, unit, columns[first : first + OTHERS_PER_PANEL]))
-    return panels
+    for name in names:
+        groups.setdefault(unit(name), []).append(name)
+    return [
+        (shared, chosen[first : first + OTHERS_PER_PANEL])
+        for shared, chosen in groups.items()
+        for first in range(0, len(chosen), OTHERS_PER_PANEL)
+    ]
 
 
 def _other_panel(run: Run, unit: str, columns: Sequence[str]) -> Panel:
@@ -161,7 +166,7 @@ def shown_columns(crafts: Sequence[Craft]) -> set[str]:
             shown.add(f"{craft.name}.{quantity.name}")
             shown.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
             shown.add(craft.reference_column(quantity.name) or "")
-        for side in ("right", "left"):
+        for side in SIDES:
             shown.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
             shown.add(f"{craft.estimator}.tilt_{side}")
     return shown

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from cosim.files import atomic_write
+from cosim.report.template import TEMPLATES, render
 from cosim.results import Results
 
 LARGEST = 1e100  # a run that has blown up; squares beyond it overflow
-TEMPLATES = Path(__file__).with_name("templates")
 
 
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
@@ -21,7 +21,7 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
     from cosim.report.page import context
     from cosim.report.roles import Run
 
-    page = _render(context(Run(_drawable(results), manifest)))
+    page = render(TEMPLATES / "report.html.j2", context(Run(_drawable(results), manifest)))
     with atomic_write(path) as stream:
         stream.write(page)
 
@@ -39,19 +39,3 @@ def _drawable(results: Results) -> Results:
     timed = np.isfinite(results.time)
     values = results.values[timed]
     return replace(results, time=results.time[timed], values=np.where(np.abs(values) < LARGEST, values, np.nan))
-
-
-def _render(context: Mapping[str, Any]) -> str:
-    # jinja2 is needed by nothing else, so `import cosim.report` does without it.
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    style = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    script = (TEMPLATES / "report.js").read_text(encoding="utf-8")
-    return environment.get_template("report.html.j2").render(**context, style=style, script=script)

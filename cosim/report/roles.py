@@ -20,6 +20,7 @@ from cosim.start_values import QUANTITY
 
 Signal = NDArray[np.float64]
 
+SIDES = ("right", "left")
 TILT_MAX = 0.20944  # rad, what a controller FMU uses unless told otherwise
 
 # For results read back from a file, which carry no units.
@@ -138,6 +139,10 @@ class Craft:
         """A variable of the craft."""
         return self.run.signal(f"{self.name}.{variable}")
 
+    def tilt(self, side: str) -> Signal | None:
+        """The tilt of a propeller as it followed its command [rad]."""
+        return self.signal(f"tilt_{side}_actual")
+
     def estimate(self, variable: str) -> Signal | None:
         """A variable of its estimator."""
         return self.run.signal(f"{self.estimator}.{variable}") if self.estimator else None
@@ -169,7 +174,7 @@ class Craft:
         told = angle(self.run.start(self.estimator).get("tilt_max"))
         if np.isfinite(told) and told > 0:
             return told
-        commands = [self.command(name) for name in ("tilt_right", "tilt_left")]
+        commands = [self.command(f"tilt_{side}") for side in SIDES]
         if self.estimator is None or any(c is None for c in commands):
             return None
         largest = max(float(np.max(np.abs(c), initial=0.0, where=np.isfinite(c))) for c in commands if c is not None)

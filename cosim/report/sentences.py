@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.report.judgement import belief, inside_band, saturation
 from cosim.report.panels import QUANTITIES
-from cosim.report.roles import Craft, Run, mappings, number
+from cosim.report.roles import SIDES, Craft, Run, mappings, number
 from cosim.report.text import amount, counted, length, percent
 
 SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
@@ -123,7 +123,7 @@ def motion_sentence(craft: Craft, called: str) -> str:
 
 def tilt_sentence(craft: Craft) -> str | None:
     """Saturation in words."""
-    limit, shares = craft.tilt_limit, [saturation(craft, side) for side in ("right", "left")]
+    limit, shares = craft.tilt_limit, [saturation(craft, side) for side in SIDES]
     if limit is None or not all(map(math.isfinite, shares)):
         return None
     at = f"±{amount(limit, 'rad')}"

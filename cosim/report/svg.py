@@ -185,8 +185,10 @@ def time_axis(time: Signal) -> Axis:
     return make_axis(low, high if high > low else low + 1.0, 6)
 
 
-def make_plot(panel: Panel, time: Signal, x: Axis, keys: Sequence[str] = (), limit: int = 1000) -> Plot:
-    """Draw a panel; `keys` name the series a script may read the values of each curve from."""
+def make_plot(
+    panel: Panel, time: Signal, x: Axis, keys: Sequence[str] = (), limit: int = 1000, over: str = "time in s"
+) -> Plot:
+    """Draw a panel; `keys` name the series a script may read the values of each curve from, `over` what x is."""
     y = value_axis(panel)
     names = list(keys) + [""] * (len(panel.traces) - len(keys))
     curves = tuple(
@@ -199,14 +201,14 @@ def make_plot(panel: Panel, time: Signal, x: Axis, keys: Sequence[str] = (), lim
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
     return Plot(
         panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
-        panel.limit_label, x, y, zero, _summary(panel),
+        panel.limit_label, x, y, zero, _summary(panel, over),
     )  # fmt: skip
 
 
-def _summary(panel: Panel) -> str:
+def _summary(panel: Panel, over: str) -> str:
     """What the picture shows, for those who cannot see it."""
     parts = []
     for trace in panel.traces:
         span = extent([trace.values])
         parts.append(f"{trace.label} from {span[0]:.4g} to {span[1]:.4g}" if span else f"{trace.label} without values")
-    return f"{panel.title} in {panel.unit} over time in s: {'; '.join(parts)}."
+    return f"{panel.title} in {panel.unit} over {over}: {'; '.join(parts)}."

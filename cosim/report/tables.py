@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.report.judgement import Response, effort, error_rms, responses, saturation
 from cosim.report.panels import QUANTITIES
-from cosim.report.roles import Craft, Run, mapping, mappings, number, texts
+from cosim.report.roles import SIDES, Craft, Run, mapping, mappings, number, texts
 from cosim.report.sentences import SYMBOLS, Criterion, failed
 from cosim.report.text import MISSING, amount, counted, length, percent, plain
 
@@ -99,7 +99,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
         found.append(
             Row("Final error of x", length(answers[-1].final).replace("less than", "<"), "craft against reference")
         )
-    shares = [saturation(craft, side) for craft in crafts[:1] for side in ("right", "left")]
+    shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
     if shares and all(map(math.isfinite, shares)):
         found.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
     factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
@@ -148,7 +148,7 @@ def error_grid(craft: Craft) -> Grid | None:
 def tilt_grid(craft: Craft) -> Grid | None:
     """Effort and saturation over the whole run."""
     rows = []
-    for side in ("right", "left"):
+    for side in SIDES:
         command = craft.command(f"tilt_{side}")
         good = np.abs(command[np.isfinite(command)]) if command is not None else np.zeros(0)
         if good.size:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.panels import DEGREES
-from cosim.report.roles import Craft, Signal, number
+from cosim.report.roles import SIDES, Craft, Signal, number
 from cosim.report.svg import Axis, Rows, extent, make_axis, polyline, round_step, runs
 
 ARM, RADIUS = 0.17145, 0.127  # m, the craft's own unless its start values say otherwise
@@ -33,6 +33,21 @@ class Track:
     x: Signal
     y: Signal
     psi: Signal
+
+    @property
+    def right(self) -> Signal:
+        """Place across the picture [mm]."""
+        return -1000 * self.y
+
+    @property
+    def down(self) -> Signal:
+        """Place down the picture [mm]."""
+        return -1000 * self.x
+
+    @property
+    def turn(self) -> Signal:
+        """Turn with the clock [°] of a craft that is drawn with its nose up."""
+        return -DEGREES * self.psi
 
 
 @dataclass(frozen=True)
@@ -106,15 +121,15 @@ def _laid_out(craft: Craft, way: Signal, heading: Signal) -> Track:
 
 def horizontal_thrust(craft: Craft, side: str) -> Signal | None:
     """Thrust along the craft's axis, T·sin α [N]; sin α alone where thrust is not recorded."""
-    tilt, thrust = craft.signal(f"tilt_{side}_actual"), craft.signal(f"thrust_{side}")
+    tilt, thrust = craft.tilt(side), craft.signal(f"thrust_{side}")
     if tilt is None:
         return None
     return np.sin(tilt) if thrust is None else thrust * np.sin(tilt)
 
 
 def pose(track: Track, row: int) -> str:
-    """An SVG transform; a craft drawn with its nose up is turned against the clock by ψ."""
-    values = (-1000 * track.y[row], -1000 * track.x[row], -DEGREES * track.psi[row])
+    """An SVG transform."""
+    values = (track.right[row], track.down[row], track.turn[row])
     if not all(map(math.isfinite, values)):
         return ""
     return f"translate({values[0]:.0f} {values[1]:.0f}) rotate({values[2]:.2f})"
@@ -130,9 +145,9 @@ def path(track: Track | None, rows: Rows) -> str:
     """A track in the picture's millimetres, broken where it cannot be drawn."""
     if track is None:
         return ""
-    x, y = track.x[rows], track.y[rows]
-    good = np.isfinite(x) & np.isfinite(y)
-    u, v = (np.rint(-1000 * np.where(good, line, 0.0)).astype(np.int64) for line in (y, x))
+    right, down = track.right[rows], track.down[rows]
+    good = np.isfinite(right) & np.isfinite(down)
+    u, v = (np.rint(np.where(good, line, 0.0)).astype(np.int64) for line in (right, down))
     return "".join(polyline(u[part], v[part]) for part in runs(good))
 
 
@@ -147,7 +162,7 @@ def arrow(force: float, per_newton: float) -> str:
 
 def newtons_per_decimetre(craft: Craft) -> float:
     """Scale of the arrows, a round number."""
-    reach = extent([force for side in ("right", "left") if (force := horizontal_thrust(craft, side)) is not None])
+    reach = extent([force for side in SIDES if (force := horizontal_thrust(craft, side)) is not None])
     largest = max(map(abs, reach)) if reach else 0.0
     return 1.0 if largest < 1e-9 else round_step(100 * largest / ARROW)
 
@@ -199,8 +214,8 @@ def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
 def _body(craft: Craft, rows: Rows, every: float) -> Body:
     true, (estimate, reference) = true_track(craft), _companions(craft)
     last, start = last_row(true) or 0, craft.run.start(craft.name)
-    forces = [horizontal_thrust(craft, side) for side in ("right", "left")]
-    tilts = [craft.signal(f"tilt_{side}_actual") for side in ("right", "left")]
+    forces = [horizontal_thrust(craft, side) for side in SIDES]
+    tilts = [craft.tilt(side) for side in SIDES]
     scale = 100 / newtons_per_decimetre(craft)
     right, left = (0.0 if tilt is None else number(tilt[last], 0.0) * DEGREES for tilt in tilts)
     arrows = tuple("" if force is None else arrow(float(force[last]), scale) for force in forces)
@@ -230,7 +245,7 @@ def _marks(track: Track, time: Signal, every: float) -> tuple[tuple[int, int], .
         return ()
     first, last = time[good][0], time[good][-1]
     at = np.arange(math.ceil(first / every - 1e-9), math.floor(last / every + 1e-9) + 1) * every
-    u, v = (-1000 * np.interp(at, time[good], line[good]) for line in (track.y, track.x))
+    u, v = (np.interp(at, time[good], line[good]) for line in (track.right, track.down))
     return tuple((round(a), round(b)) for a, b in zip(u.tolist(), v.tolist(), strict=True))
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from cosim.refine.refine_panels import finer
+from cosim.refine.record import OTHER_HORIZONS
+from cosim.refine.report.panels import finer
 from cosim.refine.words import horizon_name
 from cosim.refine.workflow import Refinement
 from cosim.report.text import MISSING, percent, plain
@@ -48,6 +51,15 @@ class ErrorTable:
     rows: tuple[ErrorRow, ...]
 
 
+@dataclass(frozen=True)
+class HorizonTable:
+    """Errors over several horizons on one set of logs: a channel's name and its texts, one for each horizon."""
+
+    title: str
+    horizons: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
 def units(r: Refinement) -> dict[str, str]:
     """Unit of each output."""
     return {q.name: q.unit for q in r.study.loaded.model.outputs}
@@ -85,6 +97,27 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
     return found
 
 
+def horizon_table(r: Refinement) -> HorizonTable:
+    """Before → refined (one number where nothing was claimed), from the shortest horizon to the longest."""
+    part = judged(r)
+    errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
+    errors[r.study.loaded.model.horizon] = r.record["error"]
+    variants = ("before", "after") if r.verdict.claimed else ("after",)
+
+    def text(error: Mapping[str, Any], channel: str) -> str:
+        sizes = [float(error[name][part].get(channel, math.nan)) for name in variants]
+        return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
+
+    ordered = sorted(errors)
+    rows = [(c, tuple(text(errors[h], c) for h in ordered)) for c in r.record["error"]["before"][part]]
+    return HorizonTable(PARTS[part], tuple(map(horizon_name, ordered)), tuple(rows))
+
+
+def judged(r: Refinement) -> str:
+    """The logs that count: the sealed ones where there are any."""
+    return "validation" if "validation" in r.record["error"]["before"] else "estimation"
+
+
 def _numbers(r: Refinement, part: str, name: str) -> tuple[float, float, float, float]:
     """Before, recalibrated, after, floor."""
     error = r.record["error"]
@@ -116,7 +149,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 def second_sentence(r: Refinement) -> str:
     """The error of the channel that fell most, on sealed runs where there are any."""
-    part = "validation" if "validation" in r.record["error"]["before"] else "estimation"
+    part = judged(r)
     where = "On sealed runs" if part == "validation" else "On the runs it was fitted on (none are sealed)"
     ratios = {}
     for name in r.record["error"]["before"][part]:

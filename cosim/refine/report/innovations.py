@@ -9,11 +9,12 @@ import numpy as np
 
 from cosim.refine.fit import SKIPPED
 from cosim.refine.kernel import Array
-from cosim.refine.refine_panels import POINTS, over, rms, side_by_side
-from cosim.refine.residual import Whiteness, lags_of, whiteness
+from cosim.refine.report.lags import neighbours, over_lag, stem_rows, stems
+from cosim.refine.report.panels import POINTS, side_by_side
+from cosim.refine.residual import Whiteness, lags_of, rmse, whiteness
 from cosim.refine.workflow import Refinement
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, make_axis, make_plot, time_axis
+from cosim.report.svg import Plot, make_plot, time_axis
 from cosim.report.text import MISSING, plain
 
 STEMS = 50  # of an autocorrelation
@@ -77,25 +78,22 @@ def _joined(parts: Sequence[Array], lags: int) -> Array:
 
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], step: float) -> Plot:
     """Two stems side by side at each lag."""
-    every = max(1, tests[0].rho.size // STEMS)
-    rows = np.arange(1, tests[0].rho.size)[::every]
-    pieces = []
-    for shift, test in zip((-0.16, 0.16), tests, strict=True):
-        at = (rows + shift * every) * step
-        stems = np.stack((np.zeros(rows.size), test.rho[rows], np.full(rows.size, np.nan)), axis=1).ravel()
-        pieces.append((np.repeat(at, 3), stems))
-    edge = np.array([step * (rows[0] - 0.5 * every), step * (rows[-1] + 0.5 * every)])
+    rows = stem_rows(tests[0], STEMS)
+    every = int(rows[1] - rows[0]) if rows.size > 1 else 1
+    shifts = (-0.16 * every, 0.16 * every)
+    pieces = [stems(test.rho, rows, step, shift) for shift, test in zip(shifts, tests, strict=True)]
+    edge = step * np.array([rows[0] - 0.5 * every, rows[-1] + 0.5 * every])
     width = tests[1].band if np.isfinite(tests[1].band) else 0.0
     x, columns = side_by_side([(edge, np.zeros(2)), *pieces])
     traces = [Trace(n, v, s) for n, v, s in zip(names, columns[1:], ("s1 solid", "true"), strict=True)]
     band = Band("95 % band if white", *(np.where(np.arange(x.size) < 2, s * width, np.nan) for s in (-1, 1)))
     panel = Panel(f"Autocorrelation of {channel}", "1", traces, band)
-    return over(make_plot(panel, x, make_axis(float(edge[0]), float(edge[1]), 6), limit=2 * len(x)), "lag")
+    return over_lag(panel, x)
 
 
 def _row(channel: str, parts: Sequence[Array], tests: Sequence[Whiteness], plots: tuple[Plot, ...]) -> WhitenessRow:
-    size = [plain(rms(p), 2) for p in parts]
-    rho = [plain(float(t.rho[1]), 2) if t.rho.size > 1 else MISSING for t in tests]
+    size = [plain(rmse(p), 2) for p in parts]
+    rho = [neighbours(t) for t in tests]
     white = [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests]
     tells = not all(t.white for t in tests)
     return WhitenessRow(channel, (size[0], size[1]), (rho[0], rho[1]), (white[0], white[1]), tells, plots)

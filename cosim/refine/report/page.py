@@ -14,17 +14,18 @@ import numpy as np
 
 from cosim.files import atomic_write
 from cosim.refine.log import Log
-from cosim.refine.refine_errors import error_tables, horizon, second_sentence
-from cosim.refine.refine_evidence import Shown, shown
-from cosim.refine.refine_panels import against_signal, axis_label, over_time, rows_shown, runs
-from cosim.refine.refine_tables import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
-from cosim.refine.refine_white import innovations, modes
+from cosim.refine.report.errors import error_tables, horizon, horizon_table, second_sentence
+from cosim.refine.report.innovations import innovations, modes
+from cosim.refine.report.panels import against_signal, axis_label, over_time, rows_shown, runs
+from cosim.refine.report.tables import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
+from cosim.refine.report.terms import Shown, shown
 from cosim.refine.workflow import Refinement
-from cosim.report.report import TEMPLATES
 from cosim.report.tables import Badge, Row
+from cosim.report.template import render
 from cosim.report.text import MISSING, counted, percent, plain
 from cosim.version import __version__
 
+TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
     "effect_found": ("effect found", "good"),
     "parameter_error": ("wrong parameter", "good"),
@@ -37,7 +38,7 @@ TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
 
 def write_refine_report(path: Path, r: Refinement) -> None:
     """Write one self-contained HTML page about a refine."""
-    page = _render(context(r))
+    page = render(TEMPLATE, context(r))
     with atomic_write(path) as stream:
         stream.write(page)
 
@@ -57,6 +58,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "claimed": claimed,
         "rivals": _rivals(r),
         "tables": error_tables(r),
+        "horizons": horizon_table(r),
         "horizon": horizon(r),
         "windowed": horizon(r) != "a whole run",
         "terms": [_term(s) for s in shown(r)],
@@ -210,14 +212,3 @@ def _digest(path: Path) -> str:
         return MISSING
     with path.open("rb") as stream:
         return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}…"
-
-
-def _render(values: Mapping[str, Any]) -> str:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    style = TEMPLATES.joinpath("report.css").read_text(encoding="utf-8")
-    return environment.get_template("refine.html.j2").render(**values, style=style)

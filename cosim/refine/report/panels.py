@@ -9,8 +9,10 @@ import numpy as np
 
 from cosim.refine.kernel import Array
 from cosim.refine.measure import Evidence
-from cosim.refine.refine_evidence import Shown
-from cosim.refine.refine_signals import Rows, bins
+from cosim.refine.record import Part
+from cosim.refine.report.signals import Rows, bins
+from cosim.refine.report.terms import Shown
+from cosim.refine.residual import rmse
 from cosim.refine.workflow import Refinement
 from cosim.report.panels import Band, Panel, Trace, display
 from cosim.report.svg import Plot, extent, make_axis, make_plot, time_axis
@@ -50,7 +52,8 @@ class Run:
 def runs(r: Refinement) -> list[Run]:
     """The first estimation and the first sealed log."""
     found = []
-    for part, word in (("estimation", "learnt from"), ("validation", "sealed")):
+    words: dict[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
+    for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if before and after:
             log = before[0][0]
@@ -65,7 +68,7 @@ def _pair(r: Refinement, before: Evidence, after: Evidence, name: str, floor: fl
     """The model's reading is the log's less its error: sensors that are known to be wrong are in it."""
     log, old = before[0]
     unit, factor = display(log.units.get(name, ""))
-    fine, scale = finer(log.units.get(name, ""), max(rms(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
+    fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
     starts = np.array(sorted(old.starts), dtype=np.intp)
     time = _broken(log.time, starts, log.time[starts])
     reading = log.outputs[name]
@@ -76,7 +79,7 @@ def _pair(r: Refinement, before: Evidence, after: Evidence, name: str, floor: fl
     left = [Trace(label, _broken(e, starts, np.nan) * scale, style) for label, style, e in errors]
     panels = (Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", left))
     shaded = [replace(p, band=_windows(time, log.time[starts], old.horizon, p)) for p in panels]
-    sizes = [rms(e) for _, _, e in errors]
+    sizes = [rmse(e) for _, _, e in errors]
     tells = sizes[0] > TELLS * sizes[-1] or sizes[-1] > TELLS * sizes[0] or sizes[-1] > FAR * floor > 0
     x = time_axis(log.time)
     return Pairs(name, tuple(make_plot(p, time, x, limit=POINTS) for p in shaded), tells)
@@ -108,12 +111,6 @@ def finer(unit: str, size: float) -> tuple[str, float]:
     return display(unit)
 
 
-def rms(values: Array) -> float:
-    """Root mean square of what is finite, 0 where nothing is."""
-    good = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(good**2))) if good.size else 0.0
-
-
 # -- what is missing --------------------------------------------------------------------------
 
 
@@ -143,8 +140,9 @@ def against_signal(s: Shown) -> Plot:
     if s.term is not None:
         traces.append(Trace(s.effect or "term without a name", columns[2] * factor, "true"))
     title = f"{_what(s)} against {s.against.name}"
-    plot = make_plot(Panel(title, unit or "1", traces), places, make_axis(low, high, 6), limit=2 * len(places))
-    return over(plot, f"{s.against.name} in {shown}")
+    over = f"{s.against.name} in {shown}"
+    axis = make_axis(low, high, 6)
+    return make_plot(Panel(title, unit or "1", traces), places, axis, limit=2 * len(places), over=over)
 
 
 def over_time(s: Shown) -> Plot:
@@ -205,8 +203,3 @@ def side_by_side(pieces: Sequence[tuple[Array, Array]]) -> tuple[Array, list[Arr
         columns.append(column)
         first += at.size
     return x, columns
-
-
-def over(plot: Plot, what: str) -> Plot:
-    """The plot over something else than time, said so to those who cannot see it."""
-    return replace(plot, summary=plot.summary.replace("over time in s", f"over {what}"))

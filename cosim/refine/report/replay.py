@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.files import atomic_write
 from cosim.refine import words
@@ -19,16 +18,18 @@ from cosim.refine.finding import Finding
 from cosim.refine.gate import gate, refuse_faults
 from cosim.refine.log import Column, Log
 from cosim.refine.replay import HORIZON, free_run
+from cosim.refine.report.lags import neighbours, over_lag, stem_rows, stems
 from cosim.refine.residual import FREE_RUN
 from cosim.report.data import Series, sample_rows, to_json
-from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, display
-from cosim.report.report import TEMPLATES
-from cosim.report.svg import Plot, make_axis, make_plot, time_axis
+from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit, display
+from cosim.report.svg import Plot, make_plot, time_axis
 from cosim.report.tables import Badge, Row
+from cosim.report.template import render
 from cosim.report.text import MISSING, amount, counted, percent, plain
 from cosim.results import Results
 from cosim.version import __version__
 
+TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
 POINTS = 1000  # a curve
 STEMS = 100  # of an autocorrelation
@@ -63,7 +64,7 @@ def write_replay(
     residuals(comparison).write_csv(folder / "residual.csv")
     if report:
         with atomic_write(folder / "report.html") as stream:
-            stream.write(_render(context(comparison)))
+            stream.write(render(TEMPLATE, context(comparison)))
     return comparison
 
 
@@ -190,31 +191,22 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
 
 
 def _command_panels(log: Log) -> list[Panel]:
-    groups: dict[str, list[str]] = {}
-    for name in log.inputs:
-        groups.setdefault(log.units[name], []).append(name)
     panels = []
-    for unit, names in groups.items():
+    for unit, names in by_unit(log.inputs, log.units.__getitem__):
         shown, factor = display(unit)
-        for first in range(0, len(names), OTHERS_PER_PANEL):
-            chosen = names[first : first + OTHERS_PER_PANEL]
-            traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(chosen)]
-            panels.append(Panel(", ".join(chosen), shown or "1", traces))
+        traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
+        panels.append(Panel(", ".join(names), shown or "1", traces))
     return panels
 
 
 def _autocorrelation(comparison: Comparison) -> list[Plot]:
-    """Stems: for each lag from zero to ρ and a gap."""
     plots = []
     for c in comparison.channels:
-        test = c.whiteness
-        rows = np.arange(1, test.rho.size)[:: max(1, test.rho.size // STEMS)]
-        lag = np.repeat(rows * comparison.log.step, 3)
-        stems = np.stack((np.zeros(rows.size), test.rho[rows], np.full(rows.size, np.nan)), axis=1).ravel()
-        band = np.full(stems.size, test.band)
-        panel = Panel(f"Autocorrelation of {c.name}", "1", [Trace("residual", stems, "error")],
-                      Band("95 % band if white", -band, band))  # fmt: skip
-        plots.append(_over_lag(panel, lag))
+        lag, values = stems(c.whiteness.rho, stem_rows(c.whiteness, STEMS), comparison.log.step)
+        width = np.full(lag.size, c.whiteness.band)
+        panel = Panel(f"Autocorrelation of {c.name}", "1", [Trace("residual", values, "error")],
+                      Band("95 % band if white", -width, width))  # fmt: skip
+        plots.append(over_lag(panel, lag))
     return plots
 
 
@@ -225,13 +217,8 @@ def _input_correlation(comparison: Comparison) -> list[Plot]:
         traces = [Trace(u.name, u.rho, f"s{i}") for i, u in enumerate(chosen)]
         width = np.full(chosen[0].rho.size, max(u.band for u in chosen))
         panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
-        plots.append(_over_lag(panel, chosen[0].lags * comparison.log.step))
+        plots.append(over_lag(panel, comparison.log.step * chosen[0].lags.astype(np.float64)))
     return plots
-
-
-def _over_lag(panel: Panel, lag: NDArray[Any]) -> Plot:
-    plot = make_plot(panel, lag, make_axis(float(lag[0]), float(lag[-1]), 6), limit=POINTS)
-    return replace(plot, summary=plot.summary.replace("over time", "over lag"))
 
 
 def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
@@ -239,11 +226,11 @@ def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
         (words.size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
         for s in (channel.scores[h] for h in horizons)
     )
-    rho, p = channel.whiteness.rho, channel.whiteness.p_value
+    p = channel.whiteness.p_value
     return TableRow(
         channel.name, words.size(channel.noise, channel.unit), scores,
         f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING, channel.matched,
-        plain(float(rho[1]), 2) if rho.size > 1 else MISSING, "< 0.001" if p < 1e-3 else plain(p, 2),
+        neighbours(channel.whiteness), "< 0.001" if p < 1e-3 else plain(p, 2),
         words.whiteness_words(channel), words.input_words(channel),
     )  # fmt: skip
 
@@ -267,14 +254,3 @@ def _provenance(comparison: Comparison) -> list[Row]:
         rows.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
     measured = [(n, float(np.isfinite(v).mean())) for n, v in log.outputs.items()]
     return [*rows, Row("Measured", ", ".join(f"{n} ({percent(share)})" for n, share in measured), "share of the rows")]
-
-
-def _render(values: Mapping[str, Any]) -> str:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    style, script = (TEMPLATES.joinpath(f"report.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
-    return environment.get_template("replay.html.j2").render(**values, style=style, script=script)

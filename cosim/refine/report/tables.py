@@ -75,7 +75,7 @@ class NoiseRow:
 def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
     """Single candidates shown, those folded away, and candidates together."""
     rows = [row for row in r.record["candidates"] if row["names"]]
-    best = max((float(row["score_gain"]) for row in rows), default=0.0)
+    best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
     lines = [(len(row["names"]), _ranked(r, row, best, claimed)) for row in rows]
     singles, pairs = ([line for n, line in lines if (n == 1) == alone] for alone in (True, False))
@@ -83,7 +83,7 @@ def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
 
 
 def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
-    gain = float(row["score_gain"])
+    gain = _gain(row)
     chosen = tuple(row["names"]) == tuple(claimed)
     declared = _declared(r)
     fitted = ", ".join(
@@ -104,8 +104,13 @@ def _why(r: Refinement, row: Mapping[str, Any], best: float) -> str:
     if names == r.attribution.best.names:
         return "comes closest, is not claimed"
     if len(names) > 1:
-        return f"explains less by {best - float(row['score_gain']):.0f}"
+        return f"explains less by {plain(best - _gain(row), 1)}"
     return "part of the claim" if row["why"] == "claimed" else str(row["why"])
+
+
+def _gain(row: Mapping[str, Any]) -> float:
+    """The score gained; none at all where the filter diverged."""
+    return -math.inf if row["score_gain"] is None else float(row["score_gain"])
 
 
 def _short(name: str, owners: Sequence[str]) -> str:

@@ -11,8 +11,8 @@ from cosim.refine.attribution import Hypothesis
 from cosim.refine.candidates import Candidate
 from cosim.refine.fit import Problem
 from cosim.refine.kernel import Array
-from cosim.refine.refine_missing import LEAST_LOG_Q, Filter, Missing, Steps, claimed, missing
-from cosim.refine.refine_signals import Signal, choose, nameless, signals
+from cosim.refine.report.missing import LEAST_LOG_Q, Filter, Missing, Steps, claimed, missing
+from cosim.refine.report.signals import Signal, choose, nameless, signals
 from cosim.refine.workflow import Refinement
 from plant.model import Model
 
