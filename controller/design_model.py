@@ -31,17 +31,20 @@ class ModelNumbers(Protocol):
     def lag(self) -> float: ...
     @property
     def thrust_nominal(self) -> float: ...
+    @property
+    def yaw_damping(self) -> float: ...
 
 
 def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
-    """A (5, 5) and B (5, 2) of eqs 5.33/5.34.
+    """A (5, 5) and B (5, 2) of eqs 5.33/5.34, with a yaw damping d that the thesis has at 0.
 
-    A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ = T_N/(τ·m).
+    A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ = T_N/(τ·m).
     Eq E.4 prints 34.27 and 24.17, the values of an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
     """
     A = np.zeros((5, 5))
     A[0, 1] = A[1, 4] = A[2, 3] = 1.0
     A[1, 1] = -p.friction / p.mass
+    A[3, 3] = -p.yaw_damping / p.izz
     A[4, 4] = -1.0 / p.lag
     turn = p.arm * p.thrust_nominal / p.izz
     push = p.thrust_nominal / (p.lag * p.mass)

@@ -66,6 +66,9 @@ class Settings(Parametric):
     thrust_nominal: float = parameter(
         2.4973, unit="N", bounds=(0.01, 100), doc="design model: thrust per propeller in ground effect T_N, eq 5.36"
     )
+    yaw_damping: float = parameter(
+        0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
+    )
     sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
     tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
 

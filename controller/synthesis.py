@@ -1,4 +1,4 @@
-"""Offline design: the LQR gain from weights, by `control`."""
+"""Offline design: the numbers of the design model from a craft, and the LQR gain from weights, by `control`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,64 @@ import numpy as np
 
 from controller.design_model import Matrix, ModelNumbers, design_model
 from controller.gains import Settings
+from plant.hovercraft import Hovercraft
+from plant.linearize import LinearModel, linearize
+from plant.model import Values
+from plant.namespaces import SCALAR
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
 STABLE = 1e-6  # [rad/s] how far left of the imaginary axis a pole must lie
+# Where friction is taken as viscous: about the mean of the manoeuvre. At rest the slope of dry friction is no damping.
+WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
+
+
+def numbers_of(craft: Hovercraft) -> dict[str, float]:
+    """Numbers of the design model from a craft with its effects, by the names of `Settings`.
+
+    thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
+    lag:            mean delay of a tilt behind its command, −G'(0)/G(0) (τ of first order, 2ζ/ωₙ of second), and the
+                    delay of the commands
+    friction, yaw_damping: all that opposes motion, divided by it, at the working speed and yaw rate
+
+    Left out is what has no place in five symmetric states: asymmetry, offsets, play, dead band, rate limit, inflow, sag.
+    """
+    linear = linearize(craft)
+    row = linear.states.index("vx")
+    thrust = 0.5 * craft.mass * sum(linear.A[row, linear.states.index(f"tilt_{side}")] for side in ("right", "left"))
+    delay = sum(effect.time for effect in craft.awake if effect.name == "actuator_delay")
+    return {
+        "mass": craft.mass,
+        "izz": craft.izz,
+        "arm": craft.arm,
+        "friction": craft.mass * _damping(craft, "vx", WORKING_SPEED),
+        "lag": _mean_delay(linear) + delay,
+        "thrust_nominal": float(thrust),
+        "yaw_damping": craft.izz * _damping(craft, "psi_dot", WORKING_YAW_RATE),
+        "duty_nominal": craft.duty_nominal,
+    }
+
+
+def _damping(craft: Hovercraft, state: str, rate: float) -> float:
+    """Deceleration per rate [1/s] at ±rate, a constant push left out: (f(−v) − f(v))/2v."""
+    derivative = craft.equations(SCALAR).derivative
+    row = [q.name for q in craft.states].index(state)
+
+    def acceleration(at: float) -> float:
+        moving: Values = craft.start({state: at})
+        return float(derivative(0.0, moving, craft.start_command())[row])
+
+    return (acceleration(-rate) - acceleration(rate)) / (2.0 * rate)
+
+
+def _mean_delay(linear: LinearModel) -> float:
+    """Mean delay [s] of the right tilt behind its command: G(s) = C·(sI − A)⁻¹·B, −G'(0)/G(0)."""
+    tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
+    A = linear.A[np.ix_(tilts, tilts)]
+    B = linear.B[tilts, linear.inputs.index("tilt_right")]
+    right = [linear.states[k] for k in tilts].index("tilt_right")
+    once = np.linalg.solve(A, B)
+    return float(-np.linalg.solve(A, once)[right] / once[right])
 
 
 def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:

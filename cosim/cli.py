@@ -77,16 +77,28 @@ def run(
 @app.command()
 def build(
     out: Out = Path("build"),
+    model: Annotated[
+        str | None, typer.Option("--model", help="A model.yaml, or file.py:Class; builds the FMU of that model.")
+    ] = None,
 ) -> None:
-    """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml."""
+    """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from fmus.build import HEAVY, controller_recipe, plant_recipe
     from fmus.build import build as build_fmu
 
-    recipes = {
-        "plant.fmu": plant_recipe(),
-        "controller.fmu": controller_recipe(),
-        "plant-heavy.fmu": plant_recipe(HEAVY),
-    }
+    if model is None:
+        recipes = {
+            "plant.fmu": plant_recipe(),
+            "controller.fmu": controller_recipe(),
+            "plant-heavy.fmu": plant_recipe(HEAVY),
+        }
+    else:
+        from cosim.refine.model_file import HOVERCRAFT, load_model
+        from cosim.refine.workflow import recipe_of
+
+        loaded = load_model(model, Path())
+        recipes = {"plant.fmu": recipe_of(loaded)}
+        if loaded.source == HOVERCRAFT:
+            recipes["controller.fmu"] = controller_recipe()
     for name, recipe in recipes.items():
         say(f"built {build_fmu(recipe, out / name)}")
 
@@ -119,7 +131,7 @@ def replay(
 
     from cosim.refine.drive import model_signals
     from cosim.refine.log import read_log
-    from cosim.refine.replay_report import write_replay
+    from cosim.refine.report.replay import write_replay
     from cosim.refine.words import verdict
     from fmus.build import build as build_fmu
     from fmus.build import plant_recipe
@@ -143,11 +155,43 @@ def refine(
     with stages() as progress:
         result = refine_study(study, out, progress)
         if report:
-            from cosim.refine.refine_report import write_refine_report
+            from cosim.refine.report.page import write_refine_report
 
             write_refine_report(out / "report.html", result)
     say(str(result.record["sentence"]))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
+
+
+@app.command()
+def excite(
+    model: Annotated[
+        str, typer.Argument(help="base, a model.yaml, file.py:Class, or a refine.json (or its folder) with rivals.")
+    ],
+    against: Annotated[
+        list[str] | None, typer.Option("--against", help="An effect, sensor or parameter to tell apart; repeatable.")
+    ] = None,
+    out: Out = Path("excitation"),
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; tilt_right=8deg."),
+    ] = None,
+    measured: Annotated[
+        list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
+    ] = None,
+    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the flight [s].")] = 40.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
+) -> None:
+    """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that flies it."""
+    from cosim.refine.excite import excite as choose
+
+    with stages() as progress:
+        found = choose(
+            model, out, against or (), limits=limit or (), measured=measured or (), duration=duration, seed=seed,
+            progress=progress,
+        )  # fmt: skip
+    for line in found.sentences:
+        say(line)
+    say(f"excitation: {out / 'excitation.csv'}, flown by: cosim run {out / 'excitation.yaml'}")
 
 
 @app.command()

@@ -112,9 +112,13 @@ class PlaybackComponent(Part):
 
 
 class Design(Part):
-    """Gains designed before the run, from weights (diagonals) and the numbers of the design model."""
+    """Gains designed before the run, from weights (diagonals) and the numbers of the design model.
+
+    `model`: a model file from whose linearisation the numbers are taken; those given beside it win
+    """
 
     component: Name = "controller"
+    model: str | None = None
     Q: list[NotNegative] = Field(default=[1.0, 0.5, 0.1, 0.01, 0.0], min_length=5, max_length=5)
     R: list[Positive] = Field(default=[1.0, 1.0], min_length=2, max_length=2)
     estimator: Literal["appendix_f", "lagged", "consistent"] | None = None

@@ -1,0 +1,189 @@
+"""`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that flies it.
+
+Experiments are drawn by a seed, flown without noise, and kept within limits. Written is the one under which the pair of
+rivals that is hardest to tell apart is farthest apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.errors import Fault, InputError
+from cosim.files import atomic_write, check_writable
+from cosim.refine.flights import ClosedLoop, Flight, OpenLoop, Rig
+from cosim.refine.kernel import Array
+from cosim.refine.problem import build_problem
+from cosim.refine.question import Question, ask
+from cosim.refine.separation import Pair, Separation
+from cosim.refine.signals import draw_signals
+from plant.hovercraft import Hovercraft
+
+EXPERIMENTS = 48
+DURATION = 40.0  # [s]
+SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """An experiment, flown by the model and by its rivals.
+
+    apart, usual: how far it, and what is usually flown, drive each pair apart [standard deviations]
+    """
+
+    question: Question
+    rig: Rig
+    flight: Flight
+    rivals: Mapping[str, Flight]
+    apart: Mapping[Pair, float]
+    usual: Mapping[Pair, float]
+
+    @property
+    def score(self) -> float:
+        """Distance of the nearest pair, divided by how far beyond its limits a rival takes the craft."""
+        beyond = (flight.beyond(self.question.limits) for flight in self.rivals.values())
+        return min(self.apart.values()) / max([1.0, *beyond])
+
+    @property
+    def sentences(self) -> list[str]:
+        """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
+        lines = [
+            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
+            for a, b in sorted(self.apart, key=lambda pair: self.apart[pair])
+        ]
+        lines.append(f"excursion: {self._ranges(self.flight)}")
+        for name, flight in self.rivals.items():
+            if flight.beyond(self.question.limits) > 1.0:
+                lines.append(f"beyond its limits if {name} is true: {self._ranges(flight)}")
+        return lines
+
+    def _ranges(self, flight: Flight) -> str:
+        model = self.question.loaded.model
+        units = {q.name: q.unit for q in model.outputs}
+        shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
+        ranges = ((n, *flight.excursion(n)) for n in shown)
+        return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
+
+
+def excite(
+    text: str,
+    folder: Path,
+    against: Sequence[str] = (),
+    *,
+    limits: Sequence[str] = (),
+    measured: Sequence[str] = (),
+    duration: float = DURATION,
+    seed: int = 1,
+    experiments: int = EXPERIMENTS,
+    progress: Progress | None = None,
+) -> Excitation:
+    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
+    tell = progress or (lambda stage, share: None)
+    tell("reading the model", 0.0)
+    question = ask(text, against, limits, measured)
+    model = question.loaded.model
+    flies = isinstance(model, Hovercraft)
+    check_writable(folder, ("excitation.csv", "excitation.yaml", "plant.fmu", *(CLOSED_FILES if flies else ())))
+    time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
+    rig: Rig = (ClosedLoop if flies else OpenLoop)(model, question.limits, float(time[-1]))
+    found = _choose(question, rig, time, seed, experiments, tell)
+    if found is None:
+        message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
+        raise InputError([Fault(Path(text), 0, 0, message)])
+    tell("building the FMUs", 0.0)
+    _write(folder, found, seed)
+    return found
+
+
+def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, tell: Progress) -> Excitation | None:
+    """The best of `count` experiments; None where all go too far."""
+    model, base = question.loaded.model, question.base
+    usual = rig.fly(model, rig.usual_signals(time)).log(model, question.measured)
+    problem = build_problem(base.model, [usual], noise=question.noise, sensors=base.values)
+    separation = Separation(base.model, problem, question.rivals, question.pairs)
+    best: Excitation | None = None
+    for k in range(count):
+        tell("trying experiments", k / count)
+        flight = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+        if flight is None:
+            continue
+        apart = separation.of(flight.log(model, question.measured))
+        if best is None or min(apart.values()) > best.score:
+            other = Excitation(question, rig, flight, _rivals_flown(question, rig, flight), apart, separation.of(usual))
+            best = other if best is None or other.score > best.score else best
+    return best
+
+
+def _rivals_flown(question: Question, rig: Rig, flight: Flight) -> dict[str, Flight]:
+    """The same signals on the craft of each rival that differs from the model in flight."""
+    models = {r.name: question.flown(r) for r in question.rivals}
+    return {name: rig.fly(m, flight.signals) for name, m in models.items() if m != question.loaded.model}
+
+
+def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Flight | None:
+    """A flight that stays within the limits, made smaller once if need be; None where that does not help."""
+    flight = rig.fly(question.loaded.model, signals)
+    if (beyond := flight.beyond(question.limits)) <= 1.0:
+        return flight
+    smaller = {name: signal * SLACK / beyond for name, signal in signals.items()}
+    flight = rig.fly(question.loaded.model, smaller)
+    return flight if flight.beyond(question.limits) <= 1.0 else None
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+CLOSED_FILES = ("references.csv", "controller.fmu")
+
+
+def _write(folder: Path, found: Excitation, seed: int) -> None:
+    """excitation.csv, excitation.yaml and the FMUs it names."""
+    from cosim.refine.workflow import recipe_of
+    from fmus.build import build, controller_recipe
+
+    flight, model = found.flight, found.question.loaded.model
+    _write_columns(folder / "excitation.csv", flight.time, flight.inputs, {q.name: q.unit for q in model.inputs})
+    build(recipe_of(found.question.loaded), folder / "plant.fmu")
+    if flight.references:
+        _write_columns(folder / "references.csv", flight.time, flight.references, {"x_ref": "m", "psi_ref": "rad"})
+        build(controller_recipe(), folder / "controller.fmu")
+    with atomic_write(folder / "excitation.yaml") as stream:
+        stream.write("\n".join(_scenario(found, seed)) + "\n")
+
+
+def _write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:
+    with atomic_write(path) as stream:
+        stream.write(",".join(["time", *(f"{name} [{units[name]}]" for name in columns)]) + "\n")
+        for row in zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True):
+            stream.write(",".join(f"{v:.9g}" for v in row) + "\n")
+
+
+def _scenario(found: Excitation, seed: int) -> Iterator[str]:
+    """Lines of the scenario that flies it."""
+    flight, model, rig = found.flight, found.question.loaded.model, found.rig
+    yield "name: excitation"
+    yield f'description: "Tells {"; ".join(f"{a} from {b}" for a, b in found.question.pairs)}."'
+    yield f"duration: {flight.time[-1]:.9g}"
+    yield f"step: {model.rate:.9g}"
+    yield f"seed: {seed}"
+    yield ""
+    yield "components:"
+    yield "  plant: {fmu: plant.fmu}"
+    yield "  excitation: {block: playback, file: excitation.csv}"
+    if isinstance(rig, ClosedLoop):
+        yield "  references: {block: playback, file: references.csv} # the dither on the tilts is in them"
+        yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {rig.settings.tilt_max:.9g}}}}}"
+    yield ""
+    yield "connections:"
+    played = [q.name for q in model.inputs]
+    if isinstance(rig, ClosedLoop):
+        for name in rig.sensors:
+            variance = model.sensor_variance[name]
+            yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance:g}}}}}"
+        yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in flight.references)
+        yield from (f"  - {{from: controller.{name}, to: plant.{name}}}" for name in rig.commanded)
+        played = [name for name in played if name not in rig.commanded]
+    yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in played)

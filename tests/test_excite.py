@@ -1,0 +1,203 @@
+"""The experiment that separates rivals: what it promises, what it leaves, and that it keeps its promise.
+
+The truth is flown by the blind suite's own craft (`tests.blind`), which shares no code with the model, under the
+project's controller, with the noise of the sensors in the feedback.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from controller.gains import Settings
+from controller.loop import Loop
+from cosim.cli import app
+from cosim.errors import InputError
+from cosim.refine.attribution import Attribution, Attributor
+from cosim.refine.candidates import candidates
+from cosim.refine.excite import Excitation, excite
+from cosim.refine.log import read_log
+from cosim.refine.problem import build_problem
+from cosim.refine.question import ask
+from cosim.run import run
+from plant.hovercraft import Hovercraft
+from tests.blind.truth import VARIANCE
+from tests.blind.truth_craft import STEP, Craft, Flight
+
+DRIVE = Path(__file__).parent.parent / "examples" / "drive" / "drive.py"
+INPUTS = ("duty_right", "duty_left", "tilt_right", "tilt_left")
+RIVALS = ("thrust_asymmetry", "com_offset")  # in a straight line one and the same: ε·L = −e
+Told = dict[str, np.ndarray]
+command = CliRunner()
+
+
+def columns(path: Path) -> Told:
+    with path.open() as stream:
+        header, *rows = csv.reader(stream)
+    return dict(zip((h.partition(" [")[0] for h in header), np.array(rows, dtype=float).T, strict=True))
+
+
+def log_of_truth(path: Path, craft: Craft, told: Told) -> Path:
+    """Fly references and duties on the independent craft and write the log."""
+    flight, rng = Flight(craft, craft.rest(), tolerance=1e-8), np.random.default_rng(77)
+    loop = Loop(Settings(), [0.0] * 5, told["x_ref"][0], told["psi_ref"][0])
+    lines = [",".join(("time", *INPUTS, *VARIANCE))]
+    for k in range(len(told["x_ref"])):
+        now = flight.outputs()
+        seen = {c: now[c] + math.sqrt(v) * rng.standard_normal() for c, v in VARIANCE.items()}
+        if k:
+            loop.step([seen[c] for c in ("psi", "psi_dot", "ax")], told["x_ref"][k], told["psi_ref"][k])
+        acting = (told["duty_right"][k], told["duty_left"][k], *loop.command)
+        lines.append(f"{k * STEP:.2f}," + ",".join(f"{v:.9g}" for v in (*acting, *seen.values())))
+        flight.advance(acting, (0.0, 0.0, 0.0))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def forth_and_back(seconds: float) -> Told:
+    """Straight ahead and back, and nothing else: both propellers always tilted together."""
+    time = np.arange(round(seconds / STEP) + 1) * STEP
+    duty = np.full(len(time), Settings().duty_nominal)
+    return {"x_ref": 0.3 * (time % 4.0 < 2.0), "psi_ref": 0.0 * time, "duty_right": duty, "duty_left": duty}
+
+
+def attributed(log: Path) -> Attribution:
+    """What refine makes of a log, the rivals its only candidates."""
+    model = Hovercraft()
+    problem = build_problem(model, [read_log(log, model.inputs, model.outputs)])
+    trial = [c for c in candidates(model, problem.values, ()) if c.name in RIVALS]
+    return Attributor(model, problem, trial).run()
+
+
+@pytest.fixture(scope="module")
+def told_apart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Excitation, Path]:
+    folder = tmp_path_factory.mktemp("excitation")
+    return excite("base", folder, RIVALS, duration=15.0, experiments=8), folder
+
+
+def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitation(
+    told_apart: tuple[Excitation, Path], tmp_path: Path
+) -> None:
+    craft = Craft(effects={"thrust_asymmetry": {"ratio": 0.02}})
+    poor = attributed(log_of_truth(tmp_path / "poor.csv", craft, forth_and_back(15.0)))
+    assert {n for h in (poor.best, *poor.rivals) for n in h.names} == set(RIVALS)
+    flown = columns(told_apart[1] / "excitation.csv") | columns(told_apart[1] / "references.csv")
+    rich = attributed(log_of_truth(tmp_path / "rich.csv", craft, flown))
+    assert rich.best.names == ("thrust_asymmetry",)
+    assert not rich.rivals
+    # three standard deviations, or the test hangs on its seed
+    ratio = rich.best.fit.values["thrust_asymmetry.ratio"]
+    assert ratio == pytest.approx(0.02, abs=3 * rich.best.fit.sigma("thrust_asymmetry.ratio"))
+
+
+def test_the_excitation_separates_better_than_the_manoeuvre(told_apart: tuple[Excitation, Path]) -> None:
+    found, _ = told_apart
+    assert found.apart[RIVALS] > 1.2 * found.usual[RIVALS]  # the best of eight; of 48 it is four times
+
+
+def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path], tmp_path: Path) -> None:
+    found, folder = told_apart
+    rows = run(folder / "excitation.yaml", tmp_path, ["noise=off"], report=False).results
+    played = columns(folder / "excitation.csv")
+    assert list(played) == ["time", *INPUTS]
+    for name in INPUTS:  # nine digits in the files; the loop holds what they lose at bay
+        assert rows[f"plant.{name}"] == pytest.approx(played[name], abs=1e-6)
+    for name in ("x_world", "y_world"):
+        assert rows[f"plant.{name}"] == pytest.approx(found.flight.outputs[name], abs=1e-6)
+        assert np.abs(rows[f"plant.{name}"]).max() <= found.question.limits[name]
+    assert np.abs(played["tilt_right"]).max() <= math.radians(12) + 1e-9
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    def files(seed: int, name: str) -> list[bytes]:
+        excite("base", tmp_path / name, ["lag", "actuator_delay"], duration=5.0, experiments=3, seed=seed)
+        return [(tmp_path / name / f).read_bytes() for f in ("excitation.csv", "references.csv", "excitation.yaml")]
+
+    first, again, other = files(1, "a"), files(1, "b"), files(2, "c")
+    assert first == again
+    assert first[0] != other[0]
+
+
+def test_a_model_of_one_s_own_is_played_open_loop_within_its_limits(tmp_path: Path) -> None:
+    model = f"{DRIVE}:Drive"
+    found = excite(model, tmp_path, limits=["force=60", "position=150 mm"], duration=5.0, experiments=4)
+    assert min(found.apart.values()) > min(found.usual.values())
+    rows = run(tmp_path / "excitation.yaml", tmp_path / "run", report=False).results
+    assert list(columns(tmp_path / "excitation.csv")) == ["time", "force"]
+    assert np.abs(rows["plant.force"]).max() <= 60
+    assert np.abs(rows["plant.position"]).max() <= 0.15
+
+
+def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
+    ranking = [
+        {"names": ["com_offset", "lag"], "parameters": {"com_offset.right": -0.0034, "lag": 0.1}},
+        {"names": ["thrust_asymmetry"], "parameters": {"thrust_asymmetry.ratio": 0.021}},
+    ]
+    record = {"study": str(tmp_path / "study.yaml"), "rivals": [*RIVALS], "candidates": ranking}
+    (tmp_path / "refine.json").write_text(json.dumps(record | {"noise_floor": {"psi": 0.005, "ax": 0.2}}))
+    for place in (tmp_path, tmp_path / "refine.json"):
+        question = ask(str(place))
+        assert question.pairs == (RIVALS,)
+        assert question.measured == ("psi", "ax")
+        assert [r.values for r in question.rivals] == [ranking[1]["parameters"], ranking[0]["parameters"]]
+        assert [f.name for f in question.rivals[1].free] == ["com_offset.right", "lag"]
+
+
+def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text("parameters: {thrust_asymmetry.ratio: 0.02}\n")
+    question = ask(str(tmp_path / "model.yaml"))
+    assert question.pairs == (RIVALS,)
+    assert question.rivals[0].values == {"thrust_asymmetry.ratio": 0.02}
+    assert not question.base.model.awake
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["base", "--against", "lagg"], 'no candidate "lagg"; did you mean "lag"?'),
+        (["base", "--against", "lag", "--against", "lag"], '"lag" is named twice'),
+        (["base", "--limit", "tilt_rigth=8deg"], 'no input or output "tilt_rigth"; did you mean "tilt_right"?'),
+        (["base", "--limit", "tilt_right=8m"], "say how far tilt_right may go, above 0 [rad]"),
+        (["base", "--measured", "ps"], 'no output "ps"; did you mean "psi"?'),
+        (["none.yaml"], "none.yaml: no such file"),
+        ([f"{DRIVE}:Drive"], "how far from 0 may force go? Say --limit force=VALUE [N]"),
+    ],
+)
+def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
+    tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    done = command.invoke(app, ["excite", *arguments, "--out", str(tmp_path)])
+    assert isinstance(done.exception, InputError)
+    assert done.exception.exit_code == 2
+    assert words in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_build_makes_the_fmus_of_a_model_file(tmp_path: Path) -> None:
+    from fmpy import read_model_description
+
+    model = tmp_path / "model.yaml"
+    model.write_text("parameters: {izz: 0.015, coulomb_friction.force: 0.05}\n")
+    done = command.invoke(app, ["build", "--model", str(model), "--out", str(tmp_path / "built")])
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in (tmp_path / "built").iterdir()) == ["controller.fmu", "plant.fmu"]
+    starts = {v.name: v.start for v in read_model_description(str(tmp_path / "built" / "plant.fmu")).modelVariables}
+    assert (float(starts["izz"]), float(starts["coulomb_friction.force"])) == (0.015, 0.05)
+    model.write_text("parameters: {izz: -1, coulomb_fiction.force: 0.05}\n")
+    refused = command.invoke(app, ["build", "--model", str(model), "--out", str(tmp_path / "none")])
+    assert isinstance(refused.exception, InputError)
+    assert len(refused.exception.faults) == 2
+    assert not (tmp_path / "none").exists()
+
+
+def test_build_makes_the_plant_alone_of_a_model_of_one_s_own(tmp_path: Path) -> None:
+    done = command.invoke(app, ["build", "--model", f"{DRIVE}:Drive", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert [p.name for p in tmp_path.iterdir()] == ["plant.fmu"]
