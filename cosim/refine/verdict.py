@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.refine.attribution import QUIET_LOG_Q, Attribution, Hypothesis
+from cosim.refine.attribution import Attribution, Hypothesis
 from cosim.refine.unnamed import Unnamed
 from plant.model import Model
 from plant.quantities import parameters_of
@@ -83,8 +83,8 @@ def _common(a: Attribution) -> set[str]:
 def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
     """Where the misfit sits and on what it depends."""
     noise = {
-        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": bool(q1 > QUIET_LOG_Q)}
-        for equation, q0, q1 in zip(forced, a.base.fit.log_q, a.best.fit.log_q, strict=True)
+        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": inflated}
+        for equation, q0, q1, inflated in zip(forced, a.base.fit.log_q, a.best.fit.log_q, a.noisy, strict=True)
     }
     terms = [u for u in unnamed if u.gain > NOTICED][:5]
     where = terms[0].equation if terms else max(noise, key=lambda k: noise[k]["after"]) if not a.quiet else None
