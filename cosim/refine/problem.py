@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from plant.model import Model
 UNKNOWN = {"m": 1e-3, "rad": 1e-3, "m/s": 0.2, "rad/s": 0.1}
 
 
+_KERNELS: dict[Any, CompiledKernel] = {}
+
+
 def build_problem(
     model: Model,
     logs: Sequence[Log],
@@ -30,7 +34,7 @@ def build_problem(
     `noise`: standard deviations of outputs where they are not the model's own; `sensors`: errors known already.
     """
     measured = tuple(q.name for q in model.outputs if all(q.name in log.outputs for log in logs))
-    kernel = CompiledKernel(generate(model, measured, unnamed))
+    kernel = _kernel(model, measured, unnamed)
     generated = kernel.generated
     data = [as_data(model, log, measured) for log in logs]
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
@@ -43,6 +47,15 @@ def build_problem(
     x0 = [start_state(model, d, measured, generated.states) for d in data]
     values = {**dict.fromkeys(generated.parameters, 0.0), **neutral_values(model), **(sensors or {})}
     return Problem(kernel, data, x0, np.diag(P0), np.array([variance[n] for n in measured]), values)
+
+
+def _kernel(model: Model, measured: tuple[str, ...], unnamed: bool) -> CompiledKernel:
+    """The kernel of a model, made once: it takes all numbers as arguments, only flags are built in."""
+    flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
+    key = (type(model), flags, measured, unnamed)
+    if key not in _KERNELS:
+        _KERNELS[key] = CompiledKernel(generate(model, measured, unnamed))
+    return _KERNELS[key]
 
 
 def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
