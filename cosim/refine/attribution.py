@@ -20,6 +20,7 @@ from cosim.refine.fit import FAIR, Fit, Free, Problem, fit
 from plant.model import Model
 
 CLAIM = 6.0  # score a hypothesis must gain on the one it extends
+SHARE = 0.02  # of what the first effects gain, that one more must gain too
 RIVAL = 5.0  # score within which another hypothesis explains as well
 SIGNIFICANT = 3.0  # standard deviations from neutral
 NOISE = 4.0  # log-likelihood that the process noise of an equation must gain, to be more than none
@@ -55,6 +56,7 @@ class Attribution:
     held_out: float  # log-likelihood the best one gains on logs it was not fitted on
     noisy: tuple[bool, ...]  # whether process noise is left in each forced equation: something remains to be explained
     reasons: Mapping[str, str] = field(default_factory=dict)  # why each single candidate lost
+    hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
 
     @property
     def quiet(self) -> bool:
@@ -91,7 +93,8 @@ class Attributor:
         base, best = self._decide(base, best)
         ranking = tuple(sorted(self.tried.values(), key=lambda h: h.score))
         rivals, reasons = self._rivals(best, base), self._reasons(best, base)
-        return Attribution(base, ranking, best, rivals, self.held_out(best, base), self.noisy(best.fit), reasons)
+        held_out, noisy = self.held_out(best, base), self.noisy(best.fit)
+        return Attribution(base, ranking, best, rivals, held_out, noisy, reasons, self.hidden())
 
     def hypothesis(
         self,
@@ -144,12 +147,22 @@ class Attributor:
         with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
             fitted = list(pool.map(lambda h: self.hypothesis(h.candidates, h.fit), near))
         self.tried |= {h.names: h for h in fitted}
-        return again, self._better([h for h in fitted if len(h.candidates) <= len(best.candidates)], again)
+        return again, self._better([h for h in fitted if len(h.candidates) == len(best.candidates)], again)
 
     def noisy(self, f: Fit) -> tuple[bool, ...]:
         """Of each forced equation, whether a fit needs its process noise."""
         without = np.diag(self.problem.noise.smallest - f.log_q) + f.log_q
         return tuple(self.problem.scored(f.values, log_q).nll - f.nll > NOISE for log_q in without)
+
+    def hidden(self) -> tuple[str, ...]:
+        """Effects of which no parameter, at its usual size, would be told from neutral."""
+        found = []
+        for c in self.candidates:
+            size = np.array([f.size for f in c.free])
+            told = np.linalg.eigvalsh(self.tried[(c.name,)].fit.marginal(c.parameters) * np.outer(size, size))[-1]
+            if c.kind == "effect" and told < SIGNIFICANT**2:
+                found.append(c.name)
+        return tuple(found)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
         """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half."""
@@ -169,13 +182,15 @@ class Attributor:
 
     # -- within -------------------------------------------------------------------------------
 
-    def _fit_all(self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str) -> list[Hypothesis]:
-        """Fit sets of candidates side by side."""
+    def _fit_all(
+        self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str, gain: float = CLAIM
+    ) -> list[Hypothesis]:
+        """Fit sets of candidates side by side; those that do not promise the gain are given up early."""
         todo = [s for s in sets if tuple(sorted(c.name for c in s)) not in self.tried]
         done: list[Hypothesis] = []
 
         def one(parts: tuple[Candidate, ...]) -> Hypothesis:
-            goal = start.score - CLAIM - self.price * sum(len(c.free) for c in parts)
+            goal = start.score - gain - self.price * sum(len(c.free) for c in parts)
             h = self.hypothesis(parts, start.fit, iterations=SCREEN_ITERATIONS, goal=goal)
             done.append(h)
             self.progress(stage, len(done) / len(todo))
@@ -186,23 +201,21 @@ class Attributor:
         self.tried |= {h.names: h for h in found}
         return found
 
-    def _better(self, options: Sequence[Hypothesis], than: Hypothesis) -> Hypothesis:
+    def _better(self, options: Sequence[Hypothesis], than: Hypothesis, gain: float = CLAIM) -> Hypothesis:
         """The best option that gains enough and is significant in each of its parts; else `than`."""
         for h in sorted(options, key=lambda h: h.score):
-            if than.score - h.score < CLAIM:
+            if than.score - h.score < gain:
                 break
             if all(self.significant(h, c) for c in h.candidates):
                 return h
         return than
 
     def significant(self, h: Hypothesis, c: Candidate) -> bool:
-        """Some parameter of the candidate is away from neutral by its standard deviation several times over."""
-        for f in c.free:
-            neutral = self.problem.values[f.name]
-            sigma = h.fit.sigma(f.name)
-            if sigma > 0 and abs(h.fit.values[f.name] - neutral) > SIGNIFICANT * sigma:
-                return True
-        return False
+        """Away from neutral by Wald's test of all its parameters together, and none of them at a limit."""
+        neutral = self.problem.values
+        away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
+        pinned = any(h.fit.values[f.name] in (f.low, f.high) and d != 0.0 for f, d in zip(c.free, away, strict=True))
+        return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > SIGNIFICANT**2)
 
     def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
@@ -212,8 +225,10 @@ class Attributor:
             sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
             if len(best.candidates) == 1:
                 sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
-            options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}")
-            wider = self._better(options, best)
+            # under a coloured disturbance a small second effect is soon imagined: it must be worth some of the first
+            gain = CLAIM + SHARE * (base.score - best.score)
+            options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}", gain)
+            wider = self._better(options, best, gain)
             if wider is best:
                 return best
             best = wider

@@ -144,6 +144,15 @@ class Fit:
         """What was minimised: NLL and the penalty of the priors."""
         return self.nll + self.penalty
 
+    def marginal(self, names: Sequence[str]) -> Array:
+        """Information on some parameters when all others are free too: the Schur complement of theirs."""
+        own = np.isin([f.name for f in self.free] + [""] * len(self.log_q), names)
+        F = self.information
+        reduced: Array = (
+            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ np.linalg.pinv(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        )
+        return reduced
+
     def sigma(self, name: str) -> float:
         """Standard deviation of an estimate, from the inverse of the information."""
         k = [f.name for f in self.free].index(name)

@@ -106,7 +106,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False) -> Ge
 
 
 def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
-    """Basis functions: 1, the time, states, powers of velocities and their product with time, circles of angles, commands."""
+    """Basis functions: 1, time, states, powers of velocities, their product with time, circles of angles, commands."""
     import sympy
 
     found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
