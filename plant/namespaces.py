@@ -56,7 +56,10 @@ class SymbolNamespace:
         self._piecewise = sympy.Piecewise
 
     def where(self, condition: Any, then: Any, otherwise: Any) -> Any:
-        return self._piecewise((then, condition), (otherwise, True))
+        if condition in (True, False):
+            return then if condition else otherwise
+        # as it stands: sympy's simplification of nested branches takes seconds and finds nothing
+        return self._piecewise((then, condition), (otherwise, True), evaluate=False)
 
     # branches rather than sympy's Max and Min, whose derivatives are Heaviside functions
     def maximum(self, a: Any, b: Any) -> Any:

@@ -16,15 +16,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cosim.refine.candidates import Candidate, base_parameters
-from cosim.refine.fit import Fit, Free, Problem, fit
+from cosim.refine.fit import FAIR, Fit, Free, Problem, fit
 from plant.model import Model
 
 CLAIM = 6.0  # score a hypothesis must gain on the one it extends
+SHARE = 0.02  # of what the first effects gain, that one more must gain too
 RIVAL = 5.0  # score within which another hypothesis explains as well
 SIGNIFICANT = 3.0  # standard deviations from neutral
-FIRST_LOG_Q = -9.0  # where process noise starts: a disturbance of a few mN
-QUIET_LOG_Q = -14.0  # process noise below this is none
+NOISE = 4.0  # log-likelihood that the process noise of an equation must gain, to be more than none
+NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
 SCREEN_ITERATIONS = 12
+SAME = 0.5  # of NLL, by which fewer substeps may change it
 MOST_EFFECTS = 3
 PAIRS_AMONG = 4
 
@@ -52,12 +54,14 @@ class Attribution:
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]
     held_out: float  # log-likelihood the best one gains on logs it was not fitted on
+    noisy: tuple[bool, ...]  # whether process noise is left in each forced equation: something remains to be explained
     reasons: Mapping[str, str] = field(default_factory=dict)  # why each single candidate lost
+    hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
 
     @property
     def quiet(self) -> bool:
         """No process noise is left: nothing remains to be explained."""
-        return bool(np.all(self.best.fit.log_q < QUIET_LOG_Q))
+        return not any(self.noisy)
 
 
 class Attributor:
@@ -70,7 +74,8 @@ class Attributor:
         candidates: Sequence[Candidate],
         progress: Callable[[str, float], None] | None = None,
     ) -> None:
-        self.model, self.problem, self.candidates = model, problem, candidates
+        self.model, self.candidates = model, candidates
+        self.fine, self.problem = problem, coarsened(problem)
         self.progress = progress or (lambda stage, share: None)
         self.price = 0.5 * np.log(max(2, problem.samples))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
@@ -83,11 +88,13 @@ class Attributor:
         best = self._better(singles, base)
         if best is not base:
             best = self._extend(best, singles, base)
-        best = self.refit(best, base) if best is not base else base
-        self.tried[best.names] = best
+        self.problem = self.fine
+        self.progress("fitting the best to the end", 0.0)
+        base, best = self._decide(base, best)
         ranking = tuple(sorted(self.tried.values(), key=lambda h: h.score))
         rivals, reasons = self._rivals(best, base), self._reasons(best, base)
-        return Attribution(base, ranking, best, rivals, self.held_out(best, base), reasons)
+        held_out, noisy = self.held_out(best, base), self.noisy(best.fit)
+        return Attribution(base, ranking, best, rivals, held_out, noisy, reasons, self.hidden())
 
     def hypothesis(
         self,
@@ -102,14 +109,26 @@ class Attributor:
         # of the start only what this fit may move: the parts of another hypothesis go back to neutral
         moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
         known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
-        log_q = start.log_q if start is not None else np.full(len(self.problem.kernel.generated.noisy), FIRST_LOG_Q)
+        log_q = start.log_q if start is not None else self.problem.noise.plain
         fits = []
         for k in range(max([1, *(len(c.starts) for c in parts)])):
             values = dict(known)
             for c in parts:
                 if not set(c.parameters) <= moved:
                     values |= c.starts[min(k, len(c.starts) - 1)]
-            fits.append(fit(self.problem, free, values, np.maximum(log_q, -12.0), only, iterations, goal))
+            fair = 1 if values == known else FAIR
+            fits.append(
+                fit(
+                    self.problem,
+                    free,
+                    values,
+                    np.maximum(log_q, self.problem.noise.quiet),
+                    only,
+                    iterations,
+                    goal,
+                    fair,
+                )
+            )
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.price * sum(len(c.free) for c in parts))
 
@@ -119,10 +138,31 @@ class Attributor:
         loose = {f.name for f in own}
         return [b for b in base_parameters(self.model, self.problem.values) if b.name not in loose] + own
 
-    def refit(self, h: Hypothesis, base: Hypothesis) -> Hypothesis:
-        """Fit to the end: from where it stands and from the base, the better one."""
-        again = self.hypothesis(h.candidates, h.fit)
-        return min((h, again), key=lambda x: x.score)
+    def _decide(self, base: Hypothesis, best: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
+        """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
+        again = self.hypothesis((), base.fit)
+        if best is base:
+            return again, again
+        near = [h for h in self.tried.values() if h.score - best.score < NEAR]
+        with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+            fitted = list(pool.map(lambda h: self.hypothesis(h.candidates, h.fit), near))
+        self.tried |= {h.names: h for h in fitted}
+        return again, self._better([h for h in fitted if len(h.candidates) == len(best.candidates)], again)
+
+    def noisy(self, f: Fit) -> tuple[bool, ...]:
+        """Of each forced equation, whether a fit needs its process noise."""
+        without = np.diag(self.problem.noise.smallest - f.log_q) + f.log_q
+        return tuple(self.problem.scored(f.values, log_q).nll - f.nll > NOISE for log_q in without)
+
+    def hidden(self) -> tuple[str, ...]:
+        """Effects of which no parameter, at its usual size, would be told from neutral."""
+        found = []
+        for c in self.candidates:
+            size = np.array([f.size for f in c.free])
+            told = np.linalg.eigvalsh(self.tried[(c.name,)].fit.marginal(c.parameters) * np.outer(size, size))[-1]
+            if c.kind == "effect" and told < SIGNIFICANT**2:
+                found.append(c.name)
+        return tuple(found)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
         """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half."""
@@ -142,13 +182,15 @@ class Attributor:
 
     # -- within -------------------------------------------------------------------------------
 
-    def _fit_all(self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str) -> list[Hypothesis]:
-        """Fit sets of candidates side by side."""
+    def _fit_all(
+        self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str, gain: float = CLAIM
+    ) -> list[Hypothesis]:
+        """Fit sets of candidates side by side; those that do not promise the gain are given up early."""
         todo = [s for s in sets if tuple(sorted(c.name for c in s)) not in self.tried]
         done: list[Hypothesis] = []
 
         def one(parts: tuple[Candidate, ...]) -> Hypothesis:
-            goal = start.score - CLAIM - self.price * sum(len(c.free) for c in parts)
+            goal = start.score - gain - self.price * sum(len(c.free) for c in parts)
             h = self.hypothesis(parts, start.fit, iterations=SCREEN_ITERATIONS, goal=goal)
             done.append(h)
             self.progress(stage, len(done) / len(todo))
@@ -159,34 +201,34 @@ class Attributor:
         self.tried |= {h.names: h for h in found}
         return found
 
-    def _better(self, options: Sequence[Hypothesis], than: Hypothesis) -> Hypothesis:
+    def _better(self, options: Sequence[Hypothesis], than: Hypothesis, gain: float = CLAIM) -> Hypothesis:
         """The best option that gains enough and is significant in each of its parts; else `than`."""
         for h in sorted(options, key=lambda h: h.score):
-            if than.score - h.score < CLAIM:
+            if than.score - h.score < gain:
                 break
             if all(self.significant(h, c) for c in h.candidates):
                 return h
         return than
 
     def significant(self, h: Hypothesis, c: Candidate) -> bool:
-        """Some parameter of the candidate is away from neutral by its standard deviation several times over."""
-        for f in c.free:
-            neutral = self.problem.values[f.name]
-            sigma = h.fit.sigma(f.name)
-            if sigma > 0 and abs(h.fit.values[f.name] - neutral) > SIGNIFICANT * sigma:
-                return True
-        return False
+        """Away from neutral by Wald's test of all its parameters together, and none of them at a limit."""
+        neutral = self.problem.values
+        away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
+        pinned = any(h.fit.values[f.name] in (f.low, f.high) and d != 0.0 for f, d in zip(c.free, away, strict=True))
+        return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > SIGNIFICANT**2)
 
     def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
         promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > CLAIM]
         top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
-        while len(best.candidates) < MOST_EFFECTS and not np.all(best.fit.log_q < QUIET_LOG_Q):
+        while len(best.candidates) < MOST_EFFECTS and any(self.noisy(best.fit)):
             sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
             if len(best.candidates) == 1:
                 sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
-            options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}")
-            wider = self._better(options, best)
+            # under a coloured disturbance a small second effect is soon imagined: it must be worth some of the first
+            gain = CLAIM + SHARE * (base.score - best.score)
+            options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}", gain)
+            wider = self._better(options, best, gain)
             if wider is best:
                 return best
             best = wider
@@ -219,6 +261,18 @@ class Attributor:
         return reasons
 
 
+def coarsened(problem: Problem) -> Problem:
+    """The problem with the fewest substeps that give the base model's likelihood as the model's own number does."""
+    log_q = problem.noise.plain
+    exact = problem.scored(problem.values, log_q).nll
+    most = max(log.substeps for log in problem.logs)
+    for n in (2**k for k in range(10) if 2**k < most):
+        coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
+        if abs(coarse.scored(problem.values, log_q).nll - exact) < SAME:
+            return coarse
+    return problem
+
+
 def halved(problem: Problem) -> Problem:
     """One log as two; the second starts where the filter is then."""
     (log,), (x0,) = problem.logs, problem.x0
@@ -227,6 +281,5 @@ def halved(problem: Problem) -> Problem:
         replace(log, u=log.u[:half], y=log.y[:half]),
         replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
     ]
-    log_q = np.full(len(problem.kernel.generated.noisy), FIRST_LOG_Q)
-    reached = problem.run(problem.values, log_q, 0, states=True).states[half]
+    reached = problem.run(problem.values, problem.noise.plain, 0, states=True).states[half]
     return replace(problem, logs=halves, x0=[x0, reached], evaluations=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Sequence
+from typing import Any
 
 from cosim.refine.compiled import CompiledKernel, compiler
 from cosim.refine.generate import generate
@@ -13,8 +14,22 @@ from cosim.refine.languages import C, Python
 from plant.model import Model
 
 
+_made: dict[tuple[Any, ...], ArrayKernel] = {}
+
+
 def kernel(model: Model, measured: Sequence[str], unnamed: bool = False) -> ArrayKernel:
-    """The kernel of a model and the outputs a log holds. Raises InputError where neither C nor numba is to be had."""
+    """The kernel of a model and the outputs a log holds, made once: it takes all numbers, flags alone are built in.
+
+    Raises InputError where neither C nor numba is to be had.
+    """
+    flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
+    key = (type(model), flags, tuple(measured), unnamed)
+    if key not in _made:
+        _made[key] = _make(model, measured, unnamed)
+    return _made[key]
+
+
+def _make(model: Model, measured: Sequence[str], unnamed: bool) -> ArrayKernel:
     if compiler() is not None:
         try:
             return CompiledKernel(generate(model, measured, C(), unnamed))

@@ -8,21 +8,23 @@ inflated says which equation is deficient, and it falls back when the right term
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from cosim.refine.generate import Generated
 from cosim.refine.kernel import Array, Data, Filtered, Simulated
+from cosim.refine.process_noise import NoiseRange, noise_range
 
 SKIPPED = 1.0  # [s] of each log that the filter may use to find its state, unscored
 ITERATIONS = 30
 CONVERGED = 0.02  # of NLL, the improvement below which an iteration is the last
-Q_LIMITS = (-18.0, 8.0)  # of ln q; the lower one is the floor
+RANGE_FROM = 10.0  # [s] of the first log, from which the range of the process noise is told
 DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
 Q_DIFFERENCE = 0.05
-FAIR = 3  # iterations every fit is given
+FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
 PROMISE = 3.0  # times the improvement the quadratic model promises, before a fit is given up
 
 
@@ -90,6 +92,14 @@ class Problem:
         """Number of scored measurements."""
         return int(sum(np.isfinite(log.y[round(SKIPPED / log.step) :]).sum() for log in self.logs))
 
+    @cached_property
+    def noise(self) -> NoiseRange:
+        """How large process noise can be."""
+        log = self.logs[0]
+        rows = round((SKIPPED + RANGE_FROM) / log.step)
+        short = replace(self, logs=[replace(log, u=log.u[:rows], y=log.y[:rows])])
+        return noise_range(lambda log_q: short.scored(self.values, log_q).variances, len(self.kernel.generated.noisy))
+
     def run(self, values: Mapping[str, float], log_q: Array, index: int, *, states: bool = False) -> Filtered:
         """Filter one log."""
         generated = self.kernel.generated
@@ -134,6 +144,15 @@ class Fit:
         """What was minimised: NLL and the penalty of the priors."""
         return self.nll + self.penalty
 
+    def marginal(self, names: Sequence[str]) -> Array:
+        """Information on some parameters when all others are free too: the Schur complement of theirs."""
+        own = np.isin([f.name for f in self.free] + [""] * len(self.log_q), names)
+        F = self.information
+        reduced: Array = (
+            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ np.linalg.pinv(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        )
+        return reduced
+
     def sigma(self, name: str) -> float:
         """Standard deviation of an estimate, from the inverse of the information."""
         k = [f.name for f in self.free].index(name)
@@ -148,12 +167,13 @@ def fit(
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
     goal: float = np.inf,
+    fair: int = FAIR,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
-    A fit that has had a fair chance and does not promise to come below `goal` is given up where it is.
+    A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is.
     """
-    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal)
+    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair)
 
 
 class _Scoring:
@@ -170,14 +190,14 @@ class _Scoring:
         self.problem, self.free, self.only = problem, free, only
         self.known = {**problem.values, **start}
         nq = len(log_q)
-        self.low = np.array([f.low for f in free] + [Q_LIMITS[0]] * nq)
-        self.high = np.array([f.high for f in free] + [Q_LIMITS[1]] * nq)
+        self.low = np.array([f.low for f in free] + [*problem.noise.smallest])
+        self.high = np.array([f.high for f in free] + [*problem.noise.largest])
         self.size = np.array([f.size for f in free] + [1.0] * nq)
         self.difference = np.array([DIFFERENCE] * len(free) + [Q_DIFFERENCE] * nq) * self.size
         self.theta = np.clip(np.array([*(self.known[f.name] for f in free), *log_q]), self.low, self.high)
         self.damping = 1e-3
 
-    def run(self, iterations: int, goal: float) -> Fit:
+    def run(self, iterations: int, goal: float, fair: int) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
         done, converged = 0, False
@@ -186,7 +206,7 @@ class _Scoring:
             gradient, information = self._derivatives()
             before = self._objective(self.theta, self.scored)
             promised = 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
-            if done >= FAIR and before - PROMISE * promised > goal:
+            if done >= fair and before - PROMISE * promised > goal:
                 break
             converged = self._move(gradient, information) < CONVERGED
             done += 1

@@ -105,7 +105,7 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
 
 
 def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
-    """Basis functions of one signal: 1, the time, states, v·|v| and v³ of velocities, circles of angles, commands."""
+    """Basis functions: 1, time, states, powers of velocities, their product with time, circles of angles, commands."""
     import sympy
 
     found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
@@ -116,6 +116,8 @@ def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
         if q.unit in {"m/s", "rad/s"}:
             found[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
             found[f"{q.name}³"] = x**3
+            found[f"|{q.name}|"] = sympy.sqrt(x * x)
+            found[f"time·{q.name}"] = s.time * x
         if q.unit == "rad" and not any(q.name == i.name for i in s.model.inputs):
             found |= {f"sin {q.name}": sympy.sin(x), f"cos {q.name}": sympy.cos(x), f"cos 2{q.name}": sympy.cos(2 * x)}
     for q, u in zip(s.model.inputs, s.command, strict=True):

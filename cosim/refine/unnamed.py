@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.refine.fit import DIFFERENCE, Q_DIFFERENCE, Fit, Problem
 
-SIZES = {"vx": 0.02, "vy": 0.02, "psi_dot": 0.3}  # an acceleration that is plainly seen; others: 0.02
+SMALL = 0.1  # of a disturbance that is plainly seen within a second, for the difference of a term
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Unnamed:
 def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
     """All terms, the most promising first; `problem` is built with them, `at` is a fit of the same logs without."""
     values = {**problem.values, **at.values}
-    log_q = np.maximum(at.log_q, -16.0)
+    log_q = np.maximum(at.log_q, problem.noise.smallest)
     scored = problem.scored(values, log_q)
     e, s = scored.errors, scored.variances
 
@@ -48,13 +48,15 @@ def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
     residual = np.vstack([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2)]).ravel()
     basis, _ = np.linalg.qr(np.array(known).T)
     residual = residual - basis @ (basis.T @ residual)
+    generated = problem.kernel.generated
+    forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
+    steps = dict(zip(forced, SMALL * np.sqrt(np.exp(problem.noise.plain)), strict=True))
     found = []
-    for name in problem.kernel.generated.parameters:
+    for name in generated.parameters:
         if not name.startswith("unnamed."):
             continue
         _, equation, signal = name.split(".", 2)
-        size = SIZES.get(equation, 0.02)
-        row = sensitivity(name, 0, 0.01 * size)
+        row = sensitivity(name, 0, steps[equation])
         row = row - basis @ (basis.T @ row)
         F = float(row @ row)
         g = float(row @ residual)

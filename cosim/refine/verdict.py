@@ -8,14 +8,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.refine.attribution import QUIET_LOG_Q, Attribution, Hypothesis
+from cosim.refine.attribution import Attribution, Hypothesis
 from cosim.refine.unnamed import Unnamed
 from plant.model import Model
 from plant.quantities import parameters_of
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
-REMAINS = 0.1  # of what the claim gains, from which something without a name disputes it
+DISPUTES = 20.0  # the same beside a claim: its slight misfit under a coloured disturbance is no discovery
+REMAINS = 0.02  # of what the claim gains, from which something without a name disputes it
+LEFT, MENDED, GROWN = 0.3, 0.9, 2.0  # process noise after over before: half mended between the first two, made worse
+BLIND = 0.5  # of the effects that could not show, from which the logs say nothing
 CI95 = 1.96
 
 # What separates rivals, by what they have in common.
@@ -50,6 +53,13 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     if a.best is a.base or not a.best.candidates:
         if noticed or not a.quiet:
             return Verdict("unexplained", None, (), "", residual, _unexplained(residual, ()))
+        effects = sum(c.kind == "effect" for h in a.tried if len(h.candidates) == 1 for c in h.candidates)
+        if len(a.hidden) > 1 and len(a.hidden) > BLIND * effects:
+            sentence = (
+                f"These logs excite too little: {len(a.hidden)} of {effects} effects would not show in them, "
+                f"present or not. This would show them: {DEFAULT_EXPERIMENT}."
+            )
+            return Verdict("ambiguous", None, a.hidden, DEFAULT_EXPERIMENT, residual, sentence)
         return Verdict(
             "no_effect",
             None,
@@ -58,7 +68,7 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
             residual,
             "Nothing is missing: the model explains these logs down to the sensors' noise.",
         )
-    if (noticed and unnamed[0].gain > REMAINS * (a.base.score - a.best.score)) or a.held_out <= 0:
+    if a.held_out <= 0 or _disputed(a, unnamed[0].gain if unnamed else 0.0):
         return Verdict("unexplained", None, a.best.names, "", residual, _unexplained(residual, a.best.names))
     if a.rivals:
         names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in _common(a)))
@@ -75,6 +85,19 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model))
 
 
+def _disputed(a: Attribution, nameless: float) -> bool:
+    """The claim does not settle the matter: a term without a name promises much beside it, or process noise says so.
+
+    A true claim takes the process noise out of the equations it mends, and puts none into others.
+    """
+    left = [np.exp(q1 - q0) for q0, q1, noisy in zip(a.base.fit.log_q, a.best.fit.log_q, a.noisy, strict=True) if noisy]
+    if any(share > GROWN for share in left):
+        return True
+    half_mended = any(LEFT < share < MENDED for share in left)
+    noticed = NOTICED if half_mended else DISPUTES
+    return nameless > noticed and nameless > REMAINS * (a.base.score - a.best.score)
+
+
 def _common(a: Attribution) -> set[str]:
     """What every rival has too."""
     return set(a.best.names).intersection(*(h.names for h in a.rivals))
@@ -83,8 +106,8 @@ def _common(a: Attribution) -> set[str]:
 def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
     """Where the misfit sits and on what it depends."""
     noise = {
-        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": bool(q1 > QUIET_LOG_Q)}
-        for equation, q0, q1 in zip(forced, a.base.fit.log_q, a.best.fit.log_q, strict=True)
+        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": inflated}
+        for equation, q0, q1, inflated in zip(forced, a.base.fit.log_q, a.best.fit.log_q, a.noisy, strict=True)
     }
     terms = [u for u in unnamed if u.gain > NOTICED][:5]
     where = terms[0].equation if terms else max(noise, key=lambda k: noise[k]["after"]) if not a.quiet else None

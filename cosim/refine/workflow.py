@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.files import atomic_write
-from cosim.refine.attribution import Attribution, Attributor, Hypothesis
+from cosim.refine.attribution import Attribution, Attributor, Hypothesis, coarsened
 from cosim.refine.candidates import candidates, neutral_values
 from cosim.refine.fit import Problem
 from cosim.refine.log import Log
@@ -71,7 +71,7 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     nameless = build_problem(model, study.logs, unnamed=True, noise=study.content.noise, sensors=study.loaded.values)
     generated = problem.kernel.generated
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
-    verdict = judge(attribution, unnamed_terms(nameless, attribution.best.fit), model, forced)
+    verdict = judge(attribution, unnamed_terms(coarsened(nameless), attribution.best.fit), model, forced)
     refined = refined_model(study.loaded, verdict.claimed)
     folder.mkdir(parents=True, exist_ok=True)
     write_model(folder / "model.yaml", refined)
