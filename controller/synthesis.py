@@ -30,7 +30,7 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
                     delay of the commands
     friction, yaw_damping: all that opposes motion, divided by it, at the working speed and yaw rate
 
-    Left out is what has no place in five symmetric states: asymmetry, offsets, play, dead band, rate limit, inflow, sag.
+    Left out is what has no place in five symmetric states: asymmetry, offsets, play, dead band, rate limit, inflow.
     """
     linear = linearize(craft)
     row = linear.states.index("vx")

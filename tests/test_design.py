@@ -46,7 +46,7 @@ def test_a_lag_of_second_order_counts_by_its_mean_delay_and_a_delay_adds_to_it()
 
 
 def test_what_opposes_motion_counts_by_force_over_speed_at_the_working_speed() -> None:
-    # at 0.4 m/s and 1 rad/s: 0.25 + 0.5·0.4 + 0.04/0.4 N s/m and 0.004 + 0.003/1 N m s; a table out of level is no friction
+    # at 0.4 m/s and 1 rad/s: 0.25 + 0.5·0.4 + 0.04/0.4 N s/m and 0.004 + 0.003/1 N m s; a slope is no friction
     craft = CRAFT.with_values(
         {
             "quadratic_drag.coefficient": 0.5,

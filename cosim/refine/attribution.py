@@ -16,10 +16,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cosim.refine.candidates import Candidate, base_parameters
-from cosim.refine.fit import FAIR, Fit, Free, Problem, fit
+from cosim.refine.fit import FAIR, PROMISE, Fit, Free, Problem, fit
+from cosim.refine.screen import ScoreTest
 from plant.model import Model
 
 CLAIM = 6.0  # score a hypothesis must gain on the one it extends
+CLAIM_IN_NOISE = 15.0  # the same where process noise is at work: it is seldom as white as the filter takes it to be
 SHARE = 0.02  # of what the first effects gain, that one more must gain too
 RIVAL = 5.0  # score within which another hypothesis explains as well
 SIGNIFICANT = 3.0  # standard deviations from neutral
@@ -79,11 +81,14 @@ class Attributor:
         self.progress = progress or (lambda stage, share: None)
         self.price = 0.5 * np.log(max(2, problem.samples))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
+        self.told: dict[str, float] = {}
+        self.claim = CLAIM
 
     def run(self) -> Attribution:
         """Base fit, singles, extensions, rivals."""
         self.progress("recalibrating the base model", 0.0)
         base = self.hypothesis((), None)
+        self.claim = CLAIM_IN_NOISE if any(self.noisy(base.fit)) else CLAIM
         singles = self._fit_all([(c,) for c in self.candidates], base, "trying every effect, sensor and parameter")
         best = self._better(singles, base)
         if best is not base:
@@ -103,13 +108,19 @@ class Attributor:
         only: Sequence[int] | None = None,
         iterations: int = 30,
         goal: float = np.inf,
+        loosen: bool = True,
     ) -> Hypothesis:
-        """Fit some candidates together, from each of their starts; base parameters on trial lose their prior."""
+        """Fit some candidates together, from each of their starts; base parameters on trial lose their prior.
+
+        With `loosen`, the process noise starts no lower than where it is plain enough to move.
+        """
         free = self.free(parts)
         # of the start only what this fit may move: the parts of another hypothesis go back to neutral
         moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
         known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
         log_q = start.log_q if start is not None else self.problem.noise.plain
+        if loosen:
+            log_q = np.maximum(log_q, self.problem.noise.quiet)
         fits = []
         for k in range(max([1, *(len(c.starts) for c in parts)])):
             values = dict(known)
@@ -117,18 +128,7 @@ class Attributor:
                 if not set(c.parameters) <= moved:
                     values |= c.starts[min(k, len(c.starts) - 1)]
             fair = 1 if values == known else FAIR
-            fits.append(
-                fit(
-                    self.problem,
-                    free,
-                    values,
-                    np.maximum(log_q, self.problem.noise.quiet),
-                    only,
-                    iterations,
-                    goal,
-                    fair,
-                )
-            )
+            fits.append(fit(self.problem, free, values, log_q, only, iterations, goal, fair))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.price * sum(len(c.free) for c in parts))
 
@@ -140,12 +140,12 @@ class Attributor:
 
     def _decide(self, base: Hypothesis, best: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
         """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
-        again = self.hypothesis((), base.fit)
+        again = self.hypothesis((), base.fit, loosen=False)
         if best is base:
             return again, again
         near = [h for h in self.tried.values() if h.score - best.score < NEAR]
         with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-            fitted = list(pool.map(lambda h: self.hypothesis(h.candidates, h.fit), near))
+            fitted = list(pool.map(lambda h: self.hypothesis(h.candidates, h.fit, loosen=False), near))
         self.tried |= {h.names: h for h in fitted}
         return again, self._better([h for h in fitted if len(h.candidates) == len(best.candidates)], again)
 
@@ -156,13 +156,8 @@ class Attributor:
 
     def hidden(self) -> tuple[str, ...]:
         """Effects of which no parameter, at its usual size, would be told from neutral."""
-        found = []
-        for c in self.candidates:
-            size = np.array([f.size for f in c.free])
-            told = np.linalg.eigvalsh(self.tried[(c.name,)].fit.marginal(c.parameters) * np.outer(size, size))[-1]
-            if c.kind == "effect" and told < SIGNIFICANT**2:
-                found.append(c.name)
-        return tuple(found)
+        effects = [c.name for c in self.candidates if c.kind == "effect"]
+        return tuple(name for name in effects if self.told.get(name, np.inf) < SIGNIFICANT**2)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
         """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half."""
@@ -183,28 +178,53 @@ class Attributor:
     # -- within -------------------------------------------------------------------------------
 
     def _fit_all(
-        self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str, gain: float = CLAIM
+        self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str, gain: float | None = None
     ) -> list[Hypothesis]:
-        """Fit sets of candidates side by side; those that do not promise the gain are given up early."""
+        """Fit sets of candidates side by side, but for those of which a score test or the first steps promise nothing."""
+        needed = self.claim if gain is None else gain
         todo = [s for s in sets if tuple(sorted(c.name for c in s)) not in self.tried]
         done: list[Hypothesis] = []
+        self.progress(stage, 0.0)
 
         def one(parts: tuple[Candidate, ...]) -> Hypothesis:
-            goal = start.score - gain - self.price * sum(len(c.free) for c in parts)
-            h = self.hypothesis(parts, start.fit, iterations=SCREEN_ITERATIONS, goal=goal)
+            goal = start.score - needed - self.price * sum(len(c.free) for c in parts)
+            h = self._screened(parts, start, test, needed)
+            if h is None:
+                h = self.hypothesis(parts, start.fit, iterations=SCREEN_ITERATIONS, goal=goal)
             done.append(h)
             self.progress(stage, len(done) / len(todo))
             return h
 
+        test = ScoreTest(self.problem, start.fit)
         with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
             found = list(pool.map(one, todo))
         self.tried |= {h.names: h for h in found}
         return found
 
-    def _better(self, options: Sequence[Hypothesis], than: Hypothesis, gain: float = CLAIM) -> Hypothesis:
+    def _screened(
+        self, parts: tuple[Candidate, ...], start: Hypothesis, test: ScoreTest, needed: float
+    ) -> Hypothesis | None:
+        """A hypothesis as its score test has it, where that leaves no hope; None for one that must be fitted."""
+        added = [c for c in parts if c.name not in start.names]
+        if len(added) != 1 or len(parts) != len(start.candidates) + 1 or added[0].kind == "parameter":
+            return None
+        (c,) = added
+        promise = test.promise(c)
+        if promise is None:
+            return None
+        self.told.setdefault(c.name, promise.told)
+        price = self.price * len(c.free)
+        if PROMISE * promise.gain > needed + price:
+            return None
+        first, *rest = start.fit.nll_by_log
+        values = {**start.fit.values, **promise.values}
+        promised = replace(start.fit, values=values, nll_by_log=(first - promise.gain, *rest), iterations=0)
+        return Hypothesis(parts, promised, start.score - promise.gain + price)
+
+    def _better(self, options: Sequence[Hypothesis], than: Hypothesis, gain: float | None = None) -> Hypothesis:
         """The best option that gains enough and is significant in each of its parts; else `than`."""
         for h in sorted(options, key=lambda h: h.score):
-            if than.score - h.score < gain:
+            if than.score - h.score < (self.claim if gain is None else gain):
                 break
             if all(self.significant(h, c) for c in h.candidates):
                 return h
@@ -219,14 +239,14 @@ class Attributor:
 
     def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
-        promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > CLAIM]
+        promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > self.claim]
         top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
         while len(best.candidates) < MOST_EFFECTS and any(self.noisy(best.fit)):
             sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
             if len(best.candidates) == 1:
                 sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
             # under a coloured disturbance a small second effect is soon imagined: it must be worth some of the first
-            gain = CLAIM + SHARE * (base.score - best.score)
+            gain = self.claim + SHARE * (base.score - best.score)
             options = self._fit_all(sets, best, f"looking for what is missing beside {' and '.join(best.names)}", gain)
             wider = self._better(options, best, gain)
             if wider is best:
@@ -252,7 +272,7 @@ class Attributor:
             gained = base.score - h.score
             if c.name in best.names:
                 reasons[c.name] = "claimed"
-            elif gained < CLAIM:
+            elif gained < self.claim:
                 reasons[c.name] = "explains nothing that the base model does not"
             elif not self.significant(h, c):
                 reasons[c.name] = "not significantly away from neutral"

@@ -13,7 +13,6 @@ from cosim.refine.kernel import ArrayKernel
 from cosim.refine.languages import C, Python
 from plant.model import Model
 
-
 _made: dict[tuple[Any, ...], ArrayKernel] = {}
 
 

@@ -7,7 +7,7 @@ rivals that is hardest to tell apart is farthest apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from plant.hovercraft import Hovercraft
 
 EXPERIMENTS = 48
 DURATION = 40.0  # [s]
+FEW = 4  # rivals, of which each is flown before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
 Progress = Callable[[str, float], None]
 
@@ -105,6 +106,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, te
     usual = rig.fly(model, rig.usual_signals(time)).log(model, question.measured)
     problem = build_problem(base.model, [usual], noise=question.noise, sensors=base.values)
     separation = Separation(base.model, problem, question.rivals, question.pairs)
+    usually = separation.of(usual)
     best: Excitation | None = None
     for k in range(count):
         tell("trying experiments", k / count)
@@ -113,9 +115,10 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, te
             continue
         apart = separation.of(flight.log(model, question.measured))
         if best is None or min(apart.values()) > best.score:
-            other = Excitation(question, rig, flight, _rivals_flown(question, rig, flight), apart, separation.of(usual))
+            rivals = _rivals_flown(question, rig, flight) if len(question.rivals) <= FEW else {}
+            other = Excitation(question, rig, flight, rivals, apart, usually)
             best = other if best is None or other.score > best.score else best
-    return best
+    return best and replace(best, rivals=_rivals_flown(question, rig, best.flight))
 
 
 def _rivals_flown(question: Question, rig: Rig, flight: Flight) -> dict[str, Flight]:

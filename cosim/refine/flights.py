@@ -28,7 +28,7 @@ FASTEST = 0.1  # of the sample rate
 SLOWEST = 2.0  # periods in a flight
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]
 TURN = math.pi  # [rad] of heading asked of the loop, either way
-TRAVEL = 0.6  # of the allowed excursion that is asked of the loop
+TRAVEL = 0.9  # of the allowed excursion that is asked of the loop
 DITHER = 0.5  # of the tilt limit; the loop needs the rest
 DUTY_DIFFERENCE = 0.3  # of the duty limit between right and left, the rest on both
 

@@ -1,8 +1,8 @@
 """How far apart an input drives rival hypotheses: T-optimality, by the filter that will judge the log.
 
 After Atkinson and Fedorov (1975): an input is as good as what it leaves between two models when the parameters of the
-one are adapted to the other. What is compared are innovations, as `refine` will see them, so that a disturbance of a
-few mN hides here what it hides there. With e the innovations, s their variances and θ the parameters that may adapt:
+one are adapted to the other. What is compared are innovations, as `refine` will see them, so that a disturbance
+that is plainly seen hides here what it hides there. With e the innovations, s their variances and θ what may adapt:
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter
 D counts standard deviations; the log-likelihood to be expected is ½·D².
 """
@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.refine.attribution import FIRST_LOG_Q
+from cosim.refine.attribution import coarsened
 from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import DIFFERENCE, Free, Problem
 from cosim.refine.kernel import Array
@@ -64,20 +64,17 @@ class Separation:
         self.model, self.problem, self.pairs = model, problem, tuple(pairs)
         self.rivals = {r.name: r for r in rivals}
         self.base = base_parameters(model, problem.values)
-        self.log_q = np.full(len(problem.kernel.generated.noisy), FIRST_LOG_Q)
+        self.log_q, self.substeps = problem.noise.plain, coarsened(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
         """Distance [standard deviations] of each pair on a log of the model without noise."""
         measured = self.problem.kernel.generated.outputs
-        data = as_data(self.model, log, measured)
+        data = replace(as_data(self.model, log, measured), substeps=self.substeps)
         start = start_state(self.model, data, measured, self.problem.kernel.generated.states)
         seen = _Innovations(replace(self.problem, logs=[data], x0=[start]), self.log_q)
         shift = {name: seen.at(r.values) for name, r in self.rivals.items()}
-        own = {
-            name: np.array([seen.slope(f, r.values) for f in r.free]).reshape(len(r.free), seen.count)
-            for name, r in self.rivals.items()
-        }
-        base = np.array([seen.slope(f, {}) for f in self.base]).reshape(len(self.base), seen.count)
+        own = {name: seen.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
+        base = seen.slopes(self.base, {}, np.zeros(seen.count))
         return {
             pair: min(self._adapted(shift[a] - shift[b], own[b], base, self.rivals[b]) for a, b in self._ways(pair))
             for pair in self.pairs
@@ -117,8 +114,11 @@ class _Innovations:
         errors = self.problem.scored({**self.problem.values, **values}, self.log_q).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
-    def slope(self, free: Free, values: Mapping[str, float]) -> Array:
-        """Their derivative by a parameter, per its size."""
-        here = values.get(free.name, self.problem.values[free.name])
-        h = DIFFERENCE * free.size if here + DIFFERENCE * free.size <= free.high else -DIFFERENCE * free.size
-        return np.asarray((self.at({**values, free.name: here + h}) - self.at(values)) * (free.size / h))
+    def slopes(self, free: Sequence[Free], values: Mapping[str, float], there: Array) -> Array:
+        """Their derivatives by parameters, per size, shape (parameters, measurements); `there` they are at `values`."""
+        rows = np.empty((len(free), self.count))
+        for row, f in zip(rows, free, strict=True):
+            here = values.get(f.name, self.problem.values[f.name])
+            h = DIFFERENCE * f.size if here + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
+            row[:] = (self.at({**values, f.name: here + h}) - there) * (f.size / h)
+        return rows

@@ -7,11 +7,14 @@ which equation the misfit sits and on which signal it depends.
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.refine.fit import DIFFERENCE, Q_DIFFERENCE, Fit, Problem
+from cosim.refine.fit import Fit, Problem
+from cosim.refine.screen import ScoreTest
 
 SMALL = 0.1  # of a disturbance that is plainly seen within a second, for the difference of a term
 
@@ -28,38 +31,17 @@ class Unnamed:
 
 def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
     """All terms, the most promising first; `problem` is built with them, `at` is a fit of the same logs without."""
-    values = {**problem.values, **at.values}
-    log_q = np.maximum(at.log_q, problem.noise.smallest)
-    scored = problem.scored(values, log_q)
-    e, s = scored.errors, scored.variances
-
-    def sensitivity(name: str | None, k: int, h: float) -> np.ndarray:
-        moved, q = dict(values), log_q.copy()
-        if name is None:
-            q[k] += h
-        else:
-            moved[name] += h
-        other = problem.scored(moved, q)
-        rows = np.vstack([(other.errors - e) / np.sqrt(s), np.log(other.variances / s) / np.sqrt(2)]) / h
-        return np.nan_to_num(rows.ravel())
-
-    known = [sensitivity(f.name, 0, DIFFERENCE * f.size) * f.size for f in at.free]
-    known += [sensitivity(None, k, Q_DIFFERENCE) for k in range(len(log_q))]
-    residual = np.vstack([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2)]).ravel()
-    basis, _ = np.linalg.qr(np.array(known).T)
-    residual = residual - basis @ (basis.T @ residual)
+    test = ScoreTest(problem, at)
     generated = problem.kernel.generated
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
     steps = dict(zip(forced, SMALL * np.sqrt(np.exp(problem.noise.plain)), strict=True))
-    found = []
-    for name in generated.parameters:
-        if not name.startswith("unnamed."):
-            continue
+
+    def term(name: str) -> Unnamed:
         _, equation, signal = name.split(".", 2)
-        row = sensitivity(name, 0, steps[equation])
-        row = row - basis @ (basis.T @ row)
-        F = float(row @ row)
-        g = float(row @ residual)
-        if float(residual @ residual) * 1e-12 < F:
-            found.append(Unnamed(equation, signal, 0.5 * g * g / F, -g / F))
-    return sorted(found, key=lambda u: -u.gain)
+        gain, (taken,) = test.gain([test.row({name: steps[equation]})])
+        return Unnamed(equation, signal, gain, float(taken * steps[equation]))
+
+    names = [name for name in generated.parameters if name.startswith("unnamed.")]
+    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+        found = list(pool.map(term, names))
+    return sorted((u for u in found if u.gain > 0.0), key=lambda u: -u.gain)
