@@ -160,17 +160,23 @@ class Attributor:
         return tuple(name for name in effects if self.told.get(name, np.inf) < SIGNIFICANT**2)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
-        """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half."""
+        """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half.
+
+        Of the base, parameters that the hypothesis calls wrong stay as the model has them.
+        """
         if h is base:
             return 0.0
         problem = self.problem if len(self.problem.logs) > 1 else halved(self.problem)
+        claimed = {f.name: self.problem.values[f.name] for c in h.candidates for f in c.free}
+        without = [f for f in self.free(()) if f.name not in claimed]
+        trials = ((without, {**base.fit.values, **claimed}, base.fit), (self.free(h.candidates), h.fit.values, h.fit))
         count = len(problem.logs)
         gained = 0.0
         for left_out in range(count):
             others = [k for k in range(count) if k != left_out]
             nll = []
-            for x in (base, h):
-                f = fit(problem, self.free(x.candidates), x.fit.values, x.fit.log_q, others, SCREEN_ITERATIONS)
+            for free, start, fitted in trials:
+                f = fit(problem, free, start, fitted.log_q, others, SCREEN_ITERATIONS)
                 nll.append(problem.scored(f.values, f.log_q, [left_out]).nll)
             gained += nll[0] - nll[1]
         return gained
@@ -180,7 +186,7 @@ class Attributor:
     def _fit_all(
         self, sets: Iterable[tuple[Candidate, ...]], start: Hypothesis, stage: str, gain: float | None = None
     ) -> list[Hypothesis]:
-        """Fit sets of candidates side by side, but for those of which a score test or the first steps promise nothing."""
+        """Fit sets of candidates side by side; not those of which a score test or the first steps promise nothing."""
         needed = self.claim if gain is None else gain
         todo = [s for s in sets if tuple(sorted(c.name for c in s)) not in self.tried]
         done: list[Hypothesis] = []

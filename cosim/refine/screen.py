@@ -1,7 +1,7 @@
 """Rao's score test at a fit: what one more term promises, for one filter run a parameter and without fitting it.
 
-With r the normalised innovations and their spread, [e/√s; (1 − e²/s)/√2] and the priors', and X the sensitivities of r to
-what is free already, a term with sensitivities R promises ½·‖P·r‖², P the projection on R without what X can mend.
+With r the normalised innovations, their spread and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities
+of r to what is free already, a term of sensitivities R promises ½·‖P·r‖²: P projects on what of R no X can mend.
 """
 
 from __future__ import annotations
