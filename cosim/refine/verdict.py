@@ -15,8 +15,8 @@ from plant.quantities import parameters_of
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
-DISPUTES = 20.0  # the same beside a claim: its slight misfit under a coloured disturbance is no discovery
-REMAINS = 0.02  # of what the claim gains, from which something without a name disputes it
+REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
+DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
 LEFT, MENDED, GROWN = 0.3, 0.9, 2.0  # process noise after over before: half mended between the first two, made worse
 BLIND = 0.5  # of the effects that could not show, from which the logs say nothing
 CI95 = 1.96
@@ -82,7 +82,8 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
         name = "parameter_error"
     elif kinds == {"sensor"}:
         name = "sensor_error"
-    return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model))
+    left = unnamed[0] if unnamed and unnamed[0].gain > DISPUTES else None
+    return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model) + _left(left))
 
 
 def _disputed(a: Attribution, nameless: float) -> bool:
@@ -94,8 +95,8 @@ def _disputed(a: Attribution, nameless: float) -> bool:
     if any(share > GROWN for share in left):
         return True
     half_mended = any(LEFT < share < MENDED for share in left)
-    noticed = NOTICED if half_mended else DISPUTES
-    return nameless > noticed and nameless > REMAINS * (a.base.score - a.best.score)
+    noticed, remains = (NOTICED, REMAINS) if half_mended else (DISPUTES, DISPUTED)
+    return nameless > noticed and nameless > remains * (a.base.score - a.best.score)
 
 
 def _common(a: Attribution) -> set[str]:
@@ -151,6 +152,11 @@ def _claim(best: Hypothesis, name: Name, model: Model) -> str:
 def shown(unit: str) -> str:
     """A unit as it is read: `N·s²/m²`, nothing for a pure number."""
     return "" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("4", "⁴")
+
+
+def _left(term: Unnamed | None) -> str:
+    """What a claim leaves, where that is plain."""
+    return f" A little is left in {term.equation}: it depends on {term.signal}." if term else ""
 
 
 def _experiment(names: Sequence[str]) -> str:
