@@ -160,6 +160,8 @@ def refine(
             write_refine_report(out / "report.html", result)
     say(str(result.record["sentence"]))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
+    if result.record["verdict"] == "ambiguous":
+        say(f"a flight that would decide: cosim excite {out}")
 
 
 @app.command()

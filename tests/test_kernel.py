@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
+from cosim.refine import backend
 from cosim.refine.backend import kernel
 from cosim.refine.candidates import neutral_values
 from cosim.refine.compiled import CompiledKernel, compiler
@@ -100,6 +101,12 @@ def test_a_run_that_diverges_has_infinite_errors_from_there_on(jitted: JitKernel
     assert np.isinf(run.errors[lost:]).all()
     assert not np.isinf(run.errors[:lost]).any()
     assert np.isnan(run.states[lost + 1 :]).all()
+
+
+@pytest.fixture(autouse=True)
+def none_made_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are made once a process: here each test makes its own."""
+    monkeypatch.setattr(backend, "_made", {})
 
 
 @pytest.fixture(scope="module")

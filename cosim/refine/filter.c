@@ -128,12 +128,13 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             double before = t - log->step;
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
-                if (s == 0) {
+                if (s == 0 && k <= SETTLE / log->step) memcpy(P, P0, sizeof P); /* the lags still forget their start */
+                else if (s == 0) {
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);
                     multiply(Phi, P, M, 0);
                     multiply(M, Phi, P, 1);
-                    for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step * (k <= SETTLE / log->step ? BOOST : 1.0);
+                    for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
                 rk4(before + s * h, h, x, u, p);
             }

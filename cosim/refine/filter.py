@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # stand below: numbers of states, inputs, outputs, stochastic
     Array = NDArray[np.float64]
     NX = NU = NY = NS = NM = DELAY = 0
     STOCHASTIC = np.zeros(0, np.intp)
-    SETTLE = BOOST = 0.0
+    SETTLE = 0.0
 
     def deriv(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
         """Derivative of the state."""
@@ -177,7 +177,6 @@ def predict(
     before: float,
     step: float,
     substeps: int,
-    boost: float,
     x: Array,
     u: Array,
     p: Array,
@@ -192,7 +191,7 @@ def predict(
     multiply(Phi, P, M, False)
     multiply(M, Phi, P, True)
     for i in range(NS):
-        P[i, i] += q[i] * step * boost
+        P[i, i] += q[i] * step
 
 
 def update(
@@ -249,8 +248,10 @@ def filter(
             before = t - step
             for s in range(substeps):
                 act(log_u, substeps, k, s, delay, memory, p, u, shaped)
-                if s == 0:
-                    predict(before, step, substeps, BOOST if k <= SETTLE / step else 1.0, x, u, p, q, P, square)
+                if s == 0 and k <= SETTLE / step:
+                    P[:] = P0  # the lags still forget their start
+                elif s == 0:
+                    predict(before, step, substeps, x, u, p, q, P, square)
                 rk4(before + s * h, h, x, u, p, work)
         measure(t, x, p, y)
         measure_jacobian(t, x, p, C.reshape(NY * NS))

@@ -170,19 +170,26 @@ def _array_names(s: SymbolicModel, parameters: dict[str, Any]) -> dict[Any, str]
 
 
 def _shaping(s: SymbolicModel, arrays: dict[Any, str], language: Language) -> tuple[int, str]:
-    """`shape(u, memory, p)`: what the effects on a command make of it, in place, the delay left out."""
+    """`shape(u, memory, p)`: what the effects on a command make of it, in place, the delay left out.
+
+    Each effect sees plain symbols, not the branches of those before it: sympy takes seconds over branches in branches.
+    """
     import sympy
 
     m = SymbolNamespace()
     command: tuple[Any, ...] = s.command
     places: dict[Any, str] = dict(arrays)
+    stages: list[dict[Any, Any]] = []
     remembered: list[Any] = []
     for effect in overrides(s.model.awake, "shape", Effect):
         if effect.name == DELAY:
             continue
         own = tuple(sympy.Symbol(f"memory:{len(remembered) + k}", real=True) for k in range(len(effect.memory)))
         places |= {symbol: f"memory[{len(remembered) + k}]" for k, symbol in enumerate(own)}
-        command, after = effect.shape(m, s.time, sympy.Symbol("h"), command, own)
-        remembered += after
-    function = language.function("shape_all", "u memory p", [*map(sympy.sympify, command), *remembered], places)
+        shaped, after = effect.shape(m, s.time, sympy.Symbol("h"), command, own)
+        results = [sympy.sympify(e) for e in (*shaped, *after)]
+        symbols = [sympy.Symbol(f"s{len(stages)}_{k}", real=True) for k in range(len(results))]
+        stages.append(dict(zip(symbols, results, strict=True)))
+        command, remembered = tuple(symbols[: len(shaped)]), remembered + symbols[len(shaped) :]
+    function = language.function("shape_all", "u memory p", [*command, *remembered], places, stages)
     return len(remembered), function

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.refine.generate import Generated
 
 Array = NDArray[np.float64]
-SETTLE, BOOST = 0.5, 1e3  # [s] while the lags forget their unknown start, process noise is this much larger
+SETTLE = 0.8  # [s] until the lags have forgotten their unknown start; so long no state is believed to be known better
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,6 @@ def constants(g: Generated) -> Mapping[str, float | tuple[int, ...]]:
         "DELAY": g.delay,
         "STOCHASTIC": g.stochastic,
         "SETTLE": SETTLE,
-        "BOOST": BOOST,
     }
 
 

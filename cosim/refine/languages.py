@@ -15,14 +15,28 @@ class Language:
     local: str
     store: str
 
-    def function(self, name: str, arguments: str, expressions: Sequence[Any], places: Mapping[Any, str]) -> str:
-        """Print one function; `places` says where a symbol stands in the arguments (`x[3]`)."""
+    def function(
+        self,
+        name: str,
+        arguments: str,
+        expressions: Sequence[Any],
+        places: Mapping[Any, str],
+        before: Sequence[Mapping[Any, Any]] = (),
+    ) -> str:
+        """Print one function; `places` says where a symbol stands in the arguments (`x[3]`).
+
+        before: what is computed first, stage by stage, symbol → expression of arguments and earlier symbols
+        """
         import sympy
 
-        printer = self.printer(places)
-        replaced, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("c"), optimizations=[])
-        lines = [self.local.format(symbol, printer.doprint(e)) for symbol, e in replaced]
-        lines += [self.store.format(k, printer.doprint(e)) for k, e in enumerate(reduced)]
+        printer, names = self.printer(places), sympy.numbered_symbols("c")
+        lines = []
+        for stage in (*before, dict(enumerate(expressions))):
+            replaced, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
+            lines += [self.local.format(symbol, printer.doprint(e)) for symbol, e in replaced]
+            for target, e in zip(stage, reduced, strict=True):
+                form = self.store if isinstance(target, int) else self.local
+                lines.append(form.format(target, printer.doprint(e)))
         return self.frame(name, [*arguments.split(), "out"], "\n    ".join(lines))
 
     def printer(self, places: Mapping[Any, str]) -> Any:
