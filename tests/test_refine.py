@@ -191,6 +191,23 @@ def without_position(path: Path) -> None:
         writer.writerows(rows)
 
 
+def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    sigma = [np.sqrt(Hovercraft.sensor_variance[name]) for name in ("psi", "psi_dot", "ax", "x_world", "y_world")]
+    for log in "ab":
+        still = np.column_stack([0.02 * np.arange(600), np.full((600, 2), 6.38763), np.zeros((600, 2))])
+        header = "time,duty_right,duty_left,tilt_right,tilt_left,psi,psi_dot,ax,x_world,y_world"
+        rows = np.column_stack([still, rng.normal(0.0, sigma, (600, 5))])
+        np.savetxt(tmp_path / f"{log}.csv", rows, delimiter=",", header=header, comments="")
+    study = tmp_path / "study.yaml"
+    study.write_text("model: base\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
+    r = proven(study, tmp_path / "out")
+    assert r.record["verdict"] == "ambiguous"
+    assert "excite too little" in r.record["sentence"]
+    assert len(r.record["rivals"]) > 5
+    assert r.record["experiment"]
+
+
 def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
     from tests.blind.truth_outside import OUTSIDE
 

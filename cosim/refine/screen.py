@@ -17,7 +17,7 @@ from cosim.refine.kernel import Array
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
-JUMP = 0.5
+JUMP, SEEN = 0.5, 1.0  # of that difference's square, and of one that can be seen
 NOTHING = 1e-12  # of the residual's square, below which a term cannot be seen at all
 
 
@@ -72,7 +72,7 @@ class ScoreTest:
             steps = [{n: SHARE * d for n, d in away.items()}, *({n: SHARE * d} for n, d in away.items())]
             jump = self.row({n: TINY * d for n, d in away.items()})
             rows = [self.row(s) for s in (steps if len(away) > 1 else steps[:1])]
-            if jump @ jump > JUMP * (rows[0] @ rows[0]):
+            if jump @ jump > max(SEEN, JUMP * (rows[0] @ rows[0])):
                 return None
         else:
             steps = [{f.name: SHARE * f.size} for f in c.free]

@@ -18,7 +18,7 @@ NOTICED = 12.0  # promised log-likelihood from which a term without a name count
 REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
 DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
 LEFT, MENDED, GROWN = 0.3, 0.9, 2.0  # process noise after over before: half mended between the first two, made worse
-BLIND = 0.5  # of the effects that could not show, from which the logs say nothing
+BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
 CI95 = 1.96
 
 # What separates rivals, by what they have in common.
@@ -31,6 +31,7 @@ EXPERIMENTS: Mapping[frozenset[str], str] = {
     frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
     frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
 }
+NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 
 
@@ -49,25 +50,17 @@ class Verdict:
 def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequence[str]) -> Verdict:
     """Claim only where score, significance and held-out likelihood agree and nothing nameless is left."""
     residual = _residual(a, unnamed, forced)
-    noticed = bool(unnamed) and unnamed[0].gain > NOTICED
-    if a.best is a.base or not a.best.candidates:
-        if noticed or not a.quiet:
+    kinds = {c.kind for c in a.best.candidates}
+    effects = sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
+    # a log at rest may show a biased sensor; of forces it says nothing
+    if len(a.hidden) > max(1.0, BLIND * effects) and kinds != {"sensor"}:
+        experiment = DEFAULT_EXPERIMENT
+        sentence = _too_little(len(a.hidden), effects, experiment)
+        return Verdict("ambiguous", None, a.hidden, experiment, residual, sentence)
+    if not kinds:
+        if not a.quiet or (unnamed and unnamed[0].gain > NOTICED):
             return Verdict("unexplained", None, (), "", residual, _unexplained(residual, ()))
-        effects = sum(c.kind == "effect" for h in a.tried if len(h.candidates) == 1 for c in h.candidates)
-        if len(a.hidden) > 1 and len(a.hidden) > BLIND * effects:
-            sentence = (
-                f"These logs excite too little: {len(a.hidden)} of {effects} effects would not show in them, "
-                f"present or not. This would show them: {DEFAULT_EXPERIMENT}."
-            )
-            return Verdict("ambiguous", None, a.hidden, DEFAULT_EXPERIMENT, residual, sentence)
-        return Verdict(
-            "no_effect",
-            None,
-            (),
-            "",
-            residual,
-            "Nothing is missing: the model explains these logs down to the sensors' noise.",
-        )
+        return Verdict("no_effect", None, (), "", residual, NOTHING)
     if a.held_out <= 0 or _disputed(a, unnamed[0].gain if unnamed else 0.0):
         return Verdict("unexplained", None, a.best.names, "", residual, _unexplained(residual, a.best.names))
     if a.rivals:
@@ -76,7 +69,6 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
             experiment = _experiment(names)
             sentence = f"These logs cannot tell {' from '.join(names)}; this would: {experiment}."
             return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
-    kinds = {c.kind for c in a.best.candidates}
     name: Name = "effect_found"
     if kinds == {"parameter"}:
         name = "parameter_error"
@@ -84,6 +76,13 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
         name = "sensor_error"
     left = unnamed[0] if unnamed and unnamed[0].gain > DISPUTES else None
     return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model) + _left(left))
+
+
+def _too_little(hidden: int, effects: int, experiment: str) -> str:
+    return (
+        f"These logs excite too little: {hidden} of {effects} effects would not show in them, present or not. "
+        f"This would show them: {experiment}."
+    )
 
 
 def _disputed(a: Attribution, nameless: float) -> bool:
