@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -150,6 +151,8 @@ def refine(
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refine.workflow import refine as refine_study
 
     with stages() as progress:
