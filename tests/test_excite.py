@@ -19,9 +19,10 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.cli import app
 from cosim.errors import InputError
-from cosim.refine.attribution import Attribution, Attributor
+from cosim.refine.attribution import Attributor
 from cosim.refine.candidates import candidates
 from cosim.refine.excite import Excitation, excite
+from cosim.refine.hypotheses import Attribution
 from cosim.refine.log import read_log
 from cosim.refine.problem import build_problem
 from cosim.refine.question import ask

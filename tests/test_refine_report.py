@@ -15,8 +15,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from cosim.refine.attribution import Attribution, Attributor
+from cosim.refine.attribution import Attributor
 from cosim.refine.candidates import candidates
+from cosim.refine.hypotheses import Attribution
 from cosim.refine.measure import Variant
 from cosim.refine.model_file import BASE, LoadedModel
 from cosim.refine.problem import build_problem

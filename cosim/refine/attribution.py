@@ -9,14 +9,15 @@ catalogue does not hold the answer.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import FAIR, PROMISE, Fit, Free, Problem, fit
+from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.screen import ScoreTest
 from plant.model import Model
 
@@ -31,39 +32,6 @@ SCREEN_ITERATIONS = 12
 SAME = 0.5  # of NLL, by which fewer substeps may change it
 MOST_EFFECTS = 3
 PAIRS_AMONG = 4
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """Some candidates together, fitted."""
-
-    candidates: tuple[Candidate, ...]
-    fit: Fit
-    score: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names, sorted."""
-        return tuple(sorted(c.name for c in self.candidates))
-
-
-@dataclass(frozen=True)
-class Attribution:
-    """The outcome: the base fit, every hypothesis tried (best first), the one that stands, and its rivals."""
-
-    base: Hypothesis
-    tried: tuple[Hypothesis, ...]
-    best: Hypothesis
-    rivals: tuple[Hypothesis, ...]
-    held_out: float  # log-likelihood the best one gains on logs it was not fitted on
-    noisy: tuple[bool, ...]  # whether process noise is left in each forced equation: something remains to be explained
-    reasons: Mapping[str, str] = field(default_factory=dict)  # why each single candidate lost
-    hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
-
-    @property
-    def quiet(self) -> bool:
-        """No process noise is left: nothing remains to be explained."""
-        return not any(self.noisy)
 
 
 class Attributor:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
-from cosim.refine.attribution import Attribution, Hypothesis
+from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.residual import FREE_RUN
 from cosim.refine.verdict import CI95, Name, Verdict
 from cosim.version import __version__

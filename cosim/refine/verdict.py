@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.refine.attribution import Attribution, Hypothesis
+from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.unnamed import Unnamed
 from plant.model import Model
 from plant.quantities import parameters_of

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.files import atomic_write
-from cosim.refine.attribution import Attribution, Attributor, Hypothesis, coarsened
+from cosim.refine.attribution import Attributor, coarsened
 from cosim.refine.candidates import candidates, neutral_values
 from cosim.refine.fit import Problem
+from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.log import Log
 from cosim.refine.measure import Evidence, Variant, noise_floor, replays, rmse
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.refine.attribution import Hypothesis
 from cosim.refine.candidates import Candidate
 from cosim.refine.fit import Problem
+from cosim.refine.hypotheses import Hypothesis
 from cosim.refine.kernel import Array
 from cosim.refine.report.missing import LEAST_LOG_Q, Filter, Missing, Steps, claimed, missing
 from cosim.refine.report.signals import Signal, choose, nameless, signals
