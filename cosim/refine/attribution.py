@@ -29,6 +29,7 @@ SIGNIFICANT = 3.0  # standard deviations from neutral
 NOISE = 4.0  # log-likelihood that the process noise of an equation must gain, to be more than none
 NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
 SCREEN_ITERATIONS = 12
+TO_THE_END = 60  # iterations within which every fit seen has converged
 SAME = 0.5  # of NLL, by which fewer substeps may change it
 MOST_EFFECTS = 3
 PAIRS_AMONG = 4
@@ -108,12 +109,14 @@ class Attributor:
 
     def _decide(self, base: Hypothesis, best: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
         """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
-        again = self.hypothesis((), base.fit, loosen=False)
+        again = self.hypothesis((), base.fit, iterations=TO_THE_END, loosen=False)
         if best is base:
             return again, again
         near = [h for h in self.tried.values() if h.score - best.score < NEAR]
         with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-            fitted = list(pool.map(lambda h: self.hypothesis(h.candidates, h.fit, loosen=False), near))
+            fitted = list(
+                pool.map(lambda h: self.hypothesis(h.candidates, h.fit, iterations=TO_THE_END, loosen=False), near)
+            )
         self.tried |= {h.names: h for h in fitted}
         return again, self._better([h for h in fitted if len(h.candidates) == len(best.candidates)], again)
 
@@ -276,4 +279,4 @@ def halved(problem: Problem) -> Problem:
         replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
     ]
     reached = problem.run(problem.values, problem.noise.plain, 0, states=True).states[half]
-    return replace(problem, logs=halves, x0=[x0, reached], evaluations=0)
+    return replace(problem, logs=halves, x0=[x0, reached])

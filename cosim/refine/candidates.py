@@ -77,10 +77,13 @@ def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]
 
 
 def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
+    """A base parameter, within a range of its value; of one that is 0 or negative, of the size at which it is seen."""
     p = next(p for p in model.parameters if p.name == name)
     value = values[name]
-    low, high = max(p.bounds[0], BASE_RANGE[0] * value), min(p.bounds[1], BASE_RANGE[1] * value)
-    return Free(name, low, high, 0.05 * abs(value), None if tolerance is None else (value, tolerance * abs(value)))
+    scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
+    least, most = BASE_RANGE if value > 0.0 else (-BASE_RANGE[1], BASE_RANGE[1])
+    low, high = (max(p.bounds[0], least * scale), min(p.bounds[1], most * scale))
+    return Free(name, low, high, 0.05 * scale, None if tolerance is None else (value, tolerance * scale))
 
 
 def _free(p: Parameter, name: str) -> Free:

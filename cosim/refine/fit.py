@@ -8,7 +8,7 @@ inflated says which equation is deficient, and it falls back when the right term
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -85,7 +85,6 @@ class Problem:
     P0: Array
     r: Array
     values: Mapping[str, float]
-    evaluations: int = field(default=0)
 
     @property
     def samples(self) -> int:
@@ -106,7 +105,6 @@ class Problem:
         p = np.array([values[name] for name in generated.parameters])
         q = np.zeros(len(generated.stochastic))
         q[list(generated.noisy)] = np.exp(log_q)
-        self.evaluations += 1
         return self.kernel.run(self.logs[index], p, self.x0[index], self.P0, q, self.r, states=states)
 
     def scored(self, values: Mapping[str, float], log_q: Array, only: Sequence[int] | None = None) -> Scored:
@@ -246,8 +244,9 @@ class _Scoring:
             h = h if there[i] + h <= self.high[i] else -h
             there[i] += h
             other = self._evaluate(there)
-            de[i] = (other.errors - e) / h * self.size[i]
-            dls[i] = np.log(other.variances / s) / h * self.size[i]
+            with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
+                de[i] = (other.errors - e) / h * self.size[i]
+                dls[i] = np.log(other.variances / s) / h * self.size[i]
         de, dls = np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T

@@ -72,7 +72,7 @@ class ScoreTest:
             steps = [{n: SHARE * d for n, d in away.items()}, *({n: SHARE * d} for n, d in away.items())]
             jump = self.row({n: TINY * d for n, d in away.items()})
             rows = [self.row(s) for s in (steps if len(away) > 1 else steps[:1])]
-            if jump @ jump > max(SEEN, JUMP * (rows[0] @ rows[0])):
+            if float(jump @ jump) > max(SEEN, JUMP * float(rows[0] @ rows[0])):
                 return None
         else:
             steps = [{f.name: SHARE * f.size} for f in c.free]

@@ -1,0 +1,51 @@
+"""What may be missing or wrong, and within which limits a fit may look for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from cosim.refine.candidates import BASE_RANGE, base_parameters, candidates, neutral_values
+from plant.hovercraft import Hovercraft
+from plant.model import Equations, Model
+from plant.namespaces import Namespace
+from plant.quantities import parameter
+
+
+def test_a_base_parameter_is_looked_for_around_its_value() -> None:
+    craft = Hovercraft()
+    mass = next(f for f in base_parameters(craft, neutral_values(craft)) if f.name == "mass")
+    assert (mass.low, mass.high) == pytest.approx((BASE_RANGE[0] * 0.705, BASE_RANGE[1] * 0.705))
+    assert mass.prior == pytest.approx((0.705, 0.00705))
+
+
+def test_a_craft_without_friction_may_turn_out_to_have_some() -> None:
+    craft = Hovercraft(friction=0.0)
+    friction = next(f for f in base_parameters(craft, neutral_values(craft)) if f.name == "friction")
+    assert friction.low == 0.0 < friction.high
+    assert friction.size > 0.0
+    assert friction.prior is not None
+    assert friction.prior[1] > 0.0
+
+
+def test_a_negative_parameter_has_limits_on_both_sides() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Leaning(Model):
+        calibrated = ("lean",)
+        lean: float = parameter(-0.3, unit="N", bounds=(-10, 10), doc="a force")
+
+        def equations(self, m: Namespace) -> Equations:
+            raise NotImplementedError
+
+    (lean,) = base_parameters(Leaning(), {"lean": -0.3})
+    assert lean.low < -0.3 < lean.high
+
+
+def test_the_thrust_line_is_on_trial_only_where_the_duty_varies() -> None:
+    craft = Hovercraft()
+    still, varied = (
+        {c.name for c in candidates(craft, neutral_values(craft), inputs)}
+        for inputs in (["tilt_right"], ["tilt_right", "duty_left"])
+    )
+    assert varied - still == {"thrust_slope"}
