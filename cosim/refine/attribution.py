@@ -125,6 +125,10 @@ class Attributor:
         without = np.diag(self.problem.noise.smallest - f.log_q) + f.log_q
         return tuple(self.problem.scored(f.values, log_q).nll - f.nll > NOISE for log_q in without)
 
+    def strained(self, f: Fit) -> bool:
+        """Some base parameter is pulled from its data sheet by more than its prior can be asked for."""
+        return any(0.5 * ((f.values[x.name] - x.prior[0]) / x.prior[1]) ** 2 > self.claim for x in f.free if x.prior)
+
     def hidden(self) -> tuple[str, ...]:
         """Effects of which no parameter, at its usual size, would be told from neutral."""
         effects = [c.name for c in self.candidates if c.kind == "effect"]
@@ -218,7 +222,7 @@ class Attributor:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
         promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > self.claim]
         top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
-        while len(best.candidates) < MOST_EFFECTS and any(self.noisy(best.fit)):
+        while len(best.candidates) < MOST_EFFECTS and (any(self.noisy(best.fit)) or self.strained(best.fit)):
             sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
             if len(best.candidates) == 1:
                 sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]

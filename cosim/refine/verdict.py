@@ -17,7 +17,7 @@ Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "
 NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
 REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
 DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
-LEFT, MENDED, GROWN = 0.3, 0.9, 2.0  # process noise after over before: half mended between the first two, made worse
+LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
 BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
 CI95 = 1.96
 
