@@ -3,72 +3,66 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.blocks.fmu import read_description
 from cosim.design import designed_values
 from cosim.errors import Fault, FmuError, InputError
 from cosim.manifest import check_pinned
-from cosim.refine.gate import gate, gate_faults
+from cosim.refine.gate import gate, refuse_faults
 from cosim.refine.log import read_log
-from cosim.refine.model_file import read_model
+from cosim.refine.model_file import BASE, load_model, read_model
 from cosim.refine.study import read_study
 from cosim.refine.words import finding_line
 from cosim.scenario_file import ScenarioFile
 from cosim.system import build_system
 from cosim.yaml_file import YamlFile
-from plant.hovercraft import Hovercraft
+from plant.model import Model
 
 
-def check_files(files: Sequence[Path]) -> None:
-    """Check each file by what it is; InputError with all faults of all files."""
+def check_files(files: Sequence[Path], model: str = BASE) -> list[str]:
+    """Check each file by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
+
+    What is to be known and no fault, a line each; InputError with all faults of all files.
+    """
+    logged = load_model(model, Path()).model
     faults: list[Fault] = []
+    told: list[str] = []
     for path in files:
-        faults += _check(path)
+        try:
+            told += [f"{path}: {line}" for line in _check(path, logged)]
+        except InputError as error:
+            faults += error.faults
     if faults:
         raise InputError(faults)
+    return told
 
 
-def _check(path: Path) -> list[Fault]:
+def _check(path: Path, model: Model) -> list[str]:
+    """What is to be known of a file, a line each; InputError with its faults."""
     if path.suffix == ".fmu" or zipfile.is_zipfile(path):
-        return check_fmu(path)
+        if faults := check_fmu(path):
+            raise InputError(faults)
+        return []
     if path.suffix == ".csv":
-        return check_log(path)
-    try:
-        root = YamlFile(path).root
-    except InputError as error:
-        return list(error.faults)
+        return log_findings(path, model)
+    root = YamlFile(path).root
     if "logs" in root:
-        return _faults_of(read_study, path)
+        return [f"warning: {text}" for text in read_study(path).warnings]
     if "components" not in root and "scenario" not in root and root.keys() & {"parameters", "sensors"}:
-        return _faults_of(read_model, path)
-    return _faults_of(check_scenario, path)
-
-
-def _faults_of(read: Callable[[Path], object], path: Path) -> list[Fault]:
-    try:
-        read(path)
-    except InputError as error:
-        return list(error.faults)
+        read_model(path)
+    else:
+        check_scenario(path)
     return []
 
 
-def check_log(path: Path) -> list[Fault]:
-    """Faults of a log of the hovercraft, those its gate finds included."""
-    craft = Hovercraft()
-    try:
-        log = read_log(path, craft.inputs, craft.outputs)
-    except InputError as error:
-        return list(error.faults)
-    return gate_faults(log, gate(log, craft.rate))
-
-
-def log_findings(path: Path) -> list[str]:
-    """What the gate says of a log that is no fault, a line each."""
-    craft = Hovercraft()
-    log = read_log(path, craft.inputs, craft.outputs)
-    return [finding_line(f) for f in gate(log, craft.rate) if f.severity != "fault"]
+def log_findings(path: Path, model: Model) -> list[str]:
+    """What the gate says of a log, a line each; InputError with its faults."""
+    log = read_log(path, model.inputs, model.outputs)
+    findings = gate(log, model.rate)
+    refuse_faults(log, findings)
+    return [finding_line(f) for f in findings]
 
 
 def check_fmu(path: Path) -> list[Fault]:

@@ -107,14 +107,15 @@ def build(
 @app.command()
 def check(
     files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv) or FMUs.")],
+    model: Annotated[
+        str, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
+    ] = "base",
 ) -> None:
     """Say what is wrong with files, all faults at once."""
-    from cosim.check import check_files, log_findings
+    from cosim.check import check_files
 
-    check_files(files)
-    for path in files:
-        for line in log_findings(path) if path.suffix == ".csv" else ():
-            say(f"{path}: {line}")
+    for line in check_files(files, model):
+        say(line)
     say(f"no fault in {', '.join(map(str, files))}")
 
 
@@ -161,6 +162,8 @@ def refine(
             from cosim.refine.report.page import write_refine_report
 
             write_refine_report(out / "report.html", result)
+    for warning in result.study.warnings:
+        typer.echo(f"warning: {warning}", err=True)
     say(str(result.record["sentence"]))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous":

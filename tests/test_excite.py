@@ -142,7 +142,7 @@ def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path)
         {"names": ["thrust_asymmetry"], "parameters": {"thrust_asymmetry.ratio": 0.021}},
     ]
     record = {"study": str(tmp_path / "study.yaml"), "rivals": [*RIVALS], "candidates": ranking}
-    (tmp_path / "refine.json").write_text(json.dumps(record | {"noise_floor": {"psi": 0.005, "ax": 0.2}}))
+    (tmp_path / "refine.json").write_text(json.dumps(record | {"measured": ["psi", "ax"]}))
     for place in (tmp_path, tmp_path / "refine.json"):
         question = ask(str(place))
         assert question.pairs == (RIVALS,)

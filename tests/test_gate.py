@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.check import check_files
+from cosim.errors import InputError
 from cosim.refine.against import delay, delays
 from cosim.refine.finding import Finding
 from cosim.refine.gate import gate, gate_faults
 from cosim.refine.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
-from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times
+from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 Columns = dict[str, Array]
@@ -225,3 +227,13 @@ def test_delay_is_silent_where_the_model_has_nothing_in_common(tmp_path: Path, f
     log = log_of(tmp_path / "a.csv", columns(flight))
     other = np.random.default_rng(1).standard_normal(flight.time.size)
     assert delay(log, log.outputs["psi_dot"], other) is None
+
+
+def test_a_log_of_another_model_is_checked_as_such(tmp_path: Path) -> None:
+    text = (Path(__file__).parent.parent / "docs" / "own_model.md").read_text()
+    (tmp_path / "table.py").write_text(text.split("```python\n")[1].split("```")[0])
+    log = write_log(tmp_path / "a.csv", {"time": times(12.0), "torque": np.sin(times(12.0)), "rate": times(12.0)})
+    told = check_files([log], f"{tmp_path / 'table.py'}:Table")
+    assert any("torque moves" in line for line in told)
+    with pytest.raises(InputError, match='unknown column "torque"'):
+        check_files([log])

@@ -208,3 +208,21 @@ def test_rates_are_found_by_their_names() -> None:
     known = {"psi", "psi_dot", "x", "vx", "position", "velocity", "angle"}
     pairs = {name: rate_of(name, known) for name in sorted(known)}
     assert {a: b for a, b in pairs.items() if b} == {"psi": "psi_dot", "x": "vx", "position": "velocity"}
+
+
+@pytest.mark.parametrize(
+    ("time", "grid"),
+    [
+        ([0.0, 1.0, 2.0, 3.0], [0, 1, 2, 3]),
+        ([5.0, 6.0, 8.0, 9.0, 10.0, 13.0], [0, 1, 3, 4, 5, 8]),
+        ([0.0, 0.9, 2.1, 4.9, 6.0, 7.0, 8.0], [0, 1, 2, 5, 6, 7, 8]),
+        ([0.0, 1.0, 2.6, 3.0, 4.0, 6.0, 7.0], [0, 1, 2, 3, 4, 6, 7]),
+        ([0.0, 1.02, 2.04, 3.06, 4.08, 5.1], [0, 1, 2, 3, 4, 5]),
+    ],
+    ids=["whole", "rows missing", "jitter", "one row late", "none missing"],
+)
+def test_rows_stand_in_equal_steps_with_room_for_those_that_are_missing(
+    tmp_path: Path, time: list[float], grid: list[int]
+) -> None:
+    rows = "".join(f"{t},6.4,6.4,0.1,0.1,{0.01 * t},0.0\n" for t in time)
+    assert read(tmp_path / "a.csv", f"{HEADER}\n{rows}").grid.tolist() == grid

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -17,15 +18,18 @@ import jsonschema
 import numpy as np
 import pytest
 
+from cosim.check import check_files
+from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
-from cosim.refine import measure
+from cosim.refine import measure, workflow
 from cosim.refine.candidates import neutral_values
 from cosim.refine.drive import Drive, StoppedReplay
 from cosim.refine.log import read_log
-from cosim.refine.model_file import read_model
+from cosim.refine.model_file import load_model, read_model
 from cosim.refine.problem import build_problem
 from cosim.refine.record import SCHEMA, schema
 from cosim.refine.replay import Replay, windows
+from cosim.refine.report.page import write_refine_report
 from cosim.refine.residual import FREE_RUN
 from cosim.refine.study import read_study
 from cosim.refine.verdict import Name
@@ -171,7 +175,7 @@ def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tm
 
 def test_nothing_missing_is_said_and_the_model_left_alone(tmp_path: Path) -> None:
     path = study_of(tmp_path, {}, kind="nothing")
-    without_position(path.with_name("v1.csv"))
+    without(path.with_name("v1.csv"), "x_world", "y_world")
     r = proven(path, tmp_path / "out")
     assert r.record["verdict"] == "no_effect"
     assert r.record["effects"] == []
@@ -180,11 +184,11 @@ def test_nothing_missing_is_said_and_the_model_left_alone(tmp_path: Path) -> Non
         assert set(error["after"]["estimation"]) - set(error["after"]["validation"]) == {"x_world", "y_world"}
 
 
-def without_position(path: Path) -> None:
-    """Take the position out of a log, so that it measures less than the others."""
+def without(path: Path, *outputs: str) -> None:
+    """Take outputs out of a log, so that it measures less than the others."""
     with path.open() as stream:
         rows = list(csv.DictReader(stream))
-    kept = [name for name in rows[0] if not name.startswith(("x_world", "y_world"))]
+    kept = [name for name in rows[0] if not name.startswith(outputs)]
     with path.open("w") as stream:
         writer = csv.DictWriter(stream, kept, extrasaction="ignore")
         writer.writeheader()
@@ -274,3 +278,156 @@ def test_a_faulty_model_file_is_told_all_at_once(tmp_path: Path) -> None:
     told = [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
     assert [t.split(":")[0] for t in told] == ["3", "4", "5", "7"]
     assert 'did you mean "coulomb_friction.force"?' in told[1]
+
+
+def thinned(folder: Path, keep: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Leave only some rows of every log of a study."""
+    for log in folder.glob("*.csv"):
+        header, *rows = log.read_text().splitlines()
+        kept = [row for row, stays in zip(rows, keep(np.arange(len(rows))), strict=True) if stays]
+        log.write_text("\n".join([header, *kept]) + "\n")
+
+
+def dropped(rows: np.ndarray) -> np.ndarray:
+    return (np.random.default_rng(5).random(rows.size) > 0.05) | (rows == 0)
+
+
+def paused(rows: np.ndarray) -> np.ndarray:
+    return (rows < 270) | (rows >= 320)
+
+
+@pytest.mark.parametrize("keep", [dropped, paused])
+def test_rows_that_are_missing_change_no_verdict(
+    rubbing: Refinement, tmp_path: Path, keep: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    path = study_of(tmp_path / "study", {"coulomb_friction": {"force": 0.06}})
+    thinned(path.parent, keep)
+    r = proven(path, tmp_path / "out")
+    assert named(r) == named(rubbing) == {"coulomb_friction"}
+    assert holds(r, "coulomb_friction", "force", 0.06)
+    assert any("missing in" in text for text in r.study.warnings)
+    before, after = (r.record["error"][name]["validation"] for name in ("before", "after"))
+    assert all(after[name] < 0.1 * before[name] for name in ("x_world", "y_world"))
+    assert sorted(p.name for p in r.folder.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
+
+
+def test_each_log_may_measure_something_else(tmp_path: Path) -> None:
+    path = study_of(tmp_path / "study", {"coulomb_friction": {"force": 0.06}})
+    without(path.with_name("e2.csv"), "ax")
+    without(path.with_name("v1.csv"), "psi_dot")
+    r = proven(path, tmp_path / "out")
+    assert r.problem.kernel.generated.outputs == ("x_world", "y_world", "psi", "psi_dot", "ax")
+    assert named(r) == {"coulomb_friction"}
+    write_refine_report(tmp_path / "out" / "report.html", r)
+
+
+def test_logs_that_measure_nothing_in_common_make_one_problem(tmp_path: Path) -> None:
+    path, craft = study_of(tmp_path, {}), Hovercraft()
+    without(path.with_name("e1.csv"), "psi", "ax")
+    without(path.with_name("e2.csv"), "x_world", "y_world")
+    logs = [read_log(path.with_name(n), craft.inputs, craft.outputs) for n in ("e1.csv", "e2.csv")]
+    problem = build_problem(craft, logs)
+    measured = [np.isfinite(data.y).all(axis=0).tolist() for data in problem.logs]
+    assert measured == [[True, True, False, False, False], [False, False, True, True, True]]
+
+
+def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) -> None:
+    path = study_of(tmp_path, {})
+    craft = Hovercraft()
+    whole = read_log(path.with_name("e1.csv"), craft.inputs, craft.outputs)
+    late = {name: np.where(np.arange(whole.rows) < 75, np.nan, whole.outputs[name] + 3.0) for name in ("x_world",)}
+    problem = build_problem(craft, [replace(whole, outputs=dict(whole.outputs) | late)])
+    place = problem.kernel.generated.states.index("x_world")
+    assert problem.x0[0][place] == 0.0
+    assert problem.P0[0, 0] == 1.0
+    run = problem.run(problem.values, problem.noise.plain, 0, states=True)
+    assert np.abs(run.states[75:, place] - late["x_world"][75:]).max() < 0.02  # from its first measurement on
+
+
+def test_a_state_that_nothing_measures_may_start_anywhere(tmp_path: Path) -> None:
+    text = (Path(__file__).parent.parent / "docs" / "own_model.md").read_text()
+    (tmp_path / "table.py").write_text(text.split("```python\n")[1].split("```")[0])
+    table = load_model("table.py:Table", tmp_path).model
+    for seed, name in enumerate("abc"):
+        rng = np.random.default_rng(seed)
+        torque = 0.1 * np.repeat(rng.standard_normal(120), 5)
+        stepper = Stepper(table.with_values({"dry_friction.level": 0.05}))
+        moment, rate = stepper.start(0.0, {"angle": 0.9}), []
+        for u in torque.tolist():
+            rate.append(moment.state[1])
+            moment = stepper.step(moment, (u,), 0.02)
+        columns = np.column_stack([0.02 * np.arange(600), torque, np.array(rate) + 1e-2 * rng.standard_normal(600)])
+        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="time,torque,rate", comments="")
+    study = tmp_path / "study.yaml"
+    study.write_text("model: table.py:Table\nlogs: {estimation: [a.csv, b.csv], validation: [c.csv]}\n")
+    r = proven(study, tmp_path / "out")
+    assert named(r) == {"dry_friction"}
+    assert r.record["error"]["after"]["validation"]["rate"] < 2.0 * r.record["noise_floor"]["rate"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda f: (f / "e2.csv").write_bytes((f / "e1.csv").read_bytes()), "holds the same as e1.csv"),
+        (lambda f: (f / "v1.csv").write_bytes((f / "e1.csv").read_bytes()), "a validation log is never fitted on"),
+        (lambda f: in_study(f, "e2.csv", "./e1.csv"), "is listed for estimation twice; keep one"),
+        (lambda f: in_study(f, "v1.csv", "../study/e1.csv"), "is listed for estimation too"),
+        (lambda f: in_study(f, FEW, "[]"), "leave the key out to try all"),
+        (lambda f: thinned(f, lambda rows: rows < 245), "too short to be judged: it takes 5 s"),
+        (lambda f: (f / "v1.csv").write_text("time,psi\n0,1\n"), 'input "duty_right" is missing'),
+    ],
+)
+def test_a_study_that_cannot_be_judged_is_refused_at_the_start(
+    tmp_path: Path, spoil: Callable[[Path], object], words: str
+) -> None:
+    path = study_of(tmp_path / "study", {})
+    spoil(path.parent)
+    for check in (lambda: read_study(path), lambda: check_files([path])):
+        with pytest.raises(InputError) as caught:
+            check()
+        assert any(words in str(f) for f in caught.value.faults), caught.value
+
+
+def in_study(folder: Path, old: str, new: str) -> None:
+    study = folder / "study.yaml"
+    study.write_text(study.read_text().replace(old, new))
+
+
+def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = study_of(tmp_path / "study", {}), tmp_path / "out"
+    in_study(path.parent, FEW, "[mass]")
+    out.mkdir()
+    for name in ("model.yaml", "plant.fmu", "refine.json", "report.html"):
+        (out / name).write_text("earlier")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(workflow, "noise_floor", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        refine(path, out)
+    assert {p.name: p.read_text() for p in out.iterdir()} == dict.fromkeys(
+        ("model.yaml", "plant.fmu", "refine.json", "report.html"), "earlier"
+    )
+
+
+def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = study_of(tmp_path / "study", {})
+    (tmp_path / "out").write_text("a file")
+    monkeypatch.setattr(workflow, "Attributor", None)
+    with pytest.raises(InputError, match="cannot be the folder for results"):
+        refine(path, tmp_path / "out")
+
+
+def test_the_command_line_prints_what_the_gate_warns_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = study_of(tmp_path / "study", {})
+    thinned(path.parent, paused)
+    (warning, *_) = read_study(path).warnings
+    assert warning.startswith("e1.csv: time 50 rows missing in 1 place")
+    monkeypatch.setattr("sys.argv", ["cosim", "check", str(path)])
+    with pytest.raises(SystemExit) as left:
+        entry()
+    assert left.value.code == 0
+    assert f"{path}: warning: {warning}" in capsys.readouterr().out

@@ -6,7 +6,7 @@ import importlib.util
 import json
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,12 @@ import pytest
 
 from cosim.refine.attribution import Attributor
 from cosim.refine.candidates import candidates
-from cosim.refine.hypotheses import Attribution
+from cosim.refine.fit import Fit
+from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.measure import Variant
 from cosim.refine.model_file import BASE, LoadedModel
 from cosim.refine.problem import build_problem
-from cosim.refine.record import SCHEMA
+from cosim.refine.record import SCHEMA, ranking, schema
 from cosim.refine.replay import Replay
 from cosim.refine.report.errors import excess, second_sentence
 from cosim.refine.report.innovations import innovations
@@ -30,8 +31,10 @@ from cosim.refine.report.panels import runs
 from cosim.refine.report.signals import bins, explained
 from cosim.refine.report.tables import pretty
 from cosim.refine.report.terms import Shown, shown
+from cosim.refine.screen import ScoreTest
 from cosim.refine.study import LogLists, Study, StudyFile
-from cosim.refine.verdict import Verdict
+from cosim.refine.unnamed import Unnamed, unnamed_terms
+from cosim.refine.verdict import Verdict, judge
 from cosim.refine.workflow import Refinement, refine
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
@@ -139,7 +142,7 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
 def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
     """What the page reads of refine.json."""
     rows = [
-        {"names": list(h.names), "score_gain": found.base.score - h.score, "why": "claimed",
+        {"names": list(h.names), "score_gain": found.base.score - h.score, "why": "claimed", "fitted": True,
          "parameters": {n: h.fit.values[n] for c in h.candidates for n in c.parameters}}
         for h in found.tried
     ]  # fmt: skip
@@ -270,13 +273,14 @@ NONE = ("", {"process_noise": {"v": {"before": 1e-3, "after": 1e-3, "inflated": 
         ("unexplained", (), "unexplained"),
         ("unexplained", ("dry",), "dry comes closest and is not claimed"),
         ("ambiguous", ("dry", "push"), "What would tell them apart: push harder."),
+        ("ambiguous", ("dry",), "the model is left as it was"),
         ("parameter_error", (), "wrong parameter"),
     ],
 )
 def test_every_verdict_has_its_page(
     cart: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], says: str
 ) -> None:
-    claimed = cart.verdict.claimed if name in ("ambiguous", "parameter_error") else None
+    claimed = cart.verdict.claimed if name == "parameter_error" or len(rivals) > 1 else None
     verdict = Verdict(name, claimed, rivals, "push harder", NONE[1], "A sentence.")
     rivalry = {"rivals": list(rivals) if name == "ambiguous" else [], "experiment": "push harder"}
     record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
@@ -284,16 +288,105 @@ def test_every_verdict_has_its_page(
     text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text
     assert ("Excess left" in text) == (claimed is not None)
-    assert ('id="term"' in text) == (name != "no_effect")
+    assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
 
 
 def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) -> None:
-    terms = [{"equation": "v", "signal": n, "gain": 99.0, "coefficient": c} for n, c in (("1", 5.0), ("v", -0.5))]
-    residual = {**NONE[1], "equation": "v", "signals": ["1", "v"], "terms": terms}
-    (found,) = shown(replace(cart, verdict=Verdict("unexplained", None, (), "", residual, "")))
-    assert found.against.name == "v"  # a constant of 5 m/s² would make it worse
+    terms = [{"equation": "v", "signal": n, "gain": 99.0, "coefficient": c} for n, c in (("v", -0.5), ("1", 5.0))]
+    residual = {**NONE[1], "equation": "v", "signals": ["v", "1"], "share": 0.6, "terms": terms}
+    base = replace(cart.attribution, best=cart.attribution.base)
+    r = replace(cart, attribution=base, verdict=Verdict("unexplained", None, (), "", residual, ""))
+    (found,) = shown(r)
+    assert (found.against.name, found.share) == ("v", 0.6)
     assert found.term is not None
-    assert np.polyfit(found.against.values, found.term, 1)[0] == pytest.approx(-0.5, rel=1e-9)
+    speed, lacking = found.against.values, found.found
+    # dry friction as a drag: the slope is that of the least squares
+    assert np.polyfit(speed, found.term, 1) == pytest.approx(
+        [lacking @ speed / (speed @ speed), 0.0], rel=1e-9, abs=1e-9
+    )
+    assert "the term in v takes away 60\u00a0%" in context(r)["terms"][0]["sentence"]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The cart's attribution, to be judged with another outcome."""
+
+    r: Refinement
+
+    def __call__(self, *unnamed: Unnamed, **changed: Any) -> Verdict:
+        return judge(replace(self.r.attribution, **changed), unnamed, self.r.study.loaded.model, ["v"])
+
+    def single(self, name: str) -> Hypothesis:
+        """One candidate alone."""
+        return next(h for h in self.r.attribution.tried if h.names == (name,))
+
+
+def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> None:
+    judged = Judged(cart)
+    dry, (push,) = judged.single("dry"), judged.single("push").candidates
+    best, rival = (replace(dry, candidates=(*dry.candidates, c)) for c in (push, replace(push, name="shove")))
+    verdict = judged(best=best, rivals=(rival,))
+    assert (verdict.name, verdict.rivals) == ("ambiguous", ("push", "shove"))
+    assert verdict.sentence.startswith("The model lacks dry (force = 0.")
+    assert ". Beside it, these logs cannot tell push from shove; this would, and `cosim excite`" in verdict.sentence
+    alone = judged(best=dry, rivals=(judged.single("push"),))
+    assert alone.sentence.startswith("These logs cannot tell dry from push; ")
+
+
+def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refinement) -> None:
+    judged, base = Judged(cart), cart.attribution.base
+    verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))
+    assert verdict.name == "no_effect"
+    assert verdict.sentence.endswith("down to the sensors' noise. (push would not have shown.)")
+    assert "(" not in judged(best=base, rivals=(), noise_gain=(0.0,)).sentence
+
+
+def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_the_largest_number() -> None:
+    noise = np.array([np.log(4.0), np.log(2.0), np.log(1.0)])
+    fit = Fit({}, noise, (), (0.0,), 0.0, np.zeros((0, 0)), 1, True)
+    base = Hypothesis((), fit, 0.0)
+    verdict = judge(Attribution(base, (), base, (), 0.0, (1.0, 50.0, 90.0)), (), Hovercraft(), ["psi_dot", "vx", "vy"])
+    assert verdict.residual["equation"] == "vy"
+    assert [q["inflated"] for q in verdict.residual["process_noise"].values()] == [False, True, True]
+    assert verdict.sentence == "A disturbance acts on vy; it depends on nothing that is measured."
+
+
+def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:
+    judged, base = Judged(cart), cart.attribution.base
+    terms = (Unnamed("v", "1", 40.0, 0.1, 41.0, 0.79), Unnamed("v", "time", 30.0, 0.1, 30.0))
+    verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
+    assert verdict.name == "unexplained"
+    assert "acts on v; it is constant, and that takes away 79\u00a0% of what is missing." in verdict.sentence
+    assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
+    gained = base.score - cart.attribution.best.score
+    left = judged(Unnamed("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
+    assert left.claimed is cart.attribution.best
+    assert (
+        "left in v that depends on |v|: a term without a name promises 25\u00a0% of the claim's gain" in left.sentence
+    )
+
+
+def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
+    model, logs, base = cart.study.loaded.model, cart.study.logs, cart.attribution.base.fit
+    problem = build_problem(model, logs, unnamed=True)
+    found = unnamed_terms(problem, base)
+    assert found[0].equation == "v"
+    assert found[0].share is not None
+    assert 0.3 < found[0].share < 1.0  # a drag, or what else a term of one signal makes of dry friction
+    test = ScoreTest(problem, base)
+    rows = [test.row({f"unnamed.v.{u.signal}": 0.01}) for u in found]
+    directions = np.array([row / np.linalg.norm(row) for row in rows])
+    assert np.abs(np.tril(directions @ directions.T, -1)).max() <= 0.95
+    assert [u.most for u in found] == sorted((u.most for u in found), reverse=True)
+
+
+def test_every_hypothesis_has_its_reason_and_only_what_is_claimed_is_claimed(cart: Refinement) -> None:
+    rows = ranking(cart.attribution, cart.verdict)
+    assert all(row.why for row in rows)
+    assert [tuple(row.names) for row in rows if row.why == "claimed"] == [cart.attribution.best.names]
+    unclaimed = ranking(cart.attribution, Verdict("unexplained", None, ("dry",), "", {}, ""))
+    assert [row.why for row in unclaimed if tuple(row.names) == ("dry",)] == ["nearest, but disputed"]
+    assert json.loads(SCHEMA.read_text(encoding="utf-8")) == schema()
 
 
 def test_excess_left_is_that_of_the_contract() -> None:

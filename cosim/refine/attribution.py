@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import FAIR, PROMISE, Fit, Free, Problem, fit
-from cosim.refine.hypotheses import Attribution, Hypothesis
+from cosim.refine.hypotheses import NOISE, Attribution, Hypothesis
 from cosim.refine.screen import ScoreTest
 from plant.model import Model
 
@@ -26,7 +26,6 @@ CLAIM_IN_NOISE = 15.0  # the same where process noise is at work: it is seldom a
 SHARE = 0.02  # of what the first effects gain, that one more must gain too
 RIVAL = 5.0  # score within which another hypothesis explains as well
 SIGNIFICANT = 3.0  # standard deviations from neutral
-NOISE = 4.0  # log-likelihood that the process noise of an equation must gain, to be more than none
 NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
 SCREEN_ITERATIONS = 12
 TO_THE_END = 60  # iterations within which every fit seen has converged
@@ -67,8 +66,8 @@ class Attributor:
         base, best = self._decide(base, best)
         ranking = tuple(sorted(self.tried.values(), key=lambda h: h.score))
         rivals, reasons = self._rivals(best, base), self._reasons(best, base)
-        held_out, noisy = self.held_out(best, base), self.noisy(best.fit)
-        return Attribution(base, ranking, best, rivals, held_out, noisy, reasons, self.hidden())
+        held_out, noise_gain = self.held_out(best, base), self.noise_gain(best.fit)
+        return Attribution(base, ranking, best, rivals, held_out, noise_gain, reasons, self.hidden())
 
     def hypothesis(
         self,
@@ -122,8 +121,12 @@ class Attributor:
 
     def noisy(self, f: Fit) -> tuple[bool, ...]:
         """Of each forced equation, whether a fit needs its process noise."""
+        return tuple(gain > NOISE for gain in self.noise_gain(f))
+
+    def noise_gain(self, f: Fit) -> tuple[float, ...]:
+        """Log-likelihood that the process noise of each forced equation gains in a fit."""
         without = np.diag(self.problem.noise.smallest - f.log_q) + f.log_q
-        return tuple(self.problem.scored(f.values, log_q).nll - f.nll > NOISE for log_q in without)
+        return tuple(self.problem.scored(f.values, log_q).nll - f.nll for log_q in without)
 
     def strained(self, f: Fit) -> bool:
         """Some base parameter is pulled from its data sheet by more than its prior can be asked for."""
@@ -193,7 +196,7 @@ class Attributor:
         promise = test.promise(c)
         if promise is None:
             return None
-        self.told.setdefault(c.name, promise.told)
+        self.told[c.name] = max(promise.told, self.told.get(c.name, 0.0))
         price = self.price * len(c.free)
         if PROMISE * promise.gain > needed + price:
             return None
@@ -245,21 +248,33 @@ class Attributor:
             if h.names != best.names and len(h.candidates) <= len(best.candidates) and h.score - best.score < RIVAL
         )
 
-    def _reasons(self, best: Hypothesis, base: Hypothesis) -> dict[str, str]:
-        """Why each single candidate is not the answer, in words."""
-        reasons = {}
-        for c in self.candidates:
-            h = self.tried[(c.name,)]
-            gained = base.score - h.score
-            if c.name in best.names:
-                reasons[c.name] = "claimed"
-            elif gained < self.claim:
-                reasons[c.name] = "explains nothing that the base model does not"
-            elif not self.significant(h, c):
-                reasons[c.name] = "not significantly away from neutral"
-            else:
-                reasons[c.name] = f"explains less than {' and '.join(best.names)} by {h.score - best.score:.0f}"
-        return reasons
+    def _reasons(self, best: Hypothesis, base: Hypothesis) -> dict[tuple[str, ...], str]:
+        """Why each hypothesis but the best is not the answer, in words."""
+        return {names: self._reason(h, best, base) for names, h in self.tried.items() if names != best.names}
+
+    def _reason(self, h: Hypothesis, best: Hypothesis, base: Hypothesis) -> str:
+        gained, behind = base.score - h.score, h.score - best.score
+        than = " and ".join(best.names) or "the base model"
+        if best is not base and behind < RIVAL and len(h.candidates) <= len(best.candidates):
+            return f"a rival: explains as well as {than}, within {RIVAL:.0f}"
+        if gained < self.claim:
+            return (
+                f"gains {gained:.1f}, less than the {self.claim:.0f} that a candidate must" if gained > 0 else "no gain"
+            )
+        if h.fit.iterations == 0:
+            return f"explains less than {than} by {behind:.1f}, by its score test"
+        if limits := [f.name for c in h.candidates for f in c.free if self._at_limit(h, f)]:
+            return f"{limits[0]} is at its limit"
+        if not all(self.significant(h, c) for c in h.candidates):
+            return "not significantly away from neutral"
+        if behind < 0.0:
+            return f"gains {-behind:.1f} on {than}, less than an added effect must"
+        return f"explains less than {than} by {behind:.1f}"
+
+    def _at_limit(self, h: Hypothesis, f: Free) -> bool:
+        """Moved, and as far as it may."""
+        value = h.fit.values[f.name]
+        return value in (f.low, f.high) and value != self.problem.values[f.name]
 
 
 def coarsened(problem: Problem) -> Problem:

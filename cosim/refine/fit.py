@@ -94,9 +94,11 @@ class Problem:
     @cached_property
     def noise(self) -> NoiseRange:
         """How large process noise can be."""
-        log = self.logs[0]
-        rows = round((SKIPPED + RANGE_FROM) / log.step)
-        short = replace(self, logs=[replace(log, u=log.u[:rows], y=log.y[:rows])])
+        rows = round((SKIPPED + RANGE_FROM) / self.logs[0].step)
+        logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
+        seen = [np.isfinite(log.y).any(axis=0) for log in logs]
+        taken = [k for k in range(len(logs)) if k == 0 or np.any(seen[k] & ~seen[0])]  # what the first does not measure
+        short = replace(self, logs=[logs[k] for k in taken], x0=[self.x0[k] for k in taken])
         return noise_range(lambda log_q: short.scored(self.values, log_q).variances, len(self.kernel.generated.noisy))
 
     def run(self, values: Mapping[str, float], log_q: Array, index: int, *, states: bool = False) -> Filtered:

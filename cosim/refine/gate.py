@@ -12,7 +12,7 @@ from cosim.errors import Fault, InputError
 from cosim.refine.against import delays, scales
 from cosim.refine.finding import Finding
 from cosim.refine.frames import frames
-from cosim.refine.log import Column, Log
+from cosim.refine.log import MISSING, Column, Log
 from cosim.refine.residual import noise_level, surprise
 from cosim.report.text import amount, counted, percent, plain
 
@@ -61,7 +61,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 def _timing(log: Log) -> Iterator[Finding]:
     dt = np.diff(log.time)
     ratio = dt / log.step
-    regular = ratio[ratio <= 1.5]
+    regular = ratio[ratio <= MISSING]
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
         yield Finding(
@@ -70,7 +70,7 @@ def _timing(log: Log) -> Iterator[Finding]:
             "each is replayed at its own time",
             {"step": log.step, "spread": spread, "worst": worst},
         )  # fmt: skip
-    holes = np.flatnonzero(ratio > 1.5)
+    holes = np.flatnonzero(ratio > MISSING)
     missing = np.rint(ratio[holes]) - 1.0
     gaps = dt[holes] > GAP
     for kind, chosen in (("dropouts", holes[~gaps]), ("gaps", holes[gaps])):

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from cosim.refine.candidates import Candidate
 from cosim.refine.fit import Fit
 
+NOISE = 4.0  # log-likelihood that the process noise of an equation must gain, to be more than none
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -32,9 +34,14 @@ class Attribution:
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]
     held_out: float  # log-likelihood the best one gains on logs it was not fitted on
-    noisy: tuple[bool, ...]  # whether process noise is left in each forced equation: something remains to be explained
-    reasons: Mapping[str, str] = field(default_factory=dict)  # why each single candidate lost
+    noise_gain: tuple[float, ...]  # log-likelihood that the process noise of each forced equation gains in the best one
+    reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # why each hypothesis but the best lost
     hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
+
+    @property
+    def noisy(self) -> tuple[bool, ...]:
+        """Whether process noise is left in each forced equation: something remains to be explained."""
+        return tuple(gain > NOISE for gain in self.noise_gain)
 
     @property
     def quiet(self) -> bool:

@@ -8,6 +8,7 @@ from array import array
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -22,6 +23,7 @@ Column = NDArray[np.float64]
 LARGEST = 200_000_000  # bytes; read whole, so that every fault can be told
 FAULTS_A_CELL_COLUMN = 5  # then their number
 TURN = 2.0 * math.pi
+MISSING = 1.5  # steps from row to row, from which one is missing in between
 
 
 class SignalLike(Protocol):
@@ -63,6 +65,16 @@ class Log:
     def rows(self) -> int:
         """Number of rows."""
         return self.time.size
+
+    @cached_property
+    def grid(self) -> NDArray[np.intp]:
+        """Row of each in equal steps of `step` from the first; 0, 1, 2 … where no row is missing."""
+        number = np.arange(self.rows)
+        if not np.any(np.diff(self.time) > MISSING * self.step):
+            return number
+        missing = np.rint((self.time - self.time[0]) / self.step - number).astype(np.intp)
+        # a row that is late moves none of those after it
+        return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
 def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike]) -> Log:

@@ -18,7 +18,7 @@ from cosim.refine.fit import Problem
 from cosim.refine.generate import DELAY
 from cosim.refine.kernel import Array, Filtered
 from cosim.refine.log import Log
-from cosim.refine.problem import as_data, start_state
+from cosim.refine.problem import as_data, start_covariance, start_state
 from cosim.refine.replay import Replay, window_rows, windows
 from cosim.refine.residual import FREE_RUN, pooled
 from plant.model import Effect, Model, overrides
@@ -43,11 +43,9 @@ Evidence = list[tuple[Log, Replay]]
 def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
     """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
     generated = problem.kernel.generated
-    lacking = [{name: np.full(log.rows, np.nan) for name in generated.outputs} for log in logs]
-    whole = [replace(log, outputs=nothing | dict(log.outputs)) for log, nothing in zip(logs, lacking, strict=True)]
-    data = [as_data(model, log, generated.outputs) for log in whole]
+    data = [as_data(model, log, generated.outputs) for log in logs]
     x0 = [start_state(model, d, generated.outputs, generated.states) for d in data]
-    return replace(problem, logs=data, x0=x0)
+    return replace(problem, logs=data, x0=x0, P0=start_covariance(model, data, generated, problem.r))
 
 
 def replays(
@@ -66,7 +64,8 @@ def replays(
         with Drive(corrected, variant.fmu) as drive:
             for horizon, evidence in found.items():
                 rows = first_rows(log, horizon)
-                starts = {k: {**variant.parameters, **start_values(variant, problem, index, filtered, k)} for k in rows}
+                given = {k: start_values(variant, problem, index, filtered, int(log.grid[k])) for k in rows}
+                starts = {k: {**variant.parameters, **start} for k, start in given.items()}
                 try:
                     evidence.append((corrected, windows(drive, starts, horizon)))
                 except StoppedReplay:
@@ -87,7 +86,7 @@ def rmse(evidence: Evidence) -> dict[str, float]:
 
 
 def start_values(variant: Variant, problem: Problem, index: int, filtered: Filtered, row: int) -> dict[str, float]:
-    """FMU start parameters at a row: filtered states, memory of the effects, and what a delay still holds back."""
+    """FMU start parameters at a row of the filter: its states, memory of the effects, what a delay still holds back."""
     generated, data = problem.kernel.generated, problem.logs[index]
     awake = {e.name for e in variant.model.awake}
     start = {}
@@ -144,7 +143,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
             q[list(generated.noisy)] = np.exp(variant.log_q)
             seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
             length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-            predicted = _predicted(problem, drawn, p, seen, first_rows(log, horizon), length)
+            predicted = _predicted(problem, drawn, p, seen, log.grid[first_rows(log, horizon)].tolist(), length)
             missed = drawn.y - predicted
             sums += np.nansum(missed**2, axis=0)
             counts += np.isfinite(missed).sum(axis=0)

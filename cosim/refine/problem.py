@@ -9,13 +9,16 @@ import numpy as np
 from cosim.refine.backend import kernel
 from cosim.refine.candidates import neutral_values
 from cosim.refine.fit import Problem
+from cosim.refine.generate import Generated
 from cosim.refine.kernel import Array, Data
 from cosim.refine.log import Log
 from plant.integrate import substeps
 from plant.model import Model
+from plant.namespaces import SCALAR
 
-# Standard deviation with which a state that no sensor reads is known at the start, by unit.
-UNKNOWN = {"m": 1e-3, "rad": 1e-3, "m/s": 0.2, "rad/s": 0.1}
+# Standard deviation with which a state that no sensor reads at the start is known there, by unit; 1 in others.
+UNKNOWN = {"m/s": 0.2, "rad/s": 0.1}
+FIRST = 0.2  # [s] within which a measurement still tells the state at the start
 
 
 def build_problem(
@@ -25,48 +28,67 @@ def build_problem(
     noise: Mapping[str, float] | None = None,
     sensors: Mapping[str, float] | None = None,
 ) -> Problem:
-    """Kernel and data; outputs that some log lacks are left out.
+    """Kernel and data; an output that only some logs hold is missing in the others.
 
     `noise`: standard deviations of outputs where they are not the model's own; `sensors`: errors known already.
     """
-    measured = tuple(q.name for q in model.outputs if all(q.name in log.outputs for log in logs))
+    measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
     compiled = kernel(model, measured, unnamed)
     generated = compiled.generated
     data = [as_data(model, log, measured) for log in logs]
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
     variance |= {name: sigma * sigma for name, sigma in (noise or {}).items()}
-    states = {s.name: s for s in model.states}
-    P0 = [
-        10 * variance[name] if name in measured else UNKNOWN.get(states[name].unit, 1.0) ** 2
-        for name in (generated.states[k] for k in generated.stochastic)
-    ]
+    r = np.array([variance[name] for name in measured])
     x0 = [start_state(model, d, measured, generated.states) for d in data]
     values = {**dict.fromkeys(generated.parameters, 0.0), **neutral_values(model), **(sensors or {})}
-    return Problem(compiled, data, x0, np.diag(P0), np.array([variance[n] for n in measured]), values)
+    return Problem(compiled, data, x0, start_covariance(model, data, generated, r), r, values)
 
 
 def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
-    """A log as the filter sees it."""
-    u = np.column_stack([log.inputs[q.name] for q in model.inputs])
-    y = np.column_stack([log.outputs[name] for name in measured])
+    """A log as the filter sees it: equal steps; where a row is missing the command is held and nothing is measured."""
+    grid = log.grid
+    rows = int(grid[-1]) + 1
+    held = np.searchsorted(grid, np.arange(rows), side="right") - 1
+    u = np.column_stack([log.inputs[q.name][held] for q in model.inputs])
+    y = np.full((rows, len(measured)), np.nan)
+    for j, name in enumerate(measured):
+        if name in log.outputs:
+            y[grid, j] = log.outputs[name]
     return Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
 
 
 def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """The model's own start, with what is measured first in its place (a state and an output of one name and unit)."""
-    start = dict(zip((s.name for s in model.states), model.start(), strict=True))
-    units = {s.name: s.unit for s in model.base_states}
-    same = {q.name for q in model.outputs if units.get(q.name) == q.unit}
-    for j, name in enumerate(measured):
-        column = data.y[:, j][~np.isnan(data.y[:, j])]
-        if name in same and name in start and len(column) and name in _kinematic(model):
-            start[name] = float(column[0])
+    """The model's own start, with what is measured within the first 0.2 s in its place."""
+    start = dict(zip((s.name for s in model.states), model.start(), strict=True)) | _seen_first(model, data, measured)
     return np.array([start.get(name, 0.0) for name in states])
 
 
-def _kinematic(model: Model) -> set[str]:
-    """States that outputs show as they are: not a thrust, which is shown with ground effect."""
-    return {q.name for q in model.base_states} - {q.name for q in model.base_states if q.unit == "N"}
+def start_covariance(model: Model, logs: Sequence[Data], generated: Generated, r: Array) -> Array:
+    """P0 of the stochastic states: 10·r of what every log measures at its start, else what is usual of the unit."""
+    seen = set.intersection(*(set(_seen_first(model, data, generated.outputs)) for data in logs))
+    variance = dict(zip(generated.outputs, r.tolist(), strict=True))
+    units = {s.name: s.unit for s in model.states}
+    names = [generated.states[k] for k in generated.stochastic]
+    return np.diag([10 * variance[n] if n in seen else UNKNOWN.get(units.get(n, ""), 1.0) ** 2 for n in names])
+
+
+def _seen_first(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
+    """State → its first measurement, of the states that an output shows and that are measured near the start."""
+    shown, found = _shown(model), {}
+    early = data.y[: round(FIRST / data.step) + 1]
+    for j, name in enumerate(measured):
+        column = early[:, j][~np.isnan(early[:, j])]
+        if name in shown and len(column):
+            found[name] = float(column[0])
+    return found
+
+
+def _shown(model: Model) -> set[str]:
+    """States that outputs of their name show as they are (a thrust is shown with ground effect): tried at one state."""
+    state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
+    values = dict(zip((s.name for s in model.states), state, strict=True))
+    outputs = model.equations(SCALAR).output(0.0, state, model.start_command())
+    return {q.name for q, y in zip(model.outputs, outputs, strict=True) if values.get(q.name) == y}
 
 
 def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:

@@ -73,7 +73,7 @@ class Refined(BaseModel):
     study: str
     rivals: list[str]
     candidates: list[Ranked]
-    noise_floor: dict[str, float]  # of its keys: what was measured
+    measured: list[str]
 
 
 def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), measured: Sequence[str] = ()) -> Question:
@@ -88,9 +88,11 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
     allowed = _limits(model, limits, faults)
     outputs = [q.name for q in model.outputs]
     faults += [f'--measured: no output "{n}"{did_you_mean(n, outputs)}' for n in measured if n not in outputs]
+    seen = tuple(n for n in outputs if n in (measured or question.measured))
+    if not seen and not faults:
+        faults.append(f"it does not say what is measured; say --measured NAME, of {', '.join(outputs)}")
     if faults:
         raise InputError([Fault(path, 0, 0, fault) for fault in faults])
-    seen = tuple(n for n in outputs if n in (measured or question.measured))
     return replace(question, limits=allowed, measured=seen)
 
 
@@ -108,7 +110,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     _check_names(path, names, known)
     rivals, pairs = _rivals(loaded, known, names)
     fitted = tuple(_as_fitted(r, names, content.candidates, known) for r in rivals)
-    return Question(loaded, loaded, fitted, pairs, tuple(content.noise_floor), given.noise, {})
+    return Question(loaded, loaded, fitted, pairs, tuple(content.measured), given.noise, {})
 
 
 def _as_fitted(r: Rival, names: Sequence[str], ranking: Sequence[Ranked], known: Mapping[str, Candidate]) -> Rival:

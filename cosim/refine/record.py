@@ -50,15 +50,19 @@ class EffectEntry(_Entry):
 
 
 class CandidateEntry(_Entry):
-    """A hypothesis that was fitted."""
+    """A hypothesis that was tried."""
 
     names: list[str] = Field(description="effects, sensor errors and base parameters it adds; none: the base model")
     log_likelihood_gain: Likelihood = Field(
         description="log-likelihood gained on the base model; null where it diverged"
     )
-    score_gain: Likelihood = Field(description="the same less ½ ln N for each parameter (half of BIC)")
+    score_gain: Likelihood = Field(
+        description="the same less the penalty of the base parameters' priors, less ½ ln N for each parameter added "
+        "(half of BIC)"
+    )
+    fitted: bool = Field(description="false: a score test promised too little for a fit; the figures are what it says")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
-    why: str = Field(description="why it lost, or `claimed`")
+    why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
 
 
 class ProcessNoise(_Entry):
@@ -69,6 +73,9 @@ class ProcessNoise(_Entry):
     before: Finite = Field(description="estimated with the base model")
     after: Finite = Field(description="estimated with the best hypothesis")
     inflated: bool = Field(description="still above what counts as none: the equation is deficient")
+    gain: Likelihood = Field(
+        description="log-likelihood that the noise of this equation gains with the best hypothesis"
+    )
 
 
 class NamelessTerm(_Entry):
@@ -77,9 +84,11 @@ class NamelessTerm(_Entry):
     model_config = ConfigDict(extra="allow")
 
     equation: str = Field(description="the state")
-    signal: str = Field(description="the basis, such as `vx·|vx|` or `command tilt_right`")
+    signal: str = Field(description="the basis, such as `vx·|vx|` or `command tilt_right`; `1`: a constant")
     gain: Finite = Field(description="log-likelihood it promises")
-    coefficient: Finite = Field(description="in the state's unit per second, per unit of the basis")
+    coefficient: Finite = Field(
+        description="in the state's unit per second, per unit of the basis; no estimate, only the first step of a fit"
+    )
 
 
 class Residual(_Entry):
@@ -89,8 +98,15 @@ class Residual(_Entry):
 
     equation: str | None = Field(description="the state whose equation is deficient; null where none is")
     signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
+    share: Finite | None = Field(
+        description="of the mean square of the input that equation lacks, as a smoother finds it beside the best "
+        "hypothesis on the first two logs, what the first of `terms` at its best size takes away beyond what that "
+        "hypothesis' own parameters could, 0 … 1; null without a term"
+    )
     process_noise: dict[str, ProcessNoise] = Field(description="state → process noise")
-    terms: list[NamelessTerm]
+    terms: list[NamelessTerm] = Field(
+        description="most promising first; of those that the logs do not tell apart the simplest"
+    )
 
 
 class Errors(_Entry):
@@ -119,7 +135,10 @@ class Record(_Entry):
     rivals: list[str] = Field(description="names the data cannot tell apart, where the verdict is `ambiguous`")
     experiment: str = Field(description="the input that would tell rivals apart, else empty")
     nearest: list[str] = Field(description="what comes closest, where the verdict is `unexplained`")
-    candidates: list[CandidateEntry] = Field(description="every hypothesis tried, best first")
+    candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
+    hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
+    measured: list[str] = Field(description="outputs that some estimation log holds")
+    warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
     horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")
     error: Errors
@@ -167,24 +186,27 @@ def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> l
     ]
 
 
-def ranking(a: Attribution) -> list[CandidateEntry]:
+def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:
     """Every hypothesis tried, best first, with its scores and why it lost."""
     return [
         CandidateEntry(
             names=list(h.names),
             log_likelihood_gain=a.base.fit.nll - h.fit.nll,
             score_gain=a.base.score - h.score,
+            fitted=h.fit.iterations > 0,
             parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
-            why=_why(a, h),
+            why=_why(a, h, verdict),
         )
         for h in a.tried
     ]
 
 
-def _why(a: Attribution, h: Hypothesis) -> str:
-    if len(h.names) == 1:
-        return a.reasons.get(h.names[0], "")
-    return "claimed" if h is a.best else "explains less"
+def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
+    if h.names != a.best.names:
+        return a.reasons[h.names]
+    if verdict.claimed is not None:
+        return "claimed"
+    return "nearest, but disputed" if verdict.name == "unexplained" else "fits best, but the logs excite too little"
 
 
 def residual(verdict: Verdict) -> Residual:

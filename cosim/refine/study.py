@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cosim.errors import Fault, InputError
-from cosim.refine.gate import gate, gate_faults
+from cosim.refine.gate import GAP, gate, gate_faults
 from cosim.refine.log import Log, read_log
 from cosim.refine.model_file import BASE, LoadedModel, load_model
+from cosim.refine.replay import SKIPPED
+from cosim.refine.words import finding_line as told
+from cosim.report.text import counted, plain
 from cosim.yaml_file import YamlFile, did_you_mean
 
+SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
+LOST = 10  # rows at least that are lost in a pause
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 
 
@@ -40,58 +49,118 @@ class StudyFile(BaseModel):
 
 @dataclass(frozen=True)
 class Study:
-    """A study that is read: the model and the estimation logs. Validation logs stay sealed until `unseal`."""
+    """A study that is read: the model, the estimation logs cut at their pauses, what the gate warns of in any log.
+
+    Validation logs stay sealed until `unseal`: that they can be used is known, nothing of what they hold.
+    """
 
     path: Path
     content: StudyFile
     loaded: LoadedModel
     logs: tuple[Log, ...]
+    warnings: tuple[str, ...] = ()
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
-        return tuple(self._read(name) for name in self.content.logs.validation)
-
-    def _read(self, name: str) -> Log:
-        return read_log(self.path.parent / name, self.loaded.model.inputs, self.loaded.model.outputs)
+        model = self.loaded.model
+        logs = (read_log(self.path.parent / n, model.inputs, model.outputs) for n in self.content.logs.validation)
+        return tuple(stretch for log in logs for stretch in judged(log, model.horizon))
 
 
 def read_study(path: Path) -> Study:
-    """Read a study and its estimation logs; InputError with every fault of all of them."""
+    """Read a study and its logs; InputError with every fault of all of them."""
     yaml = YamlFile(path)
     content = yaml.validate(StudyFile)
-    faults = _listed_twice(yaml, content)
-    for name in content.logs.validation:
-        if not (path.parent / name).is_file():
-            place = ("logs", "validation", content.logs.validation.index(name))
-            faults.append(yaml.fault(place, f"no such log: {path.parent / name}"))
+    faults = list(_listed_twice(yaml, content.logs))
     try:
         loaded = load_model(content.model, path.parent)
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     faults += _unknown_names(yaml, content, loaded)
-    logs = []
-    for name in content.logs.estimation:
-        try:
-            log = read_log(path.parent / name, loaded.model.inputs, loaded.model.outputs)
-        except InputError as error:
-            faults += error.faults
-        else:
-            faults += gate_faults(log, gate(log, loaded.model.rate))
-            logs.append(log)
+    logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
+    warnings: list[str] = []
+    for part, names in _lists(content.logs):
+        for name in names:
+            try:
+                log = read_log(path.parent / name, loaded.model.inputs, loaded.model.outputs)
+            except InputError as error:
+                faults += error.faults
+                continue
+            findings = gate(log, loaded.model.rate)
+            faults += gate_faults(log, findings)
+            whole = judged(log, loaded.model.horizon)
+            faults += [] if whole else [_too_short(log, loaded.model.horizon)]
+            warnings += [f"{name}: {told(f).removeprefix('warning: ')}" for f in findings if f.severity == "warning"]
+            if left := len(stretches(log)) - len(whole):
+                warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
+            logs[part] += whole
     if faults:
         raise InputError(faults)
-    return Study(path, content, loaded, tuple(logs))
+    return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
 
 
-def _listed_twice(yaml: YamlFile, content: StudyFile) -> list[Fault]:
-    estimation = {Path(name).as_posix() for name in content.logs.estimation}
-    return [
-        yaml.fault(
-            ("logs", "validation", k), f"{name} is listed for estimation too; a validation log is never fitted on"
-        )
-        for k, name in enumerate(content.logs.validation)
-        if Path(name).as_posix() in estimation
-    ]
+def _lists(logs: LogLists) -> list[tuple[str, list[str]]]:
+    return [("estimation", logs.estimation), ("validation", logs.validation)]
+
+
+def _listed_twice(yaml: YamlFile, logs: LogLists) -> Iterator[Fault]:
+    """One file, or one content, stands once: in whatever list, under whatever name."""
+    seen: dict[str, tuple[str, str]] = {}
+    for part, names in _lists(logs):
+        for k, name in enumerate(names):
+            path = (yaml.path.parent / name).resolve()
+            keys = [str(path), *_digest(path)]
+            before = next((seen[key] for key in keys if key in seen), None)
+            if before is not None:
+                other, where = before
+                cure = "keep one" if where == part else "a validation log is never fitted on"
+                again = f"is listed for {where} {'twice' if where == part else 'too'}"
+                what = again if str(path) in seen else f"holds the same as {other}, which is listed for {where}"
+                yield yaml.fault(("logs", part, k), f"{name} {what}; {cure}")
+            for key in keys:
+                seen.setdefault(key, (name, part))
+
+
+def _digest(path: Path) -> list[str]:
+    """The hash of a file's content; none where it cannot be read, which is told when its log is."""
+    try:
+        with path.open("rb") as stream:
+            return [hashlib.file_digest(stream, "sha256").hexdigest()]
+    except OSError:
+        return []
+
+
+def least_duration(horizon: float) -> float:
+    """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored."""
+    return SKIPPED + (horizon if math.isfinite(horizon) else 0.0) + SCORED
+
+
+def stretches(log: Log) -> list[Log]:
+    """A log cut at its pauses, over which neither commands nor state are known; each stretch is a log of its own."""
+    cuts = np.flatnonzero(np.diff(log.time) > max(GAP, LOST * log.step)) + 1
+    if not cuts.size:
+        return [log]
+    found = []
+    for first, end in pairwise([0, *cuts.tolist(), log.rows]):
+        rows = slice(first, end)
+        outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
+        inputs = {name: values[rows] for name, values in log.inputs.items()}
+        found.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
+    return found
+
+
+def judged(log: Log, horizon: float) -> list[Log]:
+    """The stretches of a log that measure something and last long enough."""
+    least = least_duration(horizon) - 0.5 * log.step
+    return [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+
+
+def _too_short(log: Log, horizon: float) -> Fault:
+    lasts = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
+    least = plain(least_duration(horizon), None)
+    what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
+    cure = f"it takes {least} s, and 20 s and more tell more; log longer or leave it out"
+    return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
 
 
 def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> list[Fault]:
@@ -102,6 +171,8 @@ def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> l
         if name not in outputs
     ]
     known = candidate_names(loaded)
+    if content.candidates is not None and not content.candidates:
+        faults.append(yaml.fault(("candidates",), "names none; name some, or leave the key out to try all"))
     for k, name in enumerate(content.candidates or ()):
         if name not in known:
             faults.append(yaml.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, known)}'))

@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cosim.refine.candidates import Candidate
 from cosim.refine.hypotheses import Attribution, Hypothesis
-from cosim.refine.unnamed import Unnamed
+from cosim.refine.unnamed import NOTICED, Unnamed
+from cosim.report.text import percent
 from plant.model import Model
 from plant.quantities import parameters_of
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
-NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
 REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
 DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
 LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
@@ -58,24 +59,28 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
         sentence = _too_little(len(a.hidden), effects, experiment)
         return Verdict("ambiguous", None, a.hidden, experiment, residual, sentence)
     if not kinds:
-        if not a.quiet or (unnamed and unnamed[0].gain > NOTICED):
+        if not a.quiet or (unnamed and unnamed[0].most > NOTICED):
             return Verdict("unexplained", None, (), "", residual, _unexplained(residual, ()))
-        return Verdict("no_effect", None, (), "", residual, NOTHING)
-    if a.held_out <= 0 or _disputed(a, unnamed[0].gain if unnamed else 0.0):
+        return Verdict("no_effect", None, (), "", residual, _nothing(a.hidden))
+    if a.held_out <= 0 or _disputed(a, unnamed[0].most if unnamed else 0.0):
         return Verdict("unexplained", None, a.best.names, "", residual, _unexplained(residual, a.best.names))
     if a.rivals:
-        names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in _common(a)))
+        common = _common(a)
+        names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in common))
         if len(names) > 1:
             experiment = _experiment(names)
-            sentence = f"These logs cannot tell {' from '.join(names)}; this would: {experiment}."
+            certain = [c for c in a.best.candidates if c.name in common]
+            sentence = _cannot_tell(names, experiment, _claim(a.best, certain, model) if certain else "")
             return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
-    name: Name = "effect_found"
-    if kinds == {"parameter"}:
-        name = "parameter_error"
-    elif kinds == {"sensor"}:
-        name = "sensor_error"
-    left = unnamed[0] if unnamed and unnamed[0].gain > DISPUTES else None
-    return Verdict(name, a.best, (), "", residual, _claim(a.best, name, model) + _left(left))
+    left = unnamed[0] if unnamed and unnamed[0].most > DISPUTES else None
+    sentence = _claim(a.best, a.best.candidates, model) + _left(left, a.base.score - a.best.score)
+    return Verdict(_found(a.best.candidates), a.best, (), "", residual, sentence)
+
+
+def _found(candidates: Sequence[Candidate]) -> Name:
+    """What one says was found, by its kind."""
+    kinds = {c.kind for c in candidates}
+    return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
 def _too_little(hidden: int, effects: int, experiment: str) -> str:
@@ -83,6 +88,16 @@ def _too_little(hidden: int, effects: int, experiment: str) -> str:
         f"These logs excite too little: {hidden} of {effects} effects would not show in them, present or not. "
         f"This would show them: {experiment}."
     )
+
+
+def _nothing(hidden: Sequence[str]) -> str:
+    return f"{NOTHING} ({' and '.join(hidden)} would not have shown.)" if hidden else NOTHING
+
+
+def _cannot_tell(names: Sequence[str], experiment: str, certain: str) -> str:
+    """What rivals leave open, beside what they have in common."""
+    opening = f"{certain} Beside it, these logs" if certain else "These logs"
+    return f"{opening} cannot tell {' from '.join(names)}; this would, and `cosim excite` designs it: {experiment}."
 
 
 def _disputed(a: Attribution, nameless: float) -> bool:
@@ -105,15 +120,21 @@ def _common(a: Attribution) -> set[str]:
 
 def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
     """Where the misfit sits and on what it depends."""
+    q0, q1 = np.exp(a.base.fit.log_q), np.exp(a.best.fit.log_q)
     noise = {
-        equation: {"before": float(np.exp(q0)), "after": float(np.exp(q1)), "inflated": inflated}
-        for equation, q0, q1, inflated in zip(forced, a.base.fit.log_q, a.best.fit.log_q, a.noisy, strict=True)
+        equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}
+        for k, equation in enumerate(forced)
     }
-    terms = [u for u in unnamed if u.gain > NOTICED][:5]
-    where = terms[0].equation if terms else max(noise, key=lambda k: noise[k]["after"]) if not a.quiet else None
+    terms = [u for u in unnamed if u.most > NOTICED][:5]
+    # densities of states in different units do not compare; what they are worth does
+    inflated = {
+        equation: gain for equation, gain in zip(forced, a.noise_gain, strict=True) if noise[equation]["inflated"]
+    }
+    where = terms[0].equation if terms else max(inflated, key=lambda k: inflated[k]) if inflated else None
     return {
         "equation": where,
         "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
+        "share": terms[0].share if terms else None,
         "process_noise": noise,
         "terms": [
             {"equation": u.equation, "signal": u.signal, "gain": u.gain, "coefficient": u.coefficient} for u in terms
@@ -124,7 +145,12 @@ def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str])
 def _unexplained(residual: Mapping[str, Any], nearest: Sequence[str]) -> str:
     where = residual["equation"]
     if residual["signals"]:
-        text = f"Something outside the catalogue acts on {where}; it depends on {', '.join(residual['signals'][:3])}."
+        share = (
+            ""
+            if residual["share"] is None
+            else f", and that takes away {percent(residual['share'])} of what is missing"
+        )
+        text = f"Something outside the catalogue acts on {where}; it {_follows(residual['signals'][0])}{share}."
     elif where:
         text = f"A disturbance acts on {where}; it depends on nothing that is measured."
     else:
@@ -132,11 +158,16 @@ def _unexplained(residual: Mapping[str, Any], nearest: Sequence[str]) -> str:
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
 
 
-def _claim(best: Hypothesis, name: Name, model: Model) -> str:
+def _follows(signal: str) -> str:
+    return "is constant" if signal == "1" else f"depends on {signal}"
+
+
+def _claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
+    """What these candidates of the best hypothesis are, with their values and intervals."""
     units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
     units |= {p.name: p.unit for p in model.parameters}
     said = []
-    for c in best.candidates:
+    for c in candidates:
         moved = [(n, best.fit.values[n], CI95 * best.fit.sigma(n), shown(units[n])) for n in c.parameters]
         values = ", ".join(f"{n.rpartition('.')[2]} = {v:.4g} ± {ci:.2g} {unit}".rstrip() for n, v, ci, unit in moved)
         said.append(f"{c.name} ({values})")
@@ -145,7 +176,7 @@ def _claim(best: Hypothesis, name: Name, model: Model) -> str:
         "parameter_error": "The model has a wrong",
         "sensor_error": "The sensors have",
     }
-    return f"{opening[name]} {' and '.join(said)}."
+    return f"{opening[_found(candidates)]} {' and '.join(said)}."
 
 
 def shown(unit: str) -> str:
@@ -153,9 +184,12 @@ def shown(unit: str) -> str:
     return "" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("4", "⁴")
 
 
-def _left(term: Unnamed | None) -> str:
-    """What a claim leaves, where that is plain."""
-    return f" A little is left in {term.equation}: it depends on {term.signal}." if term else ""
+def _left(term: Unnamed | None, gained: float) -> str:
+    """What a claim leaves, where that is plain: how much of the log-likelihood it gained a term without a name adds."""
+    if term is None:
+        return ""
+    more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"
+    return f" Something is left in {term.equation} that {_follows(term.signal)}: {more}."
 
 
 def _experiment(names: Sequence[str]) -> str:

@@ -11,13 +11,13 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.files import atomic_write
+from cosim.files import atomic_write, check_writable
 from cosim.refine.attribution import Attributor, coarsened
 from cosim.refine.candidates import candidates, neutral_values
 from cosim.refine.fit import Problem
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from fmus.build import Recipe
 
 FLOOR_SEED = 20121
+RESULTS = ("model.yaml", "plant.fmu", "refine.json")  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 Floors = dict[Part, dict[str, float]]
@@ -57,11 +58,12 @@ class Refinement:
 
 
 def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refinement:
-    """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`. Raises InputError."""
+    """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them. Raises InputError."""
     began = time.perf_counter()
     tell = progress or (lambda stage, share: None)
     tell("reading the logs", 0.0)
     study = read_study(path)
+    check_writable(folder, (*RESULTS, "report.html"))
     model = study.loaded.model
     problem = build_problem(model, study.logs, noise=study.content.noise, sensors=study.loaded.values)
     trial = candidates(model, problem.values, varied_inputs(model, study.logs))
@@ -74,22 +76,24 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
     verdict = judge(attribution, unnamed_terms(coarsened(nameless), attribution.best.fit), model, forced)
     refined = refined_model(study.loaded, verdict.claimed)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_model(folder / "model.yaml", refined)
-    with tempfile.TemporaryDirectory(prefix="cosim-refine-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
+        scratch = Path(name)
+        write_model(scratch / "model.yaml", refined)
         tell("building the refined FMU", 0.0)
-        variants = _variants(study, attribution, verdict, refined, *_build_fmus(study.loaded, refined, folder, scratch))
+        variants = _variants(study, attribution, verdict, refined, *_build_fmus(study.loaded, refined, scratch))
         tell("replaying through the FMUs", 0.0)
         validation: LogSets = {"validation": sealed} if (sealed := study.unseal()) else {}
         sets: LogSets = {"estimation": study.logs, **validation}
         replayed = _replayed(variants, problem, sets)
-    tell("measuring the noise floor", 0.0)
-    rng = np.random.default_rng(FLOOR_SEED)
-    floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
-    record = _record(study, attribution, verdict, replayed, floors, time.perf_counter() - began).model_dump(mode="json")
-    with atomic_write(folder / "refine.json") as stream:
-        json.dump(record, stream, indent=2, ensure_ascii=False, allow_nan=False)
-        stream.write("\n")
+        tell("measuring the noise floor", 0.0)
+        rng = np.random.default_rng(FLOOR_SEED)
+        floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
+        spent = time.perf_counter() - began
+        record = _record(study, attribution, verdict, replayed, floors, spent).model_dump(mode="json")
+        with atomic_write(scratch / "refine.json") as stream:
+            json.dump(record, stream, indent=2, ensure_ascii=False, allow_nan=False)
+            stream.write("\n")
+        variants = _publish(scratch, folder, variants)
     evidence = {name: {part: found[model.horizon] for part, found in parts.items()} for name, parts in replayed.items()}
     return Refinement(study, attribution, verdict, record, folder, problem, variants, evidence)
 
@@ -105,12 +109,21 @@ def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedMode
     return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
 
 
-def _build_fmus(loaded: LoadedModel, refined: LoadedModel, folder: Path, scratch: str) -> tuple[Path, Path]:
+def _publish(scratch: Path, folder: Path, variants: Mapping[str, Variant]) -> dict[str, Variant]:
+    """Move the results to where they stay, refine.json last; an earlier report goes, which would tell of others."""
+    (folder / "report.html").unlink(missing_ok=True)
+    for name in RESULTS:
+        (scratch / name).replace(folder / name)
+    refined = scratch / "plant.fmu"
+    return {n: replace(v, fmu=folder / refined.name) if v.fmu == refined else v for n, v in variants.items()}
+
+
+def _build_fmus(loaded: LoadedModel, refined: LoadedModel, scratch: Path) -> tuple[Path, Path]:
     """FMUs of the model named in the study and of the refined one, which stays; where nothing changed it is both."""
     from fmus.build import build
 
-    after = build(recipe_of(refined), folder / "plant.fmu")
-    return (after if refined is loaded else build(recipe_of(loaded), Path(scratch) / "given.fmu")), after
+    after = build(recipe_of(refined), scratch / "plant.fmu")
+    return (after if refined is loaded else build(recipe_of(loaded), scratch / "given.fmu")), after
 
 
 def recipe_of(loaded: LoadedModel) -> Recipe:
@@ -169,7 +182,10 @@ def _record(study: Study, a: Attribution, verdict: Verdict, replayed: Replayed, 
         rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
         experiment=verdict.experiment,
         nearest=list(verdict.rivals) if verdict.name == "unexplained" else [],
-        candidates=ranking(a),
+        candidates=ranking(a, verdict),
+        hidden=list(a.hidden),
+        measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
+        warnings=list(study.warnings),
         residual=residual(verdict),
         horizon=own if math.isfinite(own) else "free run",
         error=errors(own),

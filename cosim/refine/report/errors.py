@@ -164,7 +164,8 @@ def second_sentence(r: Refinement) -> str:
     before, _, after, floor = _numbers(r, part, name)
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
-    return f"{where} the error of {name} over {horizon(r)} {verb} {said[0]} to {said[1]}; noise alone makes {said[2]}."
+    lead = f"{where} the error of {name} over {horizon(r)} {verb} {said[0]} to {said[1]}"
+    return f"{lead}; noise and disturbance make {said[2]}."
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:

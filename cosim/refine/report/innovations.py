@@ -47,7 +47,7 @@ def innovations(r: Refinement) -> list[WhitenessRow]:
         pair[0] = (r.variants["before"], after.log_q)
     both = [[_innovations(r, dict(v.values), q, k) for k in logs] for v, q in pair]
     outputs = r.problem.kernel.generated.outputs
-    ordered = sorted(outputs, key=list(r.study.logs[0].outputs).index)
+    ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
     return [_channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both]) for name in ordered]
 
 

@@ -96,13 +96,25 @@ def _badges(r: Refinement) -> list[Badge]:
         Badge(text, tone),
         Badge(f"{counted(len(r.study.logs), 'log')} learnt from, {plain(seconds)} s"),
         Badge(f"{counted(sealed, 'log')} sealed" if sealed else "no log sealed", "plain" if sealed else "warn"),
-        Badge(f"{len(r.record['candidates'])} hypotheses fitted"),
+        Badge(_tried(r)),
         Badge(f"{r.record['seconds']:.0f} s of work"),
     ]
 
 
+def _tried(r: Refinement) -> str:
+    """How many hypotheses, and how many of them only by a score test."""
+    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
+    screened = len(r.record["candidates"]) - fitted
+    return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
+
+
 def _rivals(r: Refinement) -> str:
     """What would settle an open question."""
+    if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
+        return (
+            f"Would not have shown in these logs, present or not: {', '.join(r.verdict.rivals)}. "
+            f"What would show them: {r.verdict.experiment}. Nothing is claimed, and the model is left as it was."
+        )
     if r.verdict.name == "ambiguous":
         return (
             f"Rivals: {', '.join(r.verdict.rivals)}. What would tell them apart: {r.verdict.experiment}. "
@@ -126,7 +138,8 @@ def _term_lead(r: Refinement) -> str:
     )
     if r.verdict.claimed:
         return way + "Over it, what the claimed term adds: a step of the model with it less a step without."
-    return way + "Over it, the term without a name that promises most, if one does."
+    beside = f" beside {' and '.join(r.verdict.rivals)}, the nearest" if r.verdict.rivals else ""
+    return f"{way}Over what is left{beside}: the term without a name that promises most, if one does."
 
 
 def _term(s: Shown) -> Mapping[str, Any]:
@@ -144,7 +157,7 @@ def _term_sentence(s: Shown) -> str:
     what = f"error of {s.where}" if s.kind == "sensor" else f"acceleration missing from {s.where}"
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
-    who = f"the term in {s.against.name}" if s.kind == "nameless" else s.effect
+    who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
     text = f"Of the mean square {what}, {who} takes away {percent(min(1.0, max(0.0, s.share)))}"
     if s.kind == "sensor":
         return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
@@ -169,8 +182,9 @@ def _innovation_lead(claimed: bool) -> str:
 def _ranking_lead(r: Refinement) -> str:
     gain = r.record["held_out_gain"]
     lead = (
-        "Every candidate was fitted with the base parameters and the process noise free. The score is the "
-        "log-likelihood gained on the base model, less ½ ln N for each parameter; less than 6 is no gain."
+        "Candidates were fitted with the base parameters and the process noise free, but for those of which a score "
+        "test promised too little. The score is the log-likelihood gained on the base model and on the priors of its "
+        "parameters, less ½ ln N for each parameter added."
     )
     if r.verdict.claimed is not None and len(r.study.logs) > 1:
         lead += f" On each log, fitted on the others only, the claim still gains {plain(float(gain), 3)} in all."

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cosim.refine.fit import Problem
 from cosim.refine.generate import bases
 from cosim.refine.kernel import Array
-from cosim.refine.report.missing import Missing
+from cosim.refine.missing import Missing
 from plant.model import Model
 from plant.symbols import symbolic
 

@@ -91,21 +91,14 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
         for n, v in row["parameters"].items()
     )
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
-    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, fitted, _why(r, row, best), chosen)
+    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, fitted, _why(r, row), chosen)
 
 
-def _why(r: Refinement, row: Mapping[str, Any], best: float) -> str:
+def _why(r: Refinement, row: Mapping[str, Any]) -> str:
     """Why a hypothesis is, or is not, the answer."""
-    names = tuple(row["names"])
-    if r.verdict.claimed and names == r.verdict.claimed.names:
-        return "claimed" if r.verdict.name != "ambiguous" else "fits best, by a hair"
-    if any(names == rival.names for rival in r.attribution.rivals):
-        return "explains as well: a rival"
-    if names == r.attribution.best.names:
-        return "comes closest, is not claimed"
-    if len(names) > 1:
-        return f"explains less by {plain(best - _gain(row), 1)}"
-    return "part of the claim" if row["why"] == "claimed" else str(row["why"])
+    if r.verdict.name == "ambiguous" and row["why"] == "claimed":
+        return "fits best, by a hair"
+    return str(row["why"])
 
 
 def _gain(row: Mapping[str, Any]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +11,11 @@ from cosim.refine.candidates import Candidate
 from cosim.refine.fit import Problem
 from cosim.refine.hypotheses import Hypothesis
 from cosim.refine.kernel import Array
-from cosim.refine.report.missing import LEAST_LOG_Q, Filter, Missing, Steps, claimed, missing
+from cosim.refine.missing import LEAST_LOG_Q, LOGS, Filter, Missing, Steps, at_best, claimed, missing
 from cosim.refine.report.signals import Signal, choose, nameless, signals
 from cosim.refine.workflow import Refinement
 from plant.model import Model
 
-LOGS = 2  # of the estimation logs, looked at
-WORTH = 0.1  # share of what is missing that a term without a name must take away to be drawn
 VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
 
 
@@ -41,6 +39,7 @@ class Shown:
     term: Array | None
     first: int
     step: float
+    recorded: float | None = None  # the share as refine.json has it
 
     @property
     def correlation(self) -> float:
@@ -52,6 +51,8 @@ class Shown:
     @property
     def share(self) -> float:
         """Share of the mean square of what the data say that the claim takes away."""
+        if self.recorded is not None:
+            return self.recorded
         power = float(np.mean(self.found**2))
         return float("nan") if self.term is None or not power else 1.0 - float(
             np.mean((self.found - self.term) ** 2)
@@ -91,22 +92,22 @@ def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it
 
 
 def _left(r: Refinement, logs: Sequence[int]) -> Shown:
-    """What nothing in the catalogue explains, with the term without a name that promises most."""
-    model, problem, base = r.study.loaded.model, r.problem, r.attribution.base
-    parts = [(k, missing(problem, Filter(base.fit.values, base.fit.log_q), k)) for k in logs]
+    """What the best hypothesis leaves, with the term without a name that promises most beside it."""
+    model, problem, best = r.study.loaded.model, r.problem, r.attribution.best.fit
+    parts = [(k, missing(problem, Filter(best.values, best.log_q), k)) for k in logs]
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     residual, equations = r.verdict.residual, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])
-    against, term, least = choose(signals(model, problem, parts), "", value[:, column]), None, WORTH
-    for row in residual.get("terms", ()):
-        found = nameless(model, problem, parts, row["signal"], row["coefficient"])
-        if row["equation"] == equations[column] and found is not None:
-            share = 1.0 - float(np.mean((value[:, column] - found[1]) ** 2) / np.mean(value[:, column] ** 2))
-            if share > least:
-                against, term, least = found[0], found[1], share
-    return _picture(model, parts, "", "nameless", column, against, value, sigma, term)
+    first = next(iter(residual.get("terms", ())), None)
+    found = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
+    if first is None or found is None:
+        against = choose(signals(model, problem, parts), "", value[:, column])
+        return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
+    term = at_best(problem, best, logs, column, found[1], value[:, column])
+    picture = _picture(model, parts, "", "nameless", column, found[0], value, sigma, term)
+    return replace(picture, effect=first["signal"], recorded=residual.get("share"))
 
 
 def _picture(

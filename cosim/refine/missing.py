@@ -9,12 +9,12 @@ Claimed: a step of the model with the hypothesis less a step of the model withou
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.refine.fit import SKIPPED, Problem
+from cosim.refine.fit import DIFFERENCE, SKIPPED, Fit, Problem
 from cosim.refine.kernel import Array
 
 MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
@@ -22,6 +22,7 @@ LEAST_LOG_Q = -9.0  # d may be this large even where the fit found nothing: a fe
 STATE_LOG_Q = -16.0  # what else moves the forced states
 MOST_ROWS = 3000  # of a log, smoothed
 HISTORY = 0.6  # [s] of commands before a step, for a delay to look into
+LOGS = 2  # the first of a study, looked at
 NUDGE = 1e-4  # of a state, for differences; steps are smooth on this scale
 
 
@@ -34,10 +35,6 @@ class Missing:
     value: Array
     sigma: Array
     states: Array  # filtered by the base fit, all of the kernel's
-
-    def column(self, equation: str) -> int:
-        """Place of an equation."""
-        return self.equations.index(equation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +95,25 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
         fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
         found[k] = (fuller - plain)[forced] / data.step
     return found[min(round(SKIPPED / data.step), rows - 1) : rows - 1]
+
+
+def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
+    """A term in one equation at the size at which it takes away most of what is lacking there.
+
+    What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
+    that points the other way takes away nothing.
+    """
+    here, rows = Filter(at.values, at.log_q), []
+    for f in at.free:
+        if f.prior is None:
+            step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
+            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.log_q)
+            rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
+    if rows and np.isfinite(rows).all() and np.isfinite(term).all():
+        basis = np.array(rows).T
+        term = term - basis @ np.linalg.lstsq(basis, term, rcond=None)[0]
+    power = float(term @ term)
+    return np.asarray(max(0.0, float(lacking @ term) / power) * term if power > 0.0 else term)
 
 
 @dataclass(frozen=True, eq=False)
