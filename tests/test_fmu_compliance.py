@@ -133,9 +133,9 @@ def test_variables_are_those_other_tools_rely_on(fmu: Path, which: str) -> None:
     assert found["output"] == want["output"]
     if which == "controller_fmu":  # "noise variances, model numbers" are free to be named, and only those
         extra = {n for n in found["parameter"] if "variance" in n} | {
-            "mass", "izz", "arm", "friction", "lag", "thrust_nominal", "sample_time"
+            "mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping", "sample_time"
         }  # fmt: skip
-        assert len(extra) == 8 + 7  # V and W of eqs 5.46 and 5.47 have eight entries
+        assert len(extra) == 8 + 8  # V and W of eqs 5.46 and 5.47 have eight entries
         found["parameter"] = {n: unit for n, unit in found["parameter"].items() if n not in extra}
     assert found["parameter"] == want["parameter"]
 
