@@ -24,7 +24,7 @@ from plant.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
 # What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
-RUNTIME = ("__init__", "ports", "slave")
+RUNTIME = ("__init__", "lifetime", "ports", "slave")
 ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
 # Modules that need more than the FMU's host has.
 BUILD_TIME = ("linearize", "symbols", "synthesis")
@@ -175,15 +175,12 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
                 del sys.modules[name]
 
 
-# pythonfmu 0.7.0 runs the script once when it imports it and once more at every instantiation, after which it
-# releases the module's dictionary, which it does not own. The reference added at each run keeps the balance;
-# without it the dictionary of a short script is freed while in use, and the host crashes at its next collection.
-BALANCE = 'globals().setdefault("_references", []).append(globals())'
-
-
 def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
     """The file pythonfmu loads: the slave class, with other defaults where the recipe has them."""
-    lines = [f"from {package}.fmus.{module} import {recipe.slave.split(':')[1]} as Base"]
+    lines = [
+        f"from {package}.fmus.lifetime import keep",
+        f"from {package}.fmus.{module} import {recipe.slave.split(':')[1]} as Base",
+    ]
     if recipe.values or recipe.own:
         lines.append(f"from {package}.fmus.ports import model_ports")
     if recipe.own:
@@ -193,7 +190,7 @@ def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
         model = "Own()" if recipe.own else "Base.model"
         changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
         lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
-    return "\n".join([*lines, "", "", BALANCE]) + "\n"
+    return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:

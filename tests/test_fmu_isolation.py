@@ -167,6 +167,37 @@ def test_three_hundred_instances_come_and_go(plant_fmu: Path, controller_fmu: Pa
     assert in_a_process_of_its_own(CYCLES, plant_fmu, controller_fmu) == 2  # each FMU does the same every time
 
 
+RELEASES = """
+import atexit, json, sys
+from pathlib import Path
+from tests.hosts_fmpy import Instance
+at_exit = []
+atexit.register = lambda function: at_exit.append(function)
+for path in sys.argv[1:]:
+    with Instance(Path(path)) as one, Instance(Path(path)) as two:
+        one.initialize()
+        two.initialize()
+maps = Path("/proc/self/maps").read_text().split()
+scripts = [m for n, m in sys.modules.items() if n.endswith("_slave")]
+print(json.dumps([
+    len({p for p in maps if "/binaries/linux64/" in p}),
+    [f.__name__ for f in at_exit if getattr(f, "__name__", "") == "finalizePythonInterpreter"],
+    [sys.getrefcount(m.__dict__) - 1 for m in scripts],  # less the argument: what the module itself holds
+]))
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
+def test_what_pythonfmu_releases_twice_is_kept_in_balance(
+    plant_fmu: Path, controller_fmu: Path, tmp_path: Path
+) -> None:
+    another = shutil.copy(plant_fmu, tmp_path / "another.fmu")  # another extraction, another copy of the library
+    libraries, let_go, references = in_a_process_of_its_own(RELEASES, plant_fmu, controller_fmu, another)
+    assert libraries >= 3
+    assert let_go == ["finalizePythonInterpreter"] * libraries
+    assert references == [1, 1]
+
+
 def test_instances_of_one_fmu_share_no_state(plant_fmu: Path) -> None:
     with Instance(plant_fmu) as one, Instance(plant_fmu) as two:
         one.begin({"x_start": 1.0, "mass": 0.9})
