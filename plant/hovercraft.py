@@ -57,6 +57,15 @@ OUTPUTS = (
 SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
     ("x", "y", "x_world", "y_world"), 1e-6
 )
+TOLD_APART_BY = {
+    frozenset(
+        {"thrust_asymmetry", "com_offset"}
+    ): "tilt both propellers together and against each other, with position",
+    frozenset({"actuator_delay", "actuator_second_order", "lag"}): "broadband tilt commands: steps, a chirp up to 5 Hz",
+    frozenset({"coulomb_friction", "quadratic_drag", "stribeck_friction", "friction"}): "several speeds, and rest",
+    frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
+    frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +78,7 @@ class Hovercraft(Model):
     forced = ("vx", "vy", "psi_dot")
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
+    told_apart_by = TOLD_APART_BY
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")

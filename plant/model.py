@@ -41,12 +41,17 @@ class Effect(Parametric):
     name:   how the catalogue and the FMU (`name.parameter`) call it
     states: continuous states the effect adds to the model's
     memory: what it remembers between substeps; each has a start value `name.memory_start`
+    delay:  the parameter [s] by which the whole command is late, of an effect that remembers a history of commands,
+            one quantity of `memory` an input, and comes first; who has the whole log looks the command up there
+    starts: parameter values from which a fit starts as well, where its likelihood has more than one hill
     """
 
     name: ClassVar[str]
     equation: ClassVar[str]
     states: ClassVar[tuple[Quantity, ...]] = ()
     memory: ClassVar[tuple[Quantity, ...]] = ()
+    delay: ClassVar[str | None] = None
+    starts: ClassVar[tuple[Mapping[str, float], ...]] = ()
 
     @property
     def prefix(self) -> str:
@@ -100,6 +105,7 @@ class Model(Parametric):
     forced: ClassVar[tuple[str, ...]] = ()
     calibrated: ClassVar[tuple[str, ...]] = ()
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told
+    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → what an experiment needs that separates them
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
     horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log

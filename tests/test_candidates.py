@@ -49,3 +49,18 @@ def test_the_thrust_line_is_on_trial_only_where_the_duty_varies() -> None:
         for inputs in (["tilt_right"], ["tilt_right", "duty_left"])
     )
     assert varied - still == {"thrust_slope"}
+
+
+def test_an_effect_whose_likelihood_has_two_hills_starts_on_both() -> None:
+    craft = Hovercraft()
+    tried = {c.name: c for c in candidates(craft, neutral_values(craft), [])}
+    low, high = tried["actuator_second_order"].starts
+    assert low.keys() == high.keys() == set(tried["actuator_second_order"].parameters)
+    assert low != high
+    assert len(tried["yaw_damping"].starts) == 1
+
+
+def test_every_name_told_apart_is_one_that_is_tried() -> None:
+    craft = Hovercraft()
+    tried = {c.name for c in candidates(craft, neutral_values(craft), [q.name for q in craft.inputs])}
+    assert set().union(*craft.told_apart_by) <= tried

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from cosim.refine.kernel import Array, Data, Filtered, Simulated, cached
 from cosim.refine.languages import C, Python
 from cosim.refine.model_file import own_model
 from cosim.refine.problem import as_data, start_state
+from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.model import Model
@@ -72,6 +73,30 @@ def assert_same(one: Filtered | Simulated, other: Filtered | Simulated) -> None:
         scale = np.nanmax(np.abs(a), axis=0, initial=0.0)
         assert np.array_equal(np.isnan(a), np.isnan(b)), name
         assert np.all((np.abs(a - b) <= SAME * scale) | np.isnan(a)), name
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateRadio(ActuatorDelay):
+    """A delay as another model might call it."""
+
+    name = "late_radio"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadioCraft(Hovercraft):
+    """A craft that may lack nothing but that delay."""
+
+    catalogue = (LateRadio,)
+
+
+def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
+    def errors(model: Model, **changes: float) -> Array:
+        k = kernel(model, IMU)
+        return filtered(k, seen, parameters(model, k.generated, **changes)).errors
+
+    late = errors(RadioCraft(), **{"late_radio.time": 0.053})
+    np.testing.assert_allclose(late, errors(Hovercraft(), **{"actuator_delay.time": 0.053}), rtol=0, atol=SAME)
+    assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")

@@ -14,12 +14,6 @@ Kind = Literal["effect", "sensor", "parameter"]
 # A data sheet is taken to be right to this share: recalibration within it is no discovery.
 TOLERANCE = 0.01
 BASE_RANGE = (0.1, 5.0)  # of the nominal value
-# Further starts, where a likelihood has more than one hill: second-order tilt may be slow and light or fast and heavy.
-MORE_STARTS: Mapping[str, tuple[Mapping[str, float], ...]] = {
-    "actuator_second_order": (
-        {"actuator_second_order.natural_frequency": 25.0, "actuator_second_order.damping_ratio": 1.0},
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,7 @@ def _effects(model: Model, values: Mapping[str, float]) -> Iterator[Candidate]:
         free = tuple(_free(p, name) for p, name in zip(declared, names, strict=True))
         here = {name: values[name] for name in names}
         first = {name: _start(p, values[name]) for p, name in zip(declared, names, strict=True)}
-        starts = [first, *MORE_STARTS.get(kind.name, ())]
+        starts = [first, *({f"{kind.name}.{name}": value for name, value in s.items()} for s in kind.starts)]
         if any(type(e) is kind for e in model.awake):
             starts = [here]  # the model has this effect already: it is recalibrated
         yield Candidate(kind.name, "sensor" if kind in model.sensors else "effect", free, tuple(starts))

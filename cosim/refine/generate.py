@@ -15,8 +15,6 @@ from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.symbols import SymbolicModel, symbolic
 
-DELAY = "actuator_delay"  # the one effect whose memory is a history: the kernel looks it up in the log itself
-
 
 @dataclass(frozen=True)
 class Generated:
@@ -89,7 +87,7 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         )
     )
     ordered = tuple(parameters)
-    delay = f"{DELAY}.time"
+    delay = next((f"{e.name}.{e.delay}" for e in s.model.awake if e.delay), "")
     return Generated(
         text,
         ordered,
@@ -182,7 +180,7 @@ def _shaping(s: SymbolicModel, arrays: dict[Any, str], language: Language) -> tu
     stages: list[dict[Any, Any]] = []
     remembered: list[Any] = []
     for effect in overrides(s.model.awake, "shape", Effect):
-        if effect.name == DELAY:
+        if effect.delay:  # its memory is a history: the kernel looks the command up in the log
             continue
         own = tuple(sympy.Symbol(f"memory:{len(remembered) + k}", real=True) for k in range(len(effect.memory)))
         places |= {symbol: f"memory[{len(remembered) + k}]" for k, symbol in enumerate(own)}

@@ -15,8 +15,7 @@ import numpy as np
 
 from cosim.refine.drive import Drive, StoppedReplay
 from cosim.refine.fit import Problem
-from cosim.refine.generate import DELAY
-from cosim.refine.kernel import Array, Filtered
+from cosim.refine.kernel import Array, Data, Filtered
 from cosim.refine.log import Log
 from cosim.refine.problem import as_data, start_covariance, start_state
 from cosim.refine.replay import Replay, window_rows, windows
@@ -95,18 +94,23 @@ def start_values(variant: Variant, problem: Problem, index: int, filtered: Filte
             start[f"{name}_start"] = float(value)
     k = 0
     for effect in overrides(tuple(kind() for kind in variant.model.catalogue), "shape", Effect):
-        if effect.name == DELAY:
+        if effect.delay:
+            if effect.name in awake:
+                start |= _held_back(effect, variant, data, row)
             continue
         for q in effect.memory:
             if effect.name in awake:
                 start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
             k += 1
-    if DELAY in awake:
-        late = variant.values[f"{DELAY}.time"] / data.step
-        first = int(max(0, np.floor(row - late)))
-        held = data.u[first : max(first + 1, row)].mean(axis=0)
-        start |= {f"{DELAY}.{q.name}_start": float(u) for q, u in zip(variant.model.inputs, held, strict=True)}
     return start
+
+
+def _held_back(effect: Effect, variant: Variant, data: Data, row: int) -> dict[str, float]:
+    """Start values of what a delay has not let through at a row: the mean of the commands on their way."""
+    late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
+    first = int(max(0, np.floor(row - late)))
+    held = data.u[first : max(first + 1, row)].mean(axis=0)
+    return {f"{effect.name}.{q.name}_start": float(u) for q, u in zip(effect.memory, held, strict=True)}
 
 
 def without_sensor_errors(log: Log, variant: Variant) -> Log:

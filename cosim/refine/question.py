@@ -16,7 +16,6 @@ from cosim.refine.model_file import LoadedModel, load_model
 from cosim.refine.separation import Pair, Rival, all_pairs, at_typical
 from cosim.refine.study import StudyFile
 from cosim.refine.units import factor
-from cosim.refine.verdict import EXPERIMENTS
 from cosim.yaml_file import YamlFile, did_you_mean
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -128,7 +127,7 @@ def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Questi
     known = _candidates(base)
     _check_names(path, against, known)
     own = {e.name for e in model.awake}
-    names = list(against) or sorted({n for group in _groups(known) if group & own for n in group - own})
+    names = list(against) or sorted({n for group in _groups(loaded.model, known) if group & own for n in group - own})
     rivals, pairs = _rivals(base, known, names)
     if own and names:
         free = tuple(f for n in own for f in known[n].free)
@@ -153,9 +152,9 @@ def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate
         raise InputError([Fault(path, 0, 0, fault) for fault in faults])
 
 
-def _groups(known: Mapping[str, Candidate]) -> list[set[str]]:
-    """What is usually hard to tell apart, of what the model has; all of it where nothing is known."""
-    return [g for group in EXPERIMENTS if len(g := set(group) & known.keys()) > 1] or [set(known)]
+def _groups(model: Model, known: Mapping[str, Candidate]) -> list[set[str]]:
+    """What is usually hard to tell apart, as the model says; all of it where nothing is known."""
+    return [g for group in model.told_apart_by if len(g := set(group) & known.keys()) > 1] or [set(known)]
 
 
 def _rivals(
@@ -165,7 +164,9 @@ def _rivals(
     values = {**neutral_values(loaded.model), **loaded.values}
     if len(names) == 1:
         return (at_typical(loaded.model, known[names[0]], values), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
-    pairs = all_pairs(names) if names else [p for group in _groups(known) for p in all_pairs(sorted(group))]
+    pairs = (
+        all_pairs(names) if names else [p for group in _groups(loaded.model, known) for p in all_pairs(sorted(group))]
+    )
     taken = dict.fromkeys(name for pair in pairs for name in pair)
     return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
 

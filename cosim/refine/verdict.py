@@ -21,17 +21,6 @@ DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little 
 LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
 BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
 CI95 = 1.96
-
-# What separates rivals, by what they have in common.
-EXPERIMENTS: Mapping[frozenset[str], str] = {
-    frozenset(
-        {"thrust_asymmetry", "com_offset"}
-    ): "tilt both propellers together and against each other, with position",
-    frozenset({"actuator_delay", "actuator_second_order", "lag"}): "broadband tilt commands: steps, a chirp up to 5 Hz",
-    frozenset({"coulomb_friction", "quadratic_drag", "stribeck_friction", "friction"}): "several speeds, and rest",
-    frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
-    frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
-}
 NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 
@@ -68,7 +57,7 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
         common = _common(a)
         names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in common))
         if len(names) > 1:
-            experiment = _experiment(names)
+            experiment = _experiment(model, names)
             certain = [c for c in a.best.candidates if c.name in common]
             sentence = _cannot_tell(names, experiment, _claim(a.best, certain, model) if certain else "")
             return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
@@ -192,6 +181,7 @@ def _left(term: Unnamed | None, gained: float) -> str:
     return f" Something is left in {term.equation} that {_follows(term.signal)}: {more}."
 
 
-def _experiment(names: Sequence[str]) -> str:
-    shared, text = max((len(row & set(names)), text) for row, text in EXPERIMENTS.items())
+def _experiment(model: Model, names: Sequence[str]) -> str:
+    known = [(len(row & set(names)), text) for row, text in model.told_apart_by.items()]
+    shared, text = max(known, default=(0, DEFAULT_EXPERIMENT))
     return text if shared > 1 else DEFAULT_EXPERIMENT

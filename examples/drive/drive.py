@@ -11,6 +11,11 @@ from plant.namespaces import Namespace
 from plant.quantities import Quantity, parameter
 
 REVERSAL_SPEED = 1e-3  # [m/s] below which dry friction is smoothed; the drive moves at up to 0.13 m/s
+TOLD_APART_BY = {
+    frozenset(
+        {"coulomb_friction", "stribeck_friction", "quadratic_drag", "viscous"}
+    ): "runs at several speeds, slow ones among them, with reversals",
+}
 
 
 class DriveEffect(Effect):
@@ -92,6 +97,7 @@ class Drive(Model):
     sensor_variance = {"position": 1e-8}  # noqa: RUF012 - a ClassVar of the base; 0.1 mm, see README.md
     forced = ("velocity",)
     calibrated = ("mass", "viscous")
+    told_apart_by = TOLD_APART_BY
     substep, rate = 0.00125, 0.005
     horizon = float("inf")  # judged by the free run: the friction holds the position, it does not drift away
 

@@ -31,6 +31,7 @@ class ActuatorDelay(HovercraftEffect):
         Quantity("tilt_right", "rad", "right tilt command that acts until the delay has passed"),
         Quantity("tilt_left", "rad", "left tilt command that acts until the delay has passed"),
     )
+    delay = "time"
     longest = 0.5
 
     time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
@@ -119,6 +120,7 @@ class ActuatorSecondOrder(HovercraftEffect):
         Quantity("tilt_rate_right", "rad/s", "rate of the right tilt"),
         Quantity("tilt_rate_left", "rad/s", "rate of the left tilt"),
     )
+    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and heavy looks like slow and light
 
     natural_frequency: float = parameter(
         0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
