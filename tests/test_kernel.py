@@ -35,6 +35,7 @@ AWAKE = {
     "servo_rate_limit.rate": 0.8, "gyro_bias.value": 0.01, "unnamed.vx.vx·|vx|": -0.1, "unnamed.psi_dot.1": 0.02,
     "unnamed.vy.cos psi": 0.01,
 }  # fmt: skip
+NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
 SAME = 1e-10  # of the largest value of a channel; the two differ in the order of sums at most
 
 
@@ -99,7 +100,7 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
+@NEEDS_C
 def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data) -> None:
     model = Hovercraft()
     compiled = CompiledKernel(generate(model, IMU, C(), unnamed=True))
@@ -192,3 +193,20 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
     assert tmp_path not in elsewhere.parents
     assert elsewhere.parent.is_dir()
     assert elsewhere == cached("source", ".py")
+
+
+@pytest.mark.parametrize("language", [pytest.param(C(), marks=NEEDS_C), Python()], ids=["C", "numba"])
+def test_a_damaged_cache_is_made_anew(
+    language: C | Python, table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    make = {C: CompiledKernel, Python: JitKernel}[type(language)]
+    g = generate(table, ("angle",), language)
+    make(g)
+    folder = cached("", "").parent
+    assert files(folder)
+    for file in files(folder):
+        file.unlink() if file.suffix == ".so" else None  # the one loaded above is mapped
+        file.write_bytes(b"damaged")
+    data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
+    assert np.isfinite(make(g).simulate(data, parameters(table, g), np.zeros(2), np.zeros(0)).states).all()

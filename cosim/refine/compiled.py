@@ -40,7 +40,7 @@ class CompiledKernel(ArrayKernel):
 
     def __init__(self, generated: Generated) -> None:
         self.generated = generated
-        self._library = ctypes.CDLL(str(_compiled(_source(generated))))
+        self._library = _loaded(_source(generated))
         self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 9]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
@@ -66,6 +66,16 @@ def _source(g: Generated) -> str:
     head = "\n".join(f"#define {name} {literal(value)}" for name, value in constants(g).items())
     body = (Path(__file__).parent / "filter.c").read_text(encoding="utf-8")
     return f"#include <math.h>\n{head}\n{g.source}\n{body}"
+
+
+def _loaded(source: str) -> ctypes.CDLL:
+    """The shared library of a source; one that was damaged in the cache is compiled anew."""
+    library = _compiled(source)
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError:
+        library.unlink()
+        return ctypes.CDLL(str(_compiled(source)))
 
 
 def _compiled(source: str) -> Path:

@@ -50,6 +50,7 @@ def _compiled(source: str) -> Any:
     float64, intp = numba.float64, numba.intp
 
     module = _module(source)
+    path = Path(module.__file__)
     options = {"nogil": True, "error_model": "numpy"}
     plain = {n: f for n, f in vars(module).items() if inspect.isfunction(f) and f.__module__ == module.__name__}
     for name, function in plain.items():
@@ -60,14 +61,20 @@ def _compiled(source: str) -> Any:
         "simulate": intp(*log, intp, v, v, v, M, M, M, M),
     }
     for name, signature in signatures.items():
-        setattr(module, name, numba.njit(signature, cache=True, **options)(plain[name]))
+        try:
+            compiled = numba.njit(signature, cache=True, **options)(plain[name])
+        except Exception:  # whatever unpickling a damaged file may raise; a fault of the source raises again
+            for file in (path.parent / "__pycache__").glob(f"{path.stem}.{name}-*.nb[ic]"):
+                file.unlink()
+            compiled = numba.njit(signature, cache=True, **options)(plain[name])
+        setattr(module, name, compiled)
     return module
 
 
 def _module(source: str) -> Any:
     """Import a source by a file of its own, which numba's cache asks for."""
     path = cached(source, ".py")
-    if not path.exists():
+    if not path.exists() or path.read_bytes() != source.encode():
         with atomic_write(path) as stream:
             stream.write(source)
     spec = importlib.util.spec_from_file_location(f"cosim_kernel_{path.stem}", path)

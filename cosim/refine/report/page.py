@@ -57,6 +57,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "badges": _badges(r),
         "claimed": claimed,
         "rivals": _rivals(r),
+        "warnings": r.record["warnings"],
         "tables": error_tables(r),
         "horizons": horizon_table(r),
         "horizon": horizon(r),
