@@ -237,3 +237,15 @@ def test_a_log_of_another_model_is_checked_as_such(tmp_path: Path) -> None:
     assert any("torque moves" in line for line in told)
     with pytest.raises(InputError, match='unknown column "torque"'):
         check_files([log])
+
+
+def test_a_pause_passes_for_no_outlier_and_hides_no_wrong_scale(tmp_path: Path, flight: Flight) -> None:
+    scaled = columns(flight)
+    scaled["psi_dot"] = 1.12 * scaled["psi_dot"]
+    scaled["psi"] = np.where(np.arange(len(scaled["psi"])) > 500, scaled["psi"] + 0.5, scaled["psi"])
+    kept = {
+        name: values[(np.arange(len(values)) < 480) | (np.arange(len(values)) > 520)] for name, values in scaled.items()
+    }
+    log = log_of(tmp_path / "a.csv", kept)
+    assert {kind for _, kind, _ in serious(log)} == {"gaps", "scale"}
+    assert one(log, "gaps").whole.startswith("41 rows missing")

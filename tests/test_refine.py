@@ -425,7 +425,7 @@ def test_the_command_line_prints_what_the_gate_warns_of(
     path = study_of(tmp_path / "study", {})
     thinned(path.parent, paused)
     (warning, *_) = read_study(path).warnings
-    assert warning.startswith("e1.csv: time 50 rows missing in 1 place")
+    assert warning.startswith("e1.csv: 50 rows missing in 1 place")
     monkeypatch.setattr("sys.argv", ["cosim", "check", str(path)])
     with pytest.raises(SystemExit) as left:
         entry()

@@ -21,3 +21,8 @@ class Finding:
     channel: str
     sentence: str
     numbers: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> str:
+        """The sentence with its subject; what is said of the time names its own."""
+        return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"

@@ -12,6 +12,7 @@ from cosim.refine.log import TURN, Column, Log, rate_of
 from cosim.report.text import amount, counted, plain
 
 DEGREES = 180.0 / math.pi
+PAUSE = 0.2  # [s] without a reading
 BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
 
 
@@ -26,7 +27,7 @@ def frames(log: Log) -> Iterator[Finding]:
     for name, times in log.unwrapped.items():
         yield Finding(
             "note", "wrapped", name,
-            f"{counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, the angle is continuous",
+            f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous",
             {"count": float(len(times)), "first": times[0]},
         )  # fmt: skip
     yield from _mirrored(log)
@@ -77,7 +78,11 @@ def _blocks(log: Log, values: Column, rates: Column) -> tuple[Column, Column, Co
         return np.zeros(0), np.zeros(0), np.zeros(0)
     area = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / BLOCK), prepend=-1.0))
-    return np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
+    change, integral, length = np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
+    if edges.size < 2:
+        return change, integral, length
+    whole = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1]) < PAUSE  # over it the integral is a guess
+    return change[whole], integral[whole], length[whole]
 
 
 def _magnitude(log: Log, name: str, values: Column) -> Iterator[Finding]:

@@ -207,7 +207,9 @@ def _repeats(log: Log, name: str, time: Column, values: Column) -> Iterator[Find
 
 def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
     """Single values far from what their neighbours say."""
-    off = np.abs(np.nan_to_num(surprise(values)))
+    whole = np.full(log.grid[-1] + 1, math.nan)
+    whole[log.grid] = values  # what stands on the far side of a pause is no neighbour
+    off = np.abs(np.nan_to_num(surprise(whole)[log.grid]))
     low, high = np.nanpercentile(values, [1, 99])
     limit = max(SPIKE * noise_level(values) * math.sqrt(70 / 36), 0.05 * (high - low)) if np.any(off) else math.inf
     around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
@@ -216,7 +218,7 @@ def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
         worst = spikes[np.argmax(off[spikes])]
         yield Finding(
             "warning", "outliers", name,
-            f"{counted(spikes.size, 'value')} out of line with the neighbours, first at "
+            f"has {counted(spikes.size, 'value')} out of line with the neighbours, first at "
             f"t = {log.time[spikes[0]]:.6g} s, the worst by {amount(float(off[worst]), log.units[name])}; "
             "leave such cells empty",
             {"count": float(spikes.size), "first": float(log.time[spikes[0]]), "worst": float(off[worst])},

@@ -18,7 +18,6 @@ from cosim.refine.gate import GAP, gate, gate_faults
 from cosim.refine.log import Log, read_log
 from cosim.refine.model_file import BASE, LoadedModel, load_model
 from cosim.refine.replay import SKIPPED
-from cosim.refine.words import finding_line as told
 from cosim.report.text import counted, plain
 from cosim.yaml_file import YamlFile, did_you_mean
 
@@ -90,7 +89,7 @@ def read_study(path: Path) -> Study:
             faults += gate_faults(log, findings)
             whole = judged(log, loaded.model.horizon)
             faults += [] if whole else [_too_short(log, loaded.model.horizon)]
-            warnings += [f"{name}: {told(f).removeprefix('warning: ')}" for f in findings if f.severity == "warning"]
+            warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
             if left := len(stretches(log)) - len(whole):
                 warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
             logs[part] += whole

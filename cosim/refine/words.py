@@ -51,7 +51,7 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
         first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
-        return f"{first.channel} {first.sentence}."
+        return f"{first.whole}."
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
         return "No command stands out in the residual: a disturbance, a sensor, or commands too regular to tell."
@@ -94,7 +94,7 @@ def quality(findings: Sequence[Finding]) -> str:
 
 def finding_line(finding: Finding) -> str:
     """A finding as the command line prints it."""
-    return f"{finding.severity}: {finding.channel + ' ' if finding.channel else ''}{finding.sentence}"
+    return f"{finding.severity}: {finding.whole}"
 
 
 def _and(words: Sequence[str]) -> str:

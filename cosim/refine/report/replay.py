@@ -133,7 +133,7 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
         "inputs": _input_correlation(comparison),
         "rows": [_row(c, horizons) for c in comparison.channels],
         "quality": words.quality(found),
-        "warnings": [f"{f.channel} {f.sentence}".strip() for f in found if f.severity != "note"],
+        "warnings": [f.whole for f in found if f.severity != "note"],
         "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
