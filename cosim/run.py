@@ -73,6 +73,7 @@ def run(
     record["warnings"] += [
         f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())
     ]
+    (folder / "report.html").unlink(missing_ok=True)  # it would tell of others
     results.write_csv(folder / "results.csv")
     write_manifest(folder / "manifest.json", record)
     if report:

@@ -217,3 +217,11 @@ def test_a_percent_sign_in_a_value_reaches_the_user_whole(project: Path) -> None
                  "components.controller.start.estimator=%s%s%n 50% sure", cwd=project)  # fmt: skip
     assert done.returncode == 4
     assert "'%s%s%n 50% sure'" in done.stderr
+
+
+def test_a_run_without_a_report_leaves_none_of_other_results(project: Path) -> None:
+    scenario, folder = project / "scenarios" / "regulate.yaml", project / "once"
+    run(scenario, folder, ["duration=0.2"])
+    assert (folder / "report.html").exists()
+    run(scenario, folder, ["duration=0.2"], report=False)
+    assert not (folder / "report.html").exists()

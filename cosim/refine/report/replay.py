@@ -54,6 +54,8 @@ def write_replay(
     with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
         findings = gate(log, rate or drive.rate, strict=rate is not None)
         refuse_faults(log, findings)
+        for name in ("report.html", "residual.csv"):  # they would tell of other results
+            (folder / name).unlink(missing_ok=True)
         try:
             free = free_run(drive, start)
         except StoppedReplay as stopped:
