@@ -388,3 +388,10 @@ def test_a_replay_says_where_it_did_not_predict(log: Log, plant_fmu: Path) -> No
     found: Replay = replay_windows(log, plant_fmu, {100: {}}, 1.0)
     assert np.isnan(found.errors(log)["psi"][[0, 100, 151]]).all()
     assert np.isfinite(found.errors(log)["psi"][101:151]).all()
+
+
+def test_a_folder_that_cannot_hold_results_is_told_before_the_replay(tmp_path: Path, plant_fmu: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    log = log_of(tmp_path / "a.csv", measured(fly(times(2.0))))
+    with pytest.raises(InputError, match="cannot be the folder for results"):
+        write_replay(tmp_path / "out", log, plant_fmu)

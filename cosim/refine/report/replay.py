@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.files import atomic_write
+from cosim.files import atomic_write, check_writable
 from cosim.refine import words
 from cosim.refine.compare import ChannelSummary, Comparison, compare, steps_of
 from cosim.refine.drive import PLANT, Drive, StoppedReplay, as_columns
@@ -54,6 +54,7 @@ def write_replay(
     with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
         findings = gate(log, rate or drive.rate, strict=rate is not None)
         refuse_faults(log, findings)
+        check_writable(folder, ("results.csv", "residual.csv", "report.html"))
         for name in ("report.html", "residual.csv"):  # they would tell of other results
             (folder / name).unlink(missing_ok=True)
         try:
