@@ -24,17 +24,18 @@ from cosim.refine.model_file import BASE, LoadedModel
 from cosim.refine.problem import build_problem
 from cosim.refine.record import SCHEMA, ranking, schema
 from cosim.refine.replay import Replay
-from cosim.refine.report.errors import excess, second_sentence
+from cosim.refine.report.errors import second_sentence
 from cosim.refine.report.innovations import innovations
 from cosim.refine.report.page import context, write_refine_report
 from cosim.refine.report.panels import runs
 from cosim.refine.report.signals import bins, explained
 from cosim.refine.report.tables import pretty
 from cosim.refine.report.terms import Shown, shown
+from cosim.refine.residual import excess_left
 from cosim.refine.screen import ScoreTest
 from cosim.refine.study import LogLists, Study, StudyFile
 from cosim.refine.unnamed import Unnamed, unnamed_terms
-from cosim.refine.verdict import Verdict, judge
+from cosim.refine.verdict import Verdict, judge, proven
 from cosim.refine.workflow import Refinement, refine
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
@@ -149,7 +150,7 @@ def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
     sizes = {"psi": 0.1, "psi_dot": 0.2, "ax": math.nan}
     error = {name: {"estimation": sizes} for name in ("before", "recalibrated", "after")}
     return {
-        "sentence": verdict.sentence, "seconds": 1.0, "held_out_gain": 0.0, "candidates": rows,
+        "sentence": verdict.sentence, "seconds": 1.0, "warnings": [], "held_out_gain": 0.0, "candidates": rows,
         "error": error, "horizons": {"0.5 s": error, "free run": error},
         "noise_floors": {"estimation": {"psi": 0.01}},
     }  # fmt: skip
@@ -351,6 +352,17 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     assert verdict.sentence == "A disturbance acts on vy; it depends on nothing that is measured."
 
 
+def test_a_claim_that_leaves_the_error_where_it_was_is_withdrawn(cart: Refinement) -> None:
+    verdict = Judged(cart)(rivals=())
+    floor, before = {"x": 1.0, "v": 1.0, "quiet": 1.0}, {"x": 11.0, "v": 5.0, "quiet": 1.5}
+    assert proven(verdict, before, {"x": 1.2, "v": 5.0, "quiet": 1.5}, floor) is verdict  # one channel is mended
+    withdrawn = proven(verdict, before, {"x": 6.0, "v": 5.0, "quiet": 1.0}, floor)
+    assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, cart.attribution.best.names)
+    assert withdrawn.sentence.endswith("With it, 29\u00a0% of the excess error stays.")  # 35 of 120
+    # where no channel was far off before, the replay tells nothing
+    assert proven(verdict, {**before, "x": 1.9, "v": 1.9}, {"x": 1.9, "v": 1.9, "quiet": 1.0}, floor) is verdict
+
+
 def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:
     judged, base = Judged(cart), cart.attribution.base
     terms = (Unnamed("v", "1", 40.0, 0.1, 41.0, 0.79), Unnamed("v", "time", 30.0, 0.1, 30.0))
@@ -390,10 +402,10 @@ def test_every_hypothesis_has_its_reason_and_only_what_is_claimed_is_claimed(car
 
 
 def test_excess_left_is_that_of_the_contract() -> None:
-    assert excess(5.0, 3.0, 1.0) == pytest.approx((9 - 1) / (25 - 1), rel=1e-15)
-    assert excess(5.0, 5.0, 1.0) == 1.0
-    assert math.isnan(excess(2.0, 1.0, 1.0))  # before is not above twice the floor
-    assert math.isnan(excess(math.nan, 1.0, 1.0))
+    assert excess_left(5.0, 3.0, 1.0) == pytest.approx((9 - 1) / (25 - 1), rel=1e-15)
+    assert excess_left(5.0, 5.0, 1.0) == 1.0
+    assert math.isnan(excess_left(2.0, 1.0, 1.0))  # before is not above twice the floor
+    assert math.isnan(excess_left(math.nan, 1.0, 1.0))
 
 
 def test_bins_hold_every_row_once_and_none_too_few() -> None:

@@ -124,14 +124,23 @@ def without_sensor_errors(log: Log, variant: Variant) -> Log:
     return replace(log, outputs=outputs)
 
 
+def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
+    problem = filtering(problem, variant.model, logs)
+    runs = (problem.run(variant.values, variant.log_q, index, states=True) for index in range(len(logs)))
+    missed = [_missed(variant, problem, *each) for each in zip(logs, problem.logs, runs, strict=True)]
+    return _root_mean_squares(problem, missed)
+
+
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
-    problem, horizon = filtering(problem, variant.model, logs), variant.model.horizon
+    problem = filtering(problem, variant.model, logs)
     generated = problem.kernel.generated
-    p = np.array([variant.values[name] for name in generated.parameters])
-    sums = np.zeros(len(generated.outputs))
-    counts = np.zeros(len(generated.outputs))
+    p = _numbers(variant, problem)
+    missed = []
     noisy = [generated.stochastic[k] for k in generated.noisy]
+    q = np.zeros(len(generated.stochastic))
+    q[list(generated.noisy)] = np.exp(variant.log_q)
     for index, log in enumerate(logs):
         data = problem.logs[index]
         first = problem.run(variant.values, variant.log_q, index, states=True)
@@ -143,21 +152,33 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
             truth = problem.kernel.simulate(data, p, first.states[0], np.zeros(generated.memory), kicks)
             sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
             drawn = replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
-            q = np.zeros(len(generated.stochastic))
-            q[list(generated.noisy)] = np.exp(variant.log_q)
             seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
-            length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-            predicted = _predicted(problem, drawn, p, seen, log.grid[first_rows(log, horizon)].tolist(), length)
-            missed = drawn.y - predicted
-            sums += np.nansum(missed**2, axis=0)
-            counts += np.isfinite(missed).sum(axis=0)
+            missed.append(_missed(variant, problem, log, drawn, seen))
+    return _root_mean_squares(problem, missed)
+
+
+def _numbers(variant: Variant, problem: Problem) -> Array:
+    return np.array([variant.values[name] for name in problem.kernel.generated.parameters])
+
+
+def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:
+    """Measured − model of replays over the model's horizon, each from the state the filter knew by then."""
+    horizon = variant.model.horizon
+    length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+    rows = log.grid[first_rows(log, horizon)].tolist()
+    return data.y - _predicted(problem, data, _numbers(variant, problem), seen, rows, length)
+
+
+def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
+    whole = np.vstack(missed)
+    sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
     return {
         name: float(np.sqrt(s / c)) if c else float("nan")
-        for name, s, c in zip(generated.outputs, sums, counts, strict=True)
+        for name, s, c in zip(problem.kernel.generated.outputs, sums, counts, strict=True)
     }
 
 
-def _predicted(problem: Problem, data: Any, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
+def _predicted(problem: Problem, data: Data, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
     """Outputs of replays as the kernel runs them; NaN where none predicts."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:

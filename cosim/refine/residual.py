@@ -16,6 +16,7 @@ Column = NDArray[np.float64]
 FREE_RUN = math.inf  # as a horizon [s]
 NORMAL_95 = 1.959964  # two-sided 95 % of the standard normal
 LJUNG_BOX_LAGS = 20
+COUNTS_FROM = 2.0  # times the noise floor, from which an error before has an excess that can fall
 STANDS_OUT = 2.0  # times the 95 % band: four standard errors, by chance once in 10⁴ lags
 
 
@@ -83,6 +84,13 @@ def rmse(*errors: Column) -> float:
     """Root mean square of everything finite, pooled; NaN where nothing is."""
     kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
     return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
+
+
+def excess_left(before: float, after: float, floor: float) -> float:
+    """(after² − floor²)/(before² − floor²) of root mean squares; NaN where before is not well above the floor."""
+    if not before > COUNTS_FROM * floor:
+        return math.nan
+    return (after * after - floor * floor) / (before * before - floor * floor)
 
 
 def fit_percent(measured: Column, model: Column) -> float:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from cosim.refine.candidates import Candidate
 from cosim.refine.hypotheses import Attribution, Hypothesis
+from cosim.refine.residual import excess_left
 from cosim.refine.unnamed import NOTICED, Unnamed
 from cosim.report.text import percent
 from plant.model import Model
@@ -19,6 +21,7 @@ Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "
 REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
 DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
 LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
+MENDS = 1 / 6  # of the excess error, which a claim leaves at most on the channel that it mends best
 BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
 CI95 = 1.96
 NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
@@ -64,6 +67,25 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     left = unnamed[0] if unnamed and unnamed[0].most > DISPUTES else None
     sentence = _claim(a.best, a.best.candidates, model) + _left(left, a.base.score - a.best.score)
     return Verdict(_found(a.best.candidates), a.best, (), "", residual, sentence)
+
+
+def proven(
+    verdict: Verdict, before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
+) -> Verdict:
+    """The verdict, its claim withdrawn where the model with it still misses every channel that it missed without it.
+
+    What takes away innovations a row ahead need not be what acts: the replay shows it. An error of a sensor alone
+    leaves the replay as it is.
+    """
+    if verdict.claimed is None or {c.kind for c in verdict.claimed.candidates} == {"sensor"}:
+        return verdict
+    left = [x for n, f in floor.items() if not math.isnan(x := excess_left(before[n], after[n], f))]
+    if not left or min(left) <= MENDS:
+        return verdict
+    names = verdict.claimed.names
+    found = _unexplained(verdict.residual, names, "No hypothesis explains what the model misses.")
+    sentence = f"{found} With it, {percent(min(left))} of the excess error stays."
+    return replace(verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=sentence)
 
 
 def _found(candidates: Sequence[Candidate]) -> Name:
@@ -131,7 +153,11 @@ def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str])
     }
 
 
-def _unexplained(residual: Mapping[str, Any], nearest: Sequence[str]) -> str:
+def _unexplained(
+    residual: Mapping[str, Any],
+    nearest: Sequence[str],
+    otherwise: str = "No hypothesis holds on logs it was not fitted on.",
+) -> str:
     where = residual["equation"]
     if residual["signals"]:
         share = (
@@ -143,7 +169,7 @@ def _unexplained(residual: Mapping[str, Any], nearest: Sequence[str]) -> str:
     elif where:
         text = f"A disturbance acts on {where}; it depends on nothing that is measured."
     else:
-        text = "No hypothesis holds on logs it was not fitted on."
+        text = otherwise
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
 
 

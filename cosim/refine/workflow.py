@@ -23,13 +23,13 @@ from cosim.refine.candidates import candidates, neutral_values
 from cosim.refine.fit import Problem
 from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.log import Log
-from cosim.refine.measure import Evidence, Variant, noise_floor, replays, rmse
+from cosim.refine.measure import Evidence, Variant, noise_floor, predicted_errors, replays, rmse
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model
 from cosim.refine.problem import build_problem, varied_inputs
 from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, known, ranking, residual
 from cosim.refine.study import Study, read_study
 from cosim.refine.unnamed import unnamed_terms
-from cosim.refine.verdict import Verdict, judge
+from cosim.refine.verdict import Verdict, judge, proven
 from plant.quantities import parameters_of
 
 if TYPE_CHECKING:
@@ -75,6 +75,8 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     generated = problem.kernel.generated
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
     verdict = judge(attribution, unnamed_terms(coarsened(nameless), attribution.best.fit), model, forced)
+    tell("replaying with the claim and without", 0.0)
+    verdict = _proven(study, attribution, verdict, problem)
     refined = refined_model(study.loaded, verdict.claimed)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
@@ -96,6 +98,17 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
         variants = _publish(scratch, folder, variants)
     evidence = {name: {part: found[model.horizon] for part, found in parts.items()} for name, parts in replayed.items()}
     return Refinement(study, attribution, verdict, record, folder, problem, variants, evidence)
+
+
+def _proven(study: Study, a: Attribution, verdict: Verdict, problem: Problem) -> Verdict:
+    """The verdict, its claim held against what it does to the error of replays of the estimation logs."""
+    if verdict.claimed is None:
+        return verdict
+    no_fmu = Path()  # the kernel replays them here, before there is anything to build
+    variants = _variants(study, a, verdict, refined_model(study.loaded, verdict.claimed), no_fmu, no_fmu)
+    before, after = (predicted_errors(variants[name], problem, study.logs) for name in ("before", "after"))
+    rng = np.random.default_rng(FLOOR_SEED)
+    return proven(verdict, before, after, noise_floor(variants["after"], problem, study.logs, rng))
 
 
 def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:

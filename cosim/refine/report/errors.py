@@ -9,13 +9,13 @@ from typing import Any
 
 from cosim.refine.record import OTHER_HORIZONS
 from cosim.refine.report.panels import finer
+from cosim.refine.residual import excess_left
 from cosim.refine.words import horizon_name
 from cosim.refine.workflow import Refinement
 from cosim.report.text import MISSING, percent, plain
 
 PARTS = {"estimation": "Estimation logs", "validation": "Sealed validation logs"}
 NOISE = 1.2  # times the floor, up to which an error is noise
-COUNTS_FROM = 2.0  # times the floor, from which an error before has an excess that can fall
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,6 @@ def error_size(value: float, unit: str, like: float) -> str:
     return text if text == MISSING or not shown else f"{text}{'' if shown.startswith('°') else chr(0xA0)}{shown}"
 
 
-def excess(before: float, after: float, floor: float) -> float:
-    """(after² − floor²)/(before² − floor²); NaN where the error before is not well above the floor."""
-    if not before > COUNTS_FROM * floor:
-        return math.nan
-    return (after * after - floor * floor) / (before * before - floor * floor)
-
-
 def horizon(r: Refinement) -> str:
     """How long the model runs by itself: `2 s`, or `a whole run`."""
     found = [played.horizon for _, played in r.evidence["before"]["estimation"]]
@@ -129,7 +122,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     numbers = _numbers(r, part, name)
     before, _, after, floor = numbers
     texts = [error_size(value, units(r).get(name, ""), after) for value in numbers]
-    left = excess(before, after, floor)
+    left = excess_left(before, after, floor)
     said = percent(max(0.0, left))
     if math.isnan(left):
         said = "within noise" if before < NOISE * floor else "under twice the floor" if floor else MISSING
