@@ -19,7 +19,7 @@ def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
-    """Parameters, start values among them, that each output depends on in initialization mode."""
+    """Parameters, start values among them, and inputs that each output depends on in initialization mode."""
     found: dict[str, set[str]] = {q.name: set() for q in model.outputs}
     flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
     variants = []
@@ -27,6 +27,7 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
         s = symbolic(model, flag)
         variants.append(_outputs(s))
         names = {symbol: name for name, symbol in s.parameters.items()}
+        names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
         starts = {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
         follows = _derived_starts(s)
         for q, expression in zip(model.outputs, variants[-1], strict=True):

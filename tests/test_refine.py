@@ -431,3 +431,59 @@ def test_the_command_line_prints_what_the_gate_warns_of(
         entry()
     assert left.value.code == 0
     assert f"{path}: warning: {warning}" in capsys.readouterr().out
+
+
+RIG = '''
+from dataclasses import dataclass
+from plant.delay import Delay
+from plant.model import Equations, Model
+from plant.quantities import Quantity, parameter
+
+@dataclass(frozen=True, kw_only=True)
+class Late(Delay):
+    """The amplifier is late."""
+    name = "late_amplifier"
+    memory = (Quantity("torque", "N.m", "torque that acts until the delay has passed"),)
+
+@dataclass(frozen=True, kw_only=True)
+class Rig(Model):
+    """A table on a spring, with a load cell between motor and table."""
+    title = "Rig"
+    base_states = (Quantity("angle", "rad", "angle"), Quantity("rate", "rad/s", "rate"))
+    inputs = (Quantity("torque", "N.m", "torque commanded"),)
+    outputs = (*base_states, Quantity("pull", "N.m", "what the load cell reads"))
+    catalogue = (Late,)
+    sensor_variance = {"angle": 1e-6, "rate": 1e-4, "pull": 1e-6}
+    forced, calibrated = ("rate",), ("inertia",)
+    inertia: float = parameter(0.02, unit="kg.m2", bounds=(1e-3, 1), doc="moment of inertia")
+    stiffness: float = parameter(0.5, unit="N.m/rad", bounds=(0, 50), doc="spring")
+
+    def equations(self, m):
+        def derivative(t, state, command):
+            return state[1], (command[0] - self.stiffness * state[0] - 0.02 * state[1]) / self.inertia
+        def output(t, state, command):
+            return (*state, command[0] - self.stiffness * state[0])
+        return Equations(derivative, output)
+'''
+
+
+def test_replays_know_what_a_delay_holds_back_and_outputs_what_is_commanded(tmp_path: Path) -> None:
+    (tmp_path / "rig.py").write_text(RIG)
+    stepper = Stepper(load_model("rig.py:Rig", tmp_path).model.with_values({"late_amplifier.time": 0.13}))
+    noise = np.array([1e-3, 1e-2, 1e-3])
+    for seed, name in enumerate("abc"):
+        rng = np.random.default_rng(seed)
+        torque = 0.2 * np.repeat(rng.standard_normal(200), 3)
+        moment, held, rows = stepper.start(), torque[0], []
+        for k, u in enumerate(torque.tolist()):
+            read = np.array(stepper.output(moment.t, moment.state, (held,))) + noise * rng.standard_normal(3)
+            rows.append([0.02 * k, u, *read])
+            moment, held = stepper.step(moment, (u,), 0.02), u
+        header = "time,torque,angle,rate,pull"
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=header, comments="")
+    study = tmp_path / "study.yaml"
+    study.write_text("model: rig.py:Rig\nlogs: {estimation: [a.csv, b.csv], validation: [c.csv]}\n")
+    r = proven(study, tmp_path / "out")
+    assert named(r) == {"late_amplifier"}
+    after, floor = r.record["error"]["after"]["validation"], r.record["noise_floor"]
+    assert all(after[name] < 1.1 * floor[name] for name in ("angle", "rate", "pull")), (after, floor)

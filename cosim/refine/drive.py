@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +23,7 @@ from cosim.yaml_file import did_you_mean
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500
 Steps = tuple[list[float], list[float], list[int]]
+Memory = Mapping[int, Any]  # place among the effects that shape the command → what it remembers, as JSON
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
@@ -59,6 +61,17 @@ class RestartableFmu(FmuBlock):
             self._fmu.enterInitializationMode()
         except FMICallException as error:
             self._fail(error.function, error.status)
+
+    def remember(self, memory: Memory) -> None:
+        """Put what effects remember into the state of an FMU of ours: start values know but a constant past."""
+        before = self._fmu.getFMUstate()
+        state = json.loads(self._fmu.serializeFMUstate(before))
+        self._fmu.freeFMUstate(before)
+        for place, remembered in memory.items():
+            state["own"][2][place] = remembered
+        after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
+        self._fmu.setFMUstate(after)
+        self._fmu.freeFMUstate(after)
 
     def _reset(self) -> bool:
         try:
@@ -115,10 +128,11 @@ class Drive:
         self._begin(start, row, float(self.log.time[-1]))
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
-    def run(self, first: int, last: int, start: Mapping[str, Any]) -> Column:
+    def run(self, first: int, last: int, start: Mapping[str, Any], memory: Memory | None = None) -> Column:
         """Outputs at rows `first` … `last`, shape (rows, outputs), started at the first from `start`.
 
         The command of row k is held from t_k to t_k+1. Raises StoppedReplay where the FMU fails.
+        memory: what effects of an FMU of ours remember at the first row, in place of what follows from `start`
         """
         times, held, rows = self._steps(first, last)
         reached = [float(self.log.time[first]), *(t + h for t, h in zip(times, held, strict=True))]
@@ -128,6 +142,8 @@ class Drive:
         try:
             self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
             block.start()
+            if memory:
+                block.remember(memory)
             ctypes.memmove(there, here, size)
             for done, (t, h, k) in enumerate(zip(times, held, rows, strict=True), 1):
                 if k != acting and commands:

@@ -62,6 +62,9 @@ static void transition(double h, const double *A, double *Phi)
     }
 }
 
+/* The command held over the step that ends in row k, with which the FMU gives its outputs there. */
+static const double *held(const Log *log, int k) { return log->u + NU * (k > 0 ? k - 1 : 0); }
+
 /* What acts over substep s of the step that ends in row k: the log's command after delay and everything that shapes it. */
 static void act(const Log *log, int k, int s, double delay, double *memory, const double *p, double *u)
 {
@@ -91,7 +94,7 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
             }
             if (kicks) for (int i = 0; i < NX; i++) x[i] += kicks[NX * k + i];
         }
-        measure(t, x, p, outputs + NY * k);
+        measure(t, x, held(log, k), p, outputs + NY * k);
         if (states) memcpy(states + NX * k, x, sizeof x);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
         for (int i = 0; i < NX; i++) if (!isfinite(x[i])) return k;
@@ -139,8 +142,8 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 rk4(before + s * h, h, x, u, p);
             }
         }
-        measure(t, x, p, y);
-        measure_jacobian(t, x, p, C);
+        measure(t, x, held(log, k), p, y);
+        measure_jacobian(t, x, held(log, k), p, C);
         for (int i = 0; i < NS; i++) moved[i] = 0.0; /* what the measurements of this row have moved the state by */
         for (int j = 0; j < NY; j++) {
             double measured = log->y[NY * k + j];

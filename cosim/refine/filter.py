@@ -24,10 +24,10 @@ if TYPE_CHECKING:  # stand below: numbers of states, inputs, outputs, stochastic
     def jacobian(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
         """A, of the stochastic states, row by row."""
 
-    def measure(t: float, x: Array, p: Array, out: Array) -> None:
+    def measure(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
         """Outputs."""
 
-    def measure_jacobian(t: float, x: Array, p: Array, out: Array) -> None:
+    def measure_jacobian(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
         """C, by the stochastic states, row by row."""
 
     def shape_all(u: Array, memory: Array, p: Array, out: Array) -> None:
@@ -167,7 +167,7 @@ def simulate(
             if len(kicks) > 0:
                 for i in range(NX):
                     x[i] += kicks[k, i]
-        measure(t, x, p, outputs[k])
+        measure(t, x, log_u[max(0, k - 1)], p, outputs[k])  # the FMU's outputs are of the command held
         if not kept(k, x, memory, states, memories):
             return k
     return len(log_u)
@@ -253,8 +253,9 @@ def filter(
                 elif s == 0:
                     predict(before, step, substeps, x, u, p, q, P, square)
                 rk4(before + s * h, h, x, u, p, work)
-        measure(t, x, p, y)
-        measure_jacobian(t, x, p, C.reshape(NY * NS))
+        held = log_u[max(0, k - 1)]
+        measure(t, x, held, p, y)
+        measure_jacobian(t, x, held, p, C.reshape(NY * NS))
         update(log_y[k], y, C, r, P, moved, errors[k], variances[k])
         for i in range(NS):
             x[STOCHASTIC[i]] += moved[i]

@@ -20,8 +20,8 @@ from plant.symbols import SymbolicModel, symbolic
 class Generated:
     """Functions in C or Python and what their arguments are.
 
-    source:     `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, p, y)`,
-                `measure_jacobian(t, x, p, C)`, `shape_all(u, memory, p, out)`
+    source:     `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
+                `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`
     parameters: names, in the order of `p`
     states:     names, in the order of `x`
     stochastic: indices of the states that process noise reaches and that reach a measured output; A and C are of these
@@ -81,8 +81,8 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         (
             language.function("deriv", "t x u p", f, arrays),
             language.function("jacobian", "t x u p", A, arrays),
-            language.function("measure", "t x p", g, arrays),
-            language.function("measure_jacobian", "t x p", C, arrays),
+            language.function("measure", "t x u p", g, arrays),
+            language.function("measure_jacobian", "t x u p", C, arrays),
             shaping,
         )
     )

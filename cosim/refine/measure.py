@@ -6,6 +6,7 @@ All horizons are measured through the FMU; the floor, which needs dozens of runs
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import Drive, StoppedReplay
+from cosim.refine.drive import Drive, Memory, StoppedReplay
 from cosim.refine.fit import Problem
 from cosim.refine.kernel import Array, Data, Filtered
 from cosim.refine.log import Log
@@ -63,10 +64,11 @@ def replays(
         with Drive(corrected, variant.fmu) as drive:
             for horizon, evidence in found.items():
                 rows = first_rows(log, horizon)
-                given = {k: start_values(variant, problem, index, filtered, int(log.grid[k])) for k in rows}
+                given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
                 starts = {k: {**variant.parameters, **start} for k, start in given.items()}
+                memories = {k: _on_its_way(variant, log, problem.logs[index], k) for k in rows}
                 try:
-                    evidence.append((corrected, windows(drive, starts, horizon)))
+                    evidence.append((corrected, windows(drive, starts, horizon, memories)))
                 except StoppedReplay:
                     if horizon == own:
                         raise
@@ -84,9 +86,9 @@ def rmse(evidence: Evidence) -> dict[str, float]:
     return pooled(replay.errors(log) for log, replay in evidence)
 
 
-def start_values(variant: Variant, problem: Problem, index: int, filtered: Filtered, row: int) -> dict[str, float]:
-    """FMU start parameters at a row of the filter: its states, memory of the effects, what a delay still holds back."""
-    generated, data = problem.kernel.generated, problem.logs[index]
+def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: int) -> dict[str, float]:
+    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart."""
+    generated = problem.kernel.generated
     awake = {e.name for e in variant.model.awake}
     start = {}
     for name, value in zip(generated.states, filtered.states[row], strict=True):
@@ -94,9 +96,7 @@ def start_values(variant: Variant, problem: Problem, index: int, filtered: Filte
             start[f"{name}_start"] = float(value)
     k = 0
     for effect in overrides(tuple(kind() for kind in variant.model.catalogue), "shape", Effect):
-        if effect.delay:
-            if effect.name in awake:
-                start |= _held_back(effect, variant, data, row)
+        if effect.delay:  # see _on_its_way
             continue
         for q in effect.memory:
             if effect.name in awake:
@@ -105,12 +105,17 @@ def start_values(variant: Variant, problem: Problem, index: int, filtered: Filte
     return start
 
 
-def _held_back(effect: Effect, variant: Variant, data: Data, row: int) -> dict[str, float]:
-    """Start values of what a delay has not let through at a row: the mean of the commands on their way."""
-    late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
-    first = int(max(0, np.floor(row - late)))
-    held = data.u[first : max(first + 1, row)].mean(axis=0)
-    return {f"{effect.name}.{q.name}_start": float(u) for q, u in zip(effect.memory, held, strict=True)}
+def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
+    """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
+    shaping = overrides(variant.model.awake, "shape", Effect)
+    found: dict[int, Any] = {}
+    for place, effect in enumerate(shaping):
+        if effect.delay:
+            row = int(log.grid[k])
+            late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
+            rows = range(max(0, math.floor(row - late)), row) or [row]
+            found[place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return found
 
 
 def without_sensor_errors(log: Log, variant: Variant) -> Log:

@@ -9,6 +9,7 @@ Claimed: a step of the model with the hypothesis less a step of the model withou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,7 +22,6 @@ MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for,
 LEAST_LOG_Q = -9.0  # d may be this large even where the fit found nothing: a few mN on the craft
 STATE_LOG_Q = -16.0  # what else moves the forced states
 MOST_ROWS = 3000  # of a log, smoothed
-HISTORY = 0.6  # [s] of commands before a step, for a delay to look into
 LOGS = 2  # the first of a study, looked at
 NUDGE = 1e-4  # of a state, for differences; steps are smooth on this scale
 
@@ -51,12 +51,15 @@ class Steps:
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         known = {**problem.values, **values}
-        self.p = np.array([known[name] for name in problem.kernel.generated.parameters])
+        generated = problem.kernel.generated
+        self.p = np.array([known[name] for name in generated.parameters])
+        late = self.p[generated.delay] / self.data.step if generated.delay >= 0 else 0.0
+        self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
     def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
         """The state at the next row, and the outputs at this one."""
         d = self.data
-        back = min(row, round(HISTORY / d.step))
+        back = min(row, self.back)
         first = row - back
         part = replace(d, start=d.start + first * d.step, u=d.u[first : row + 2], y=d.y[first : row + 2])
         run = self.kernel.simulate(part, self.p, state, memory, first=back)

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import Drive, as_columns, rows_of
+from cosim.refine.drive import Drive, Memory, as_columns, rows_of
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN
 from cosim.refine.starts import StartParameter, first_start, start_parameters, window_starts
@@ -68,8 +69,13 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     return Replay(drive.log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units)
 
 
-def windows(drive: Drive, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
-    """`replay_windows` on an FMU that is loaded."""
+def windows(
+    drive: Drive,
+    starts: Mapping[int, Mapping[str, Any]],
+    horizon: float,
+    memories: Mapping[int, Memory] = MappingProxyType({}),
+) -> Replay:
+    """`replay_windows` on an FMU that is loaded; memories: row → what effects remember there."""
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
     for first in sorted(starts):
@@ -77,7 +83,7 @@ def windows(drive: Drive, starts: Mapping[int, Mapping[str, Any]], horizon: floa
         if first < done:
             raise ValueError(f"the window at row {first} begins before the one before it ends, at row {done}")
         if last > first:
-            table[first + 1 : last + 1] = drive.run(first, last, starts[first])[1:]
+            table[first + 1 : last + 1] = drive.run(first, last, starts[first], memories.get(first))[1:]
         done = last
     return Replay(drive.log.time, horizon, dict(starts), as_columns(table, drive.outputs), drive.units)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from plant.delay import Delay
 from plant.effects.terms import HovercraftEffect, Pair
 from plant.model import Number, Values
 from plant.namespaces import Namespace
@@ -16,12 +17,8 @@ def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActuatorDelay(HovercraftEffect):
-    """All four commands arrive T later: u(t) → u(t − T).
-
-    Over a substep the mean of the delayed command acts, so that its impulse is exact for any T. The
-    memory is the history of commands, (time from which it holds, command), oldest first.
-    """
+class ActuatorDelay(Delay, HovercraftEffect):
+    """All four commands arrive T later: u(t) → u(t − T)."""
 
     name = "actuator_delay"
     equation = "u(t) → u(t − T), all four commands"
@@ -31,26 +28,6 @@ class ActuatorDelay(HovercraftEffect):
         Quantity("tilt_right", "rad", "right tilt command that acts until the delay has passed"),
         Quantity("tilt_left", "rad", "left tilt command that acts until the delay has passed"),
     )
-    delay = "time"
-    longest = 0.5
-
-    time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
-
-    def remember(self, t: Number, start: Values) -> Values:
-        return ((t - self.longest, start),)
-
-    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        history = memory if memory[-1][1] is command else (*memory, (t, command))
-        begin, end = t - self.time, t + h - self.time
-        mean = [0.0] * len(command)
-        for k, (since, value) in enumerate(history):
-            until = history[k + 1][0] if k + 1 < len(history) else t + h
-            since = since if k else begin  # the oldest command has always been there
-            overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h
-            mean = [a + overlap * v for a, v in zip(mean, value, strict=True)]
-        while len(history) > 1 and history[1][0] <= t + h - self.longest:
-            history = history[1:]
-        return tuple(mean), history
 
 
 @dataclass(frozen=True, kw_only=True)
