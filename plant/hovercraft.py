@@ -66,6 +66,13 @@ TOLD_APART_BY = {
     frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
     frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
 }
+DRAWN_AGAINST = {
+    **dict.fromkeys(("coulomb_friction", "stribeck_friction", "quadratic_drag", "friction"), ("vx", "vy")),
+    **dict.fromkeys(("yaw_damping", "yaw_coulomb_friction"), ("psi_dot",)),
+    "battery_sag": ("time",),
+    "table_tilt": ("psi",),
+    "coriolis": ("psi_dot · vx", "psi_dot · vy"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +85,7 @@ class Hovercraft(Model):
     forced = ("vx", "vy", "psi_dot")
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
-    told_apart_by = TOLD_APART_BY
+    told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")

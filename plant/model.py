@@ -97,7 +97,7 @@ class Model(Parametric):
     base_states: ClassVar[tuple[Quantity, ...]]
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
-    catalogue: ClassVar[tuple[type[Effect], ...]]
+    catalogue: ClassVar[tuple[type[Effect], ...]] = ()
     # what is known of a real one: errors its sensors may have, variance of each measured output, the states whose
     # equations may lack something, parameters to recalibrate, and further ones that may be wrong where inputs vary
     sensors: ClassVar[tuple[type[Any], ...]] = ()
@@ -106,11 +106,20 @@ class Model(Parametric):
     calibrated: ClassVar[tuple[str, ...]] = ()
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told
     told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → what an experiment needs that separates them
+    drawn_against: ClassVar[
+        Mapping[str, tuple[str, ...]]
+    ] = {}  # effect or parameter → signals its form says to look at
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
     horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log
 
     effects: tuple[Any, ...] = field(default=())
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """A model without a title goes by the name of its class."""
+        super().__init_subclass__(**keywords)
+        if not hasattr(cls, "title"):
+            cls.title = cls.__name__
 
     def __post_init__(self) -> None:
         super().__post_init__()

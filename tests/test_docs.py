@@ -45,7 +45,8 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     assert [command.split()[0] for command in COMMANDS] == verbs
     refined = project / "results" / "refine" / "model.yaml"  # as `make refine` leaves it
     refined.parent.mkdir(parents=True)
-    refined.write_text("schema_version: 1\nmodel: hovercraft\nparameters: {yaw_damping.coefficient: 0.006}\n")
+    found = "{yaw_damping.coefficient: 0.006, coulomb_friction.force: 0.05}"
+    refined.write_text(f"schema_version: 1\nmodel: hovercraft\nparameters: {found}\n")
     for command in COMMANDS[:-1]:  # the flight of excite takes its time; tests/test_excite.py has it
         done = subprocess.run(
             f"{sys.executable} -m cosim.cli {command}", shell=True, cwd=project, capture_output=True, text=True,

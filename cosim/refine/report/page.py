@@ -155,7 +155,7 @@ def _term(s: Shown) -> Mapping[str, Any]:
 
 def _term_sentence(s: Shown) -> str:
     """How well the claim takes away what is missing, in numbers."""
-    what = f"error of {s.where}" if s.kind == "sensor" else f"acceleration missing from {s.where}"
+    what = s.what
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"

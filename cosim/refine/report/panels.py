@@ -168,7 +168,7 @@ def axis_label(s: Shown) -> str:
 
 
 def _what(s: Shown) -> str:
-    return f"Error of {s.where}" if s.kind == "sensor" else f"Acceleration missing from {s.where}"
+    return f"{s.what[0].upper()}{s.what[1:]}"
 
 
 def _fitting(s: Shown) -> tuple[str, float]:

@@ -18,18 +18,6 @@ from plant.symbols import symbolic
 
 Rows = NDArray[np.intp]
 BINS = 12
-# Where the form of an effect says what to look at; other effects show by themselves which signal they follow.
-LOOK_AT: Mapping[str, tuple[str, ...]] = {
-    "coulomb_friction": ("vx", "vy"),
-    "stribeck_friction": ("vx", "vy"),
-    "quadratic_drag": ("vx", "vy"),
-    "friction": ("vx", "vy"),
-    "yaw_damping": ("psi_dot",),
-    "yaw_coulomb_friction": ("psi_dot",),
-    "battery_sag": ("time",),
-    "table_tilt": ("psi",),
-    "coriolis": ("psi_dot · vx", "psi_dot · vy"),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +109,9 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
     return found
 
 
-def choose(known: Mapping[str, Signal], effect: str, values: Array) -> Signal:
-    """The signal of which `values` are most nearly a function, among those the effect's form suggests."""
-    names = [n for n in LOOK_AT.get(effect, ()) if n in known] or [n for n in known if " · " not in n]
+def choose(known: Mapping[str, Signal], suggested: Sequence[str], values: Array) -> Signal:
+    """The signal of which `values` are most nearly a function, among those that the form of a term suggests."""
+    names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
     return known[max(names, key=lambda n: explained(values, known[n].values))]
 
 

@@ -42,6 +42,13 @@ class Shown:
     recorded: float | None = None  # the share as refine.json has it
 
     @property
+    def what(self) -> str:
+        """What was found: `acceleration missing from vx`."""
+        if self.kind == "sensor":
+            return f"error of {self.where}"
+        return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
+
+    @property
     def correlation(self) -> float:
         """Of what the data say with what the claim says."""
         if self.term is None or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2)) or not np.std(self.found):
@@ -87,7 +94,7 @@ def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it
     terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
-    against = choose(signals(model, problem, parts), c.name, terms[:, column])
+    against = choose(signals(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
     return _picture(model, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
 
 
@@ -103,7 +110,7 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     first = next(iter(residual.get("terms", ())), None)
     found = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
     if first is None or found is None:
-        against = choose(signals(model, problem, parts), "", value[:, column])
+        against = choose(signals(model, problem, parts), (), value[:, column])
         return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
     term = at_best(problem, best, logs, column, found[1], value[:, column])
     picture = _picture(model, parts, "", "nameless", column, found[0], value, sigma, term)
