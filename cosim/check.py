@@ -10,6 +10,7 @@ from cosim.blocks.fmu import read_description
 from cosim.design import designed_values
 from cosim.errors import Fault, FmuError, InputError
 from cosim.manifest import check_pinned
+from cosim.refine.frames import rates_of
 from cosim.refine.gate import gate, refuse_faults
 from cosim.refine.log import read_log
 from cosim.refine.model_file import BASE, load_model, read_model
@@ -41,6 +42,8 @@ def check_files(files: Sequence[Path], model: str = BASE) -> list[str]:
 
 def _check(path: Path, model: Model) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
+    if path.exists() and not path.is_file():
+        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
     if path.suffix == ".fmu" or zipfile.is_zipfile(path):
         if faults := check_fmu(path):
             raise InputError(faults)
@@ -48,7 +51,7 @@ def _check(path: Path, model: Model) -> list[str]:
     if path.suffix == ".csv":
         return log_findings(path, model)
     root = YamlFile(path).root
-    if "logs" in root:
+    if "logs" in root or ("components" not in root and root.keys() & {"model", "candidates"}):
         return [f"warning: {text}" for text in read_study(path).warnings]
     if "components" not in root and "scenario" not in root and root.keys() & {"parameters", "sensors"}:
         read_model(path)
@@ -60,7 +63,7 @@ def _check(path: Path, model: Model) -> list[str]:
 def log_findings(path: Path, model: Model) -> list[str]:
     """What the gate says of a log, a line each; InputError with its faults."""
     log = read_log(path, model.inputs, model.outputs)
-    findings = gate(log, model.rate)
+    findings = gate(log, model.rate, rates=rates_of(model))
     refuse_faults(log, findings)
     return [finding_line(f) for f in findings]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from fmus.ports import Port
-from fmus.units import UNITS, unit_definitions
+from fmus.units import DISPLAY, unit_definitions
 
 AUTHOR, LICENCE = "The cosim authors", "MIT"
 
@@ -65,7 +65,7 @@ def _complete_variable(variable: Element, port: Port) -> None:
         return
     if port.unit:
         node.set("unit", port.unit)
-        if display := UNITS[port.unit].display:
+        if display := DISPLAY.get(port.unit):
             node.set("displayUnit", display[0])
     for name, limit in zip(("min", "max"), port.bounds, strict=True):
         if math.isfinite(limit):

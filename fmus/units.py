@@ -1,8 +1,10 @@
-"""FMI unit definitions: SI exponents, factor to SI, and the display unit of angles."""
+"""Units as engineers write them: their SI exponents and factor, and the unit definitions of FMI made of them."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
@@ -10,57 +12,95 @@ from xml.etree.ElementTree import Element, SubElement
 class Unit(NamedTuple):
     """Exponents of SI base units, and value in SI = factor·value."""
 
-    exponents: dict[str, int]
+    exponents: Mapping[str, int]
     factor: float = 1.0
-    display: tuple[str, float] | None = None  # (display unit, display value per value)
 
 
+def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[str, Unit]:
+    """Symbols of one dimension."""
+    return {symbol: Unit(exponents, factor) for symbol, factor in factors.items()}
+
+
+def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
+    """A symbol, alone and with each of the prefixes."""
+    sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+    return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
+
+
+LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
 FORCE = {"kg": 1, "m": 1, "s": -2}
-MOMENT = {"kg": 1, "m": 2, "s": -2}
-GRAM_FORCE = 0.00980665
+PRESSURE = {"kg": 1, "m": -1, "s": -2}
+VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
+RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
 DEGREE = 180.0 / math.pi
 
-UNITS: dict[str, Unit] = {
+# The order within a dimension is that in which sizes are offered to who has written none of them.
+SYMBOLS: dict[str, Unit] = {
     "1": Unit({}),
     "%": Unit({}, 0.01),
-    "s": Unit({"s": 1}),
-    "m": Unit({"m": 1}),
-    "m2": Unit({"m": 2}),
-    "m/s": Unit({"m": 1, "s": -1}),
-    "m2/s2": Unit({"m": 2, "s": -2}),
-    "m/s2": Unit({"m": 1, "s": -2}),
-    "m2/s4": Unit({"m": 2, "s": -4}),
-    "s/m": Unit({"m": -1, "s": 1}),
-    "kg": Unit({"kg": 1}),
-    "kg.m2": Unit({"kg": 1, "m": 2}),
-    "N": Unit(FORCE),
-    "gf": Unit(FORCE, GRAM_FORCE),
-    "gf/%": Unit(FORCE, GRAM_FORCE * 100),
-    "N.s/m": Unit({"kg": 1, "s": -1}),
-    "N.s2/m2": Unit({"kg": 1, "m": -1}),
-    "N.m": Unit(MOMENT),
-    "N.m/rad": Unit(MOMENT | {"rad": -1}),
-    "N.m.s/rad": Unit({"kg": 1, "m": 2, "s": -1, "rad": -1}),
-    "rad": Unit({"rad": 1}, display=("deg", DEGREE)),
-    "rad2": Unit({"rad": 2}),
-    "rad/s": Unit({"rad": 1, "s": -1}, display=("deg/s", DEGREE)),
-    "rad2/s2": Unit({"rad": 2, "s": -2}),
-    "rad/m": Unit({"rad": 1, "m": -1}),
-    "rad.s/m": Unit({"rad": 1, "s": 1, "m": -1}),
-    "rad.s2/m": Unit({"rad": 1, "s": 2, "m": -1}),
+    **_sizes(LENGTH, {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}),
+    **_sizes(TIME, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}),
+    **_sizes(MASS, {"kg": 1.0, "g": 1e-3}),
+    **_sizes(ANGLE, {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0, "mrad": 1e-3, "rev": 2.0 * math.pi}),
+    "rpm": Unit({"rad": 1, "s": -1}, math.pi / 30.0),
+    **_prefixed("Hz", "kM", {"s": -1}),
+    **_sizes(FORCE, {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 0.00980665, "kgf": 9.80665}),
+    **_prefixed("Pa", "kM", PRESSURE),
+    "bar": Unit(PRESSURE, 1e5),
+    **_prefixed("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
+    **_prefixed("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
+    **_prefixed("A", "uµmk", {"A": 1}),
+    **_prefixed("C", "uµm", {"A": 1, "s": 1}),
+    **_prefixed("V", "uµmk", VOLTAGE),
+    **_prefixed("ohm", "mkM", RESISTANCE),
+    **_prefixed("Ω", "mkM", RESISTANCE),
+    **_prefixed("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
+    **_prefixed("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
+    **_prefixed("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    **_prefixed("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
+    **_prefixed("T", "m", {"kg": 1, "s": -2, "A": -1}),
+    **_prefixed("K", "m", {"K": 1}),
+    **_prefixed("mol", "m", {"mol": 1}),
+    "cd": Unit({"cd": 1}),
+    **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
+# display unit, and display value per value
+DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
+# superscripts; the signs for ohm and micro that look like the Greek letters
+ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
+TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
+
+
+def parse(text: str) -> Unit | None:
+    """The unit written as `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s` or `N.m.s/rad`; None where it is none."""
+    size, exponents = 1.0, dict[str, int]()
+    for place, part in enumerate(text.translate(ONE_WAY).split("/")):
+        sign = 1 if place == 0 else -1
+        for word in re.split(r"[.·*\s]+", part.strip()):
+            token = TOKEN.fullmatch(word)
+            if token is None or token[1] not in SYMBOLS:
+                return None
+            power = sign * int(token[2] or 1)
+            unit = SYMBOLS[token[1]]
+            size *= unit.factor**power
+            for name, count in unit.exponents.items():
+                exponents[name] = exponents.get(name, 0) + power * count
+    return Unit({name: count for name, count in exponents.items() if count}, size)
 
 
 def unit_definitions(names: set[str]) -> Element:
-    """The `UnitDefinitions` element for the units in use; KeyError where one is not in the table."""
+    """The `UnitDefinitions` element for the units in use; ValueError where one is none."""
     root = Element("UnitDefinitions")
     for name in sorted(names):
-        unit = UNITS[name]
+        unit = parse(name)
+        if unit is None:
+            raise ValueError(f'unknown unit "{name}"')
         node = SubElement(root, "Unit", name=name)
         base = {k: str(v) for k, v in unit.exponents.items()}
         if unit.factor != 1.0:
             base["factor"] = repr(unit.factor)
         SubElement(node, "BaseUnit", base)
-        if unit.display:
-            SubElement(node, "DisplayUnit", name=unit.display[0], factor=repr(unit.display[1]))
+        if name in DISPLAY:
+            display, factor = DISPLAY[name]
+            SubElement(node, "DisplayUnit", name=display, factor=repr(factor))
     return root

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,13 @@ from cosim.check import check_files
 from cosim.errors import InputError
 from cosim.refine.against import delay, delays
 from cosim.refine.finding import Finding
+from cosim.refine.frames import rates_of
 from cosim.refine.gate import gate, gate_faults
 from cosim.refine.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
+from plant.model import Equations, Model
+from plant.namespaces import Namespace
+from plant.quantities import Quantity
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
@@ -249,3 +254,94 @@ def test_a_pause_passes_for_no_outlier_and_hides_no_wrong_scale(tmp_path: Path, 
     log = log_of(tmp_path / "a.csv", kept)
     assert {kind for _, kind, _ in serious(log)} == {"gaps", "scale"}
     assert one(log, "gaps").whole.startswith("41 rows missing")
+
+
+def geared(ratio: float) -> Model:
+    """A shaft under a command, seen behind a gear; its rate is seen before it."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Shaft(Model):
+        title = "Shaft"
+        base_states = (Quantity("angle", "rad", "angle of the motor"), Quantity("rate", "rad/s", "its rate"))
+        inputs = (Quantity("tilt", "rad", "angle commanded"), Quantity("voltage", "1", "voltage"))
+        outputs = (Quantity("angle", "rad", "angle behind the gear"), base_states[1])
+        catalogue = ()
+
+        def equations(self, m: Namespace) -> Equations:
+            return Equations(
+                lambda t, state, command: (state[1], command[1] - state[1]),
+                lambda t, state, command: (state[0] / ratio, state[1]),
+            )
+
+    return Shaft()
+
+
+def turned(folder: Path, ratio: float, **changed: Array) -> Log:
+    """A log of such a shaft that swings."""
+    time = times(20.0)
+    columns = {"time": time, "tilt": 2.0 * np.sin(time), "voltage": np.cos(time), "angle": np.sin(time) / ratio}
+    model = geared(ratio)
+    return read_log(
+        write_log(folder / "a.csv", columns | {"rate": np.cos(time)} | changed), model.inputs, model.outputs
+    )
+
+
+@pytest.mark.parametrize("ratio", [50.0, -1.0, 180.0 / math.pi])
+def test_a_gear_between_an_angle_and_a_rate_is_no_fault(tmp_path: Path, ratio: float) -> None:
+    log, model = turned(tmp_path, ratio), geared(ratio)
+    assert rates_of(model) == {}
+    assert [f for f in gate(log, STEP, rates=rates_of(model)) if f.severity != "note"] == []
+    assert {f.severity for f in gate(log, STEP) if f.channel in ("angle", "rate")} <= {"warning", "note"}  # by names
+
+
+@pytest.mark.parametrize(("factor", "kind"), [(180.0 / math.pi, "degrees"), (-1.0, "sign")])
+def test_a_rate_that_the_equations_say_is_one_is_held_against_its_angle(
+    tmp_path: Path, factor: float, kind: str
+) -> None:
+    log, model = turned(tmp_path, 1.0, rate=factor * np.cos(times(20.0))), geared(1.0)
+    assert rates_of(model) == {"angle": "rate"}
+    told = [(f.severity, f.kind, f.channel) for f in gate(log, STEP, rates=rates_of(model)) if f.severity != "note"]
+    assert told == [("fault", kind, "rate")]
+
+
+def test_the_craft_has_its_rates_by_its_equations() -> None:
+    assert rates_of(Hovercraft()) == {"x": "vx", "y": "vy", "psi": "psi_dot", "phi": "phi_dot"}
+
+
+def test_the_answer_to_a_step_is_no_outlier(tmp_path: Path) -> None:
+    """A current of 10 ms time constant behind a voltage that steps, at 5 ms; one value is spoilt between the steps."""
+    time, model = times(20.0, 0.005), geared(1.0)
+    voltage = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 41), 100)[: time.size]
+    rate = np.zeros(time.size)
+    for k in range(1, time.size):
+        rate[k] = voltage[k - 1] + (rate[k - 1] - voltage[k - 1]) * math.exp(-0.5)
+    rate += 1e-4 * np.random.default_rng(2).standard_normal(time.size)
+
+    def outliers(name: str, values: Array) -> list[float]:
+        columns = {"time": time, "tilt": 0.0 * time, "voltage": voltage, "rate": values}
+        log = read_log(write_log(tmp_path / name, columns), model.inputs, model.outputs)
+        return [f.numbers["first"] for f in gate(log, 0.005) if f.kind == "outliers"]
+
+    assert outliers("a.csv", rate) == []
+    spoilt_row = 1050
+    assert outliers("b.csv", np.where(np.arange(time.size) == spoilt_row, 0.9, rate)) == [time[spoilt_row]]
+
+
+def test_a_clock_that_was_set_costs_no_memory(tmp_path: Path, flight: Flight) -> None:
+    c = columns(flight)
+    c["time"] = np.where(np.arange(c["time"].size) > 400, c["time"] + 9e8, c["time"])
+    assert ("warning", "gaps", "time") in serious(log_of(tmp_path / "a.csv", c))
+
+
+def test_a_pure_number_has_no_unit(tmp_path: Path) -> None:
+    log = turned(tmp_path, 1.0)
+    (found,) = (f for f in gate(log) if f.kind == "excitation" and f.channel == "voltage")
+    assert found.sentence.startswith("moves 0.712 (rms)")  # a cosine of 1, 3.2 periods
+
+
+def test_a_fault_stands_at_the_line_of_the_header(tmp_path: Path, flight: Flight) -> None:
+    path = write_log(tmp_path / "a.csv", columns(flight, psi_dot=-columns(flight)["psi_dot"]))
+    path.write_text("\n\n" + path.read_text())
+    log = read_log(path, INPUTS, OUTPUTS)
+    (fault,) = gate_faults(log, gate(log, STEP))
+    assert (fault.line, fault.column) == (3, 7)

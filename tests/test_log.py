@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -143,6 +144,8 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
     ("text", "place", "words"),
     [
         ("", ":1:1", "is empty"),
+        ("\r\n , \n\n", ":1:1", "is empty"),
+        ("\n\n" + HEADER.replace("psi_dot", "psi_dott") + "\n" + ROWS, ":3:7", 'did you mean "psi_dot"?'),
         (HEADER + "\n", ":2:1", "no row"),
         (HEADER + "\n" + ROWS.splitlines()[0], ":2:1", "one row"),
         (HEADER.replace(",tilt_left", "") + "\n0,6,6,0,0,0\n1,6,6,0,0,0\n", ":1:1", 'input "tilt_left" is missing'),
@@ -158,6 +161,12 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
         (HEADER + "\n" + ROWS.replace("0.2,0.1,0.1", "nan,0.1,0.1"), ":4:4", "an input is known at every row"),
         (HEADER + "\n" + ROWS.replace("0.2,0.1,0.1", "inf,0.1,0.1"), ":4:4", "is not finite"),
         (HEADER + "\n" + ROWS + "0.06,6.4,6.4\n", ":5:1", "has 3 cells, the header 7"),
+        (HEADER + "\n" + ROWS + "0,06,6,4,6,4,0,1,0,1,0,1,0,2\n", ":5:1", "decimal comma? Write a point"),
+        (HEADER + "\n" + ROWS.replace("0.2,0.1,0.1", '"0,2",0.1,0.1'), ":4:4", "has a decimal comma: write a point"),
+        (HEADER + "\n" + ROWS + "0.06,6.4,6.4,0.1,0.1,1e300,0\n", ":5:6", "psi is 1e+300 here, far beyond the rest"),
+        (HEADER + "\n" + ROWS + "0.06,6.4,6.4,0.1,0.1,-3.4e38,0\n", ":5:6", "leave the cell empty"),
+        (HEADER + "\n" + ROWS + "0.06,1e20,6.4,0.1,0.1,0,0\n", ":5:2", "leave the row out"),
+        (HEADER + "\n" + ROWS + "1e300,6.4,6.4,0.1,0.1,0,0\n", ":5:1", "leave the row out"),
         (HEADER + "\n0,6,6,0,0,1,nan\n0.1,6,6,0,0,1,\n", ":1:7", "holds no value"),
         (HEADER.replace(",psi,psi_dot", "") + "\n0,6,6,0,0\n1,6,6,0,0\n", ":1:1", "holds no output of the model"),
         ((HEADER + "\n" + ROWS).replace(",", ";"), ":1:1", "separate them with commas"),
@@ -185,6 +194,16 @@ def test_thousands_of_faulty_cells_are_counted_not_listed(tmp_path: Path) -> Non
     assert "5000 cells of psi that are no number" in told[0]
 
 
+def test_times_that_are_no_numbers_say_nothing_of_the_other_columns(tmp_path: Path) -> None:
+    told = faults(tmp_path / "a.csv", HEADER + "\n" + '"0,00",6,6,0,0,0,0\n"0,02",6,6,0,0,0,0\n')
+    assert [t.split(":")[1:3] for t in told] == [["2", "1"], ["3", "1"]]
+
+
+def test_a_pulse_on_a_command_that_rests_is_a_command(tmp_path: Path) -> None:
+    rows = "".join(f"{0.02 * k},{5e6 if k == 50 else 0.0},6.4,0.1,0.1,{1e-17 * k},0.0\n" for k in range(100))
+    assert read(tmp_path / "a.csv", f"{HEADER}\n{rows}").inputs["duty_right"].max() == 5e6
+
+
 def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "big.csv"
     with path.open("wb") as stream:
@@ -198,7 +217,15 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
         read_log(path, INPUTS, OUTPUTS)
 
 
-@pytest.mark.parametrize(("name", "words"), [("none.csv", "no such file"), (".", "is no file")])
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="is no file"):
+        read_log(tmp_path / "a.csv", INPUTS, OUTPUTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a\0b.csv", "no such file"), ("none.csv", "no such file"), (".", "is no file")]
+)
 def test_what_is_not_there_is_said_to_be_missing(tmp_path: Path, name: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read_log(tmp_path / name, INPUTS, OUTPUTS)

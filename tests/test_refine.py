@@ -108,10 +108,10 @@ def test_the_error_is_told_over_other_horizons_too(rubbing: Refinement) -> None:
 def test_a_model_that_ends_its_fmu_over_another_horizon_is_still_judged_over_its_own(
     rubbing: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def running_away(drive: Drive, starts: Any, horizon: float) -> Replay:
+    def running_away(drive: Drive, starts: Any, horizon: float, memories: Any) -> Replay:
         if horizon == FREE_RUN:
             raise StoppedReplay(SimulationError("plant", 30.0, "overflow"), np.zeros((0, 1)))
-        return windows(drive, starts, horizon)
+        return windows(drive, starts, horizon, memories)
 
     monkeypatch.setattr(measure, "windows", running_away)
     variant, logs = rubbing.variants["after"], rubbing.study.logs
@@ -254,7 +254,7 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
     [
         (("e2.csv", "e3.csv"), "no such file"),
         (("v1.csv", "e1.csv"), "is listed for estimation too"),
-        (("model: base", "model: none.yaml"), "no such file"),
+        (("model: base", "model: none.yaml"), "no such model: none.yaml"),
         (("model: base", "modle: base"), 'unknown key "modle"; did you mean "model"?'),
         (("mass]", "mas]"), 'no candidate "mas"; did you mean "mass"?'),
     ],

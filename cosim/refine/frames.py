@@ -3,24 +3,66 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from cosim.refine.finding import Finding
+from cosim.refine.finding import Finding, Severity
 from cosim.refine.log import TURN, Column, Log, rate_of
 from cosim.report.text import amount, counted, plain
+from plant.hovercraft import INPUTS
+from plant.model import Model
+from plant.namespaces import SCALAR
 
 DEGREES = 180.0 / math.pi
 PAUSE = 0.2  # [s] without a reading
 BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
+CRAFT = frozenset(q.name for q in INPUTS)  # whose logs hold these commands, whichever FMU is driven with them
 
 
-def frames(log: Log) -> Iterator[Finding]:
-    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame."""
-    rates = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
+def rates_of(model: Model) -> dict[str, str]:
+    """Output → the output that is its derivative: by its name, and by the equations at states about the start."""
+    names = [q.name for q in model.outputs]
+    pairs = {name: rate for name in names if (rate := rate_of(name, names))}
+    if not pairs:
+        return {}
+    place, rng, seen = {name: k for k, name in enumerate(names)}, np.random.default_rng(1), 0
+    for _ in range(3):
+        try:
+            values, slopes = _moving(model, rng)
+        except (ArithmeticError, ValueError):  # no such state: a root, a logarithm
+            continue
+        seen += 1
+        off = np.array([abs(slopes[place[n]] - values[place[r]]) for n, r in pairs.items()])
+        size = np.array([abs(values[place[r]]) for r in pairs.values()])
+        pairs = {n: r for (n, r), same in zip(pairs.items(), off <= 1e-3 * size, strict=True) if same}
+    return pairs if seen else {}
+
+
+def _moving(model: Model, rng: np.random.Generator) -> tuple[Column, Column]:
+    """Outputs at a state drawn about the start, and their slopes [1/s]."""
+    derivative, output = model.equations(SCALAR)
+    start, held = np.array(model.start(), dtype=np.float64), np.array(model.start_command(), dtype=np.float64)
+    x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in (start, held))
+    command = tuple(u.tolist())
+    with np.errstate(all="ignore"):
+        f = np.array(derivative(0.0, tuple(x.tolist()), command))
+        h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))  # [s], a small part of any change
+        now, before, after = (np.array(output(0.0, tuple((x + s * h * f).tolist()), command)) for s in (0.0, -1.0, 1.0))
+        return now, (after - before) / (2.0 * h)
+
+
+def frames(log: Log, rates: Mapping[str, str] | None = None) -> Iterator[Finding]:
+    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
+
+    rates: `rates_of` the model. Without, names alone tell what is a rate, and only those of the craft are relied on.
+    """
+    sure = rates is not None or log.inputs.keys() == CRAFT
+    if rates is None:
+        rates = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
     for name, rate in rates.items():
-        yield from _against_rate(log, name, rate)
+        if name in log.outputs and rate in log.outputs:
+            yield from _against_rate(log, name, rate, "fault" if sure else "warning")
     for name, values in (*log.inputs.items(), *log.outputs.items()):
         if log.units[name] == "rad":
             yield from _magnitude(log, name, values)
@@ -33,7 +75,7 @@ def frames(log: Log) -> Iterator[Finding]:
     yield from _mirrored(log)
 
 
-def _against_rate(log: Log, name: str, rate: str) -> Iterator[Finding]:
+def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterator[Finding]:
     """Fit Δy = s·∫ẏ dt + b·T over blocks: s is 1 and b is 0 where units, signs and sensors agree."""
     change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) == 0.0:
@@ -49,13 +91,13 @@ def _against_rate(log: Log, name: str, rate: str) -> Iterator[Finding]:
         return
     if slope < 0.0:
         yield Finding(
-            "fault", "sign", rate, f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); "
+            severity, "sign", rate, f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); "
             "turn one of them round: the rate is positive where the signal grows", numbers,
         )  # fmt: skip
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other = (name, rate) if slope > 1.0 else (rate, name)
         yield Finding(
-            "fault", "degrees", degrees,
+            severity, "degrees", degrees,
             f"is {plain(float(max(slope, 1 / slope)), 3)} times what {other} says: one is in degrees, the other in "
             f'radians. Give the unit in the header, "{degrees} [{"deg" if slope > 1.0 else "deg/s"}]"', numbers,
         )  # fmt: skip
@@ -90,7 +132,7 @@ def _magnitude(log: Log, name: str, values: Column) -> Iterator[Finding]:
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
     cure = f'if it is in degrees, call it "{name} [deg]"'
-    if "tilt" in name and size > 0.5 * math.pi:
+    if "tilt" in name and log.inputs.keys() == CRAFT and size > 0.5 * math.pi:
         yield Finding("fault", "degrees", name, f"reaches {plain(size)} rad, more than a quarter turn; {cure}", numbers)
     elif (name in log.inputs and size > TURN) or size > 20.0 * TURN:
         yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.errors import Fault, InputError
 from cosim.refine.against import delays, scales
@@ -21,19 +22,26 @@ GAP = 0.5  # [s] without a row; shorter holes are dropouts
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
 SPIKE = 8.0  # times the noise
+JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
+ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
 ALIKE = 0.98  # correlation of two inputs that cannot be told apart
 
 
 def gate(
-    log: Log, rate: float | None = None, model: Mapping[str, Column] | None = None, strict: bool = True
+    log: Log,
+    rate: float | None = None,
+    model: Mapping[str, Column] | None = None,
+    strict: bool = True,
+    rates: Mapping[str, str] | None = None,
 ) -> list[Finding]:
     """Everything there is to say about a log, faults first.
 
     rate:   step the model is made for [s], None where it has none
     model:  outputs of a replay at the log's rows, to hold units, signs and delays against
     strict: a log slower than `rate` is a fault, not a warning
+    rates:  output → the output that is its derivative, by the model's equations; None: by their names
     """
-    found = [*_timing(log), *_rate(log, rate, strict), *_inputs(log), *_outputs(log), *frames(log)]
+    found = [*_timing(log), *_rate(log, rate, strict), *_inputs(log), *_outputs(log), *frames(log, rates)]
     if model is not None:
         found += [*scales(log, model), *delays(log, model)]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
@@ -49,7 +57,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     """The findings that make a log unusable, as faults of its file."""
     places = {name: cell for cell, name in enumerate(log.written, 1)}
     return [
-        Fault(log.path, 1, places.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence)
+        Fault(log.path, log.header, places.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence)
         for f in findings
         if f.severity == "fault"
     ]
@@ -207,9 +215,11 @@ def _repeats(log: Log, name: str, time: Column, values: Column) -> Iterator[Find
 
 def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
     """Single values far from what their neighbours say."""
-    whole = np.full(log.grid[-1] + 1, math.nan)
-    whole[log.grid] = values  # what stands on the far side of a pause is no neighbour
-    off = np.abs(np.nan_to_num(surprise(whole)[log.grid]))
+    place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
+    whole = np.full(place[-1] + 1, math.nan)
+    whole[place] = values  # what stands on the far side of a pause is no neighbour
+    off = np.abs(np.nan_to_num(surprise(whole)[place]))
+    off[_answering(log)] = 0.0
     low, high = np.nanpercentile(values, [1, 99])
     limit = max(SPIKE * noise_level(values) * math.sqrt(70 / 36), 0.05 * (high - low)) if np.any(off) else math.inf
     around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
@@ -223,3 +233,14 @@ def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
             "leave such cells empty",
             {"count": float(spikes.size), "first": float(log.time[spikes[0]]), "worst": float(off[worst])},
         )  # fmt: skip
+
+
+def _answering(log: Log) -> NDArray[np.bool_]:
+    """Rows at which an input has just jumped, or that have such a row as a neighbour."""
+    jumps = np.zeros(log.rows)
+    for values in log.inputs.values():
+        change = np.abs(np.diff(values, prepend=values[0]))
+        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
+    after = max(5, round(ANSWER / log.step))
+    near = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows]
+    return np.asarray(near > 0.5)

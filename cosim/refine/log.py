@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import Fault, InputError
+from cosim.refine.cells import absurd, no_number, wrong_length
 from cosim.refine.units import alternatives, factor
 from cosim.yaml_file import did_you_mean
 
@@ -50,6 +51,7 @@ class Log:
     units:     name → unit of the model; `written`: name → unit of the header, "" where it gave none
     step:      median time between rows [s]
     unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
+    header:    line of the file that names the columns
     """
 
     path: Path
@@ -60,6 +62,7 @@ class Log:
     step: float
     written: Mapping[str, str]
     unwrapped: Mapping[str, tuple[float, ...]]
+    header: int = 1
 
     @property
     def rows(self) -> int:
@@ -81,17 +84,14 @@ def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalL
     """Read a log of a model with these inputs and outputs; InputError with every fault."""
     reader = _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs})
     try:
-        size = path.stat().st_size
         if not path.is_file():
-            reader.refuse(0, 0, "is no file")
-        elif size > LARGEST:
+            reader.refuse(0, 0, "is no file" if path.exists() else "no such file")
+        elif (size := path.stat().st_size) > LARGEST:
             reader.refuse(0, 0, f"has {size / 1e6:.0f} MB, more than the {LARGEST / 1e6:.0f} MB a log may have; "
                           "cut it into pieces and list them as logs of one study")  # fmt: skip
         else:
             with path.open("rb") as stream:
                 reader.read(stream)
-    except FileNotFoundError:
-        reader.refuse(0, 0, "no such file")
     except OSError as error:
         reader.refuse(0, 0, f"cannot be read: {error.strerror}")
     return reader.log()
@@ -120,16 +120,22 @@ class _Reader:
         self.places: dict[str, int] = {}  # name → cell, of the columns that are kept
         self.factors: dict[str, float] = {}
         self.written: dict[str, str] = {}
+        self.top = 1  # line of the header
         self.width = 0  # of the header
         self.columns: dict[str, array[float]] = {}
         self.signals: list[tuple[str, int]] = []  # the same without the time
         self.rows = 0
+        self.lines = array("q")  # of the rows
 
     # -- faults -------------------------------------------------------------------------------
 
     def refuse(self, line: int, cell: int, message: str) -> None:
         """Note a fault; line and cell count from 1."""
         self.faults.append(Fault(self.path, line, cell, message))
+
+    def refuse_head(self, cell: int, message: str) -> None:
+        """Note a fault of the header."""
+        self.refuse(self.top, cell, message)
 
     def refuse_cell(self, line: int, cell: int, kind: str, message: str) -> None:
         """Note a fault of which a column may have thousands: the first few, later their number."""
@@ -142,15 +148,16 @@ class _Reader:
     def read(self, stream: BinaryIO) -> None:
         rows = csv.reader(_lines(stream))
         try:
-            header = next(rows, None)
+            header = next(filter(_filled, rows), None)
             if header is None:
                 self.refuse(1, 1, "is empty; the first line names the columns: time, then inputs and outputs")
                 return
+            self.top = rows.line_num
             self._header(header)
             if "time" not in self.places:
                 return
             for row in rows:
-                if row and any(cell.strip() for cell in row):
+                if _filled(row):
                     self._row(rows.line_num, row)
         except _NotText:
             self.refuse(rows.line_num + 1, 1, "is not UTF-8 text; save the log as plain CSV, UTF-8")
@@ -158,14 +165,14 @@ class _Reader:
         except csv.Error as error:
             self.refuse(rows.line_num, 1, f"is not CSV: {error}")
             return
-        self._summarise()
         self._check_columns()
+        self._summarise()
 
     def _header(self, header: list[str]) -> None:
         self.width = len(header)
         if self.width == 1 and (mark := next((m for m in ";\t" if m in header[0]), None)):
             shown = {";": "semicolons", "\t": "tabs"}[mark]
-            self.refuse(1, 1, f"cells are separated by {shown}; separate them with commas, decimals with a point")
+            self.refuse_head(1, f"cells are separated by {shown}; separate them with commas, decimals with a point")
             return
         for cell, text in enumerate(header, 1):
             name, _, rest = text.partition("[")
@@ -173,20 +180,22 @@ class _Reader:
         self.signals = [(name, cell) for name, cell in self.places.items() if cell > 1]
         missing = [name for name in self.inputs if name not in self.places]
         for name in missing if "time" in self.places else ():
-            self.refuse(1, 1, f'input "{name}" is missing; a log holds every input of the model: {_list(self.inputs)}')
+            self.refuse_head(
+                1, f'input "{name}" is missing; a log holds every input of the model: {_list(self.inputs)}'
+            )
         if not missing and not any(name in self.places for name in self.outputs) and "time" in self.places:
-            self.refuse(1, 1, f"holds no output of the model; at least one of {_list(self.outputs)} is measured")
+            self.refuse_head(1, f"holds no output of the model; at least one of {_list(self.outputs)} is measured")
 
     def _head(self, cell: int, name: str, unit: str) -> None:
         """Check one cell of the header and note what its column is."""
         known = self.inputs | self.outputs
         if cell == 1 and name != "time":
-            self.refuse(1, 1, f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}')
+            self.refuse_head(1, f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}')
         elif name in self.places:
-            self.refuse(1, cell, f'column "{name}" stands twice, first as column {self.places[name]}; keep one')
+            self.refuse_head(cell, f'column "{name}" stands twice, first as column {self.places[name]}; keep one')
         elif cell > 1 and name not in known:
             hint = did_you_mean(name, known) or did_you_mean(name.rpartition(".")[2], known)
-            self.refuse(1, cell, f'unknown column "{name}"{hint} (the model has {_list(known)})')
+            self.refuse_head(cell, f'unknown column "{name}"{hint} (the model has {_list(known)})')
         else:
             self._unit(cell, name, unit, "s" if cell == 1 else known[name])
 
@@ -196,15 +205,12 @@ class _Reader:
         scale = factor(unit, wanted)
         if scale is None:
             known = ", ".join(alternatives(wanted))
-            self.refuse(1, cell, f'"{unit}" is no unit of {name}, which is in {wanted}; known here: {known}')
+            self.refuse_head(cell, f'"{unit}" is no unit of {name}, which is in {wanted}; known here: {known}')
         self.factors[name] = 1.0 if scale is None else scale
 
     def _row(self, line: int, row: list[str]) -> None:
         if len(row) != self.width:
-            cells = "cell" if len(row) == 1 else "cells"
-            cure = "delete the row, or leave cells empty where nothing was measured"
-            message = f"has {len(row)} {cells}, the header {self.width}; {cure}"
-            self.refuse_cell(line, 1, "rows of another length", message)
+            self.refuse_cell(line, 1, "rows of another length", wrong_length(len(row), self.width))
             return
         time, before = self._value(line, 1, "time", row[0]), self.columns["time"]
         if math.isnan(time):
@@ -216,6 +222,7 @@ class _Reader:
         for name, cell in self.signals:
             self.columns[name].append(self._value(line, cell, name, row[cell - 1]))
         self.rows += 1
+        self.lines.append(line)
 
     def _value(self, line: int, cell: int, name: str, text: str) -> float:
         """A cell in the unit of the model, NaN where it is empty, `nan` or faulty."""
@@ -230,8 +237,7 @@ class _Reader:
         try:
             value = float(text) if text and not text.isspace() else math.nan
         except ValueError:
-            message = f'"{text.strip()[:30]}" in column {name} is no number; leave the cell empty where there is none'
-            self.refuse_cell(line, cell, f"cells of {name} that are no number", message)
+            self.refuse_cell(line, cell, *no_number(text, name))
             return math.nan
         if value in (math.inf, -math.inf):
             message = f'"{text.strip()}" in column {name} is not finite; leave the cell empty where there is no value'
@@ -247,15 +253,26 @@ class _Reader:
                 self.refuse(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_CELL_COLUMN} are shown")
 
     def _check_columns(self) -> None:
-        """What only the whole column shows: too few rows, nothing measured."""
+        """What only the whole column shows: too few rows, nothing measured, values that no sensor ever read."""
         if self.rows < 2 and not self.counts:
             seen = "no row" if self.rows == 0 else "one row"
-            self.refuse(2, 1, f"holds {seen}; a log has at least two, and some hundred to be of use")
+            self.refuse(self.top + 1, 1, f"holds {seen}; a log has at least two, and some hundred to be of use")
+            return
+        if not self.rows:
             return
         told = {cell for cell, _ in self.counts}
         for name, cell in self.signals:
             if name in self.outputs and cell not in told and np.isnan(self.columns[name]).all():
-                self.refuse(1, cell, f'column "{name}" holds no value (NaN in every row); delete the column')
+                self.refuse_head(cell, f'column "{name}" holds no value (NaN in every row); delete the column')
+        for name, cell in self.places.items():
+            self._check_sizes(name, cell)
+
+    def _check_sizes(self, name: str, cell: int) -> None:
+        values = np.frombuffer(self.columns[name])
+        cure = "leave the cell empty" if name in self.outputs else "leave the row out"
+        for row in absurd(values):
+            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
+            self.refuse_cell(self.lines[row], cell, f"cells of {name} far beyond the rest", message)
 
     def log(self) -> Log:
         """The log, or InputError."""
@@ -271,7 +288,7 @@ class _Reader:
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
         return Log(
             self.path, time, {n: columns[n] for n in self.inputs}, outputs, {n: known[n] for n in columns},
-            float(f"{np.median(np.diff(time)):.9g}"), self.written, unwrapped,
+            float(f"{np.median(np.diff(time)):.9g}"), self.written, unwrapped, self.top,
         )  # fmt: skip
 
 
@@ -292,6 +309,10 @@ def _continuous(angle: Column) -> tuple[Column, NDArray[np.intp]]:
     smooth = angle.copy()
     smooth[rows] = np.unwrap(values)
     return smooth, jumps
+
+
+def _filled(row: Sequence[str]) -> bool:
+    return any(cell.strip() for cell in row)
 
 
 def _list(names: Mapping[str, str]) -> str:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
+from cosim.refine.model_check import checked
+from cosim.refine.model_source import Source
 from cosim.yaml_file import YamlFile, did_you_mean
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -20,7 +23,22 @@ from plant.quantities import parameters_of
 
 BASE = "base"
 HOVERCRAFT = "hovercraft"
-Value = Annotated[float, Field(allow_inf_nan=False)] | bool
+ALLOWED = f"a model is {HOVERCRAFT}, or FILE.py:Class of a model of one's own"
+GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+
+
+def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+    """One message where a value is neither, in place of one for each."""
+    try:
+        return inner(value)
+    except ValidationError:
+        raise ValueError("give a finite number, or, of a switch, true or false") from None
+
+
+Value = Annotated[
+    Annotated[float, Field(allow_inf_nan=False)] | bool,
+    WrapValidator(_number_or_switch),
+]
 
 
 class ModelFile(BaseModel):
@@ -50,19 +68,37 @@ class LoadedModel:
         return {**clean, **self.sensors}
 
 
-def load_model(text: str, folder: Path) -> LoadedModel:
-    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault."""
+def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
+    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault.
+
+    A file that is not there is a fault of the key `model` of the study that names it.
+    """
     if text == BASE:
         return LoadedModel(Hovercraft(), HOVERCRAFT)
-    if ".py:" in text:
+    file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
+    path = folder / file
+    if named_in and not path.is_file():
+        raise InputError([named_in.fault(("model",), f"no such model: {text}; {GIVEN}")])
+    if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
-    return read_model(folder / text)
+    if path.suffix == ".py":
+        message = f"names no class: write {text}:{(Source(path).classes or ['Class'])[-1]}; {GIVEN}"
+        raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
+    return read_model(path)
 
 
 def read_model(path: Path) -> LoadedModel:
     """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
     yaml = YamlFile(path)
     content = yaml.validate(ModelFile)
+    if content.model != HOVERCRAFT and not re.fullmatch(r".+\.py:\w+", content.model):
+        message = f'no model "{content.model}"{did_you_mean(content.model, [HOVERCRAFT])}; {ALLOWED}'
+        raise InputError([yaml.fault(("model",), message)])
+    file = path.parent / content.model.rpartition(":")[0]
+    if content.model != HOVERCRAFT and not file.is_file():
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
     model = Hovercraft() if content.model == HOVERCRAFT else own_model(content.model, path.parent)
     known = {p.name: p for p in model.parameters}
     known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
@@ -88,11 +124,12 @@ def _absolute(text: str, folder: Path) -> str:
 
 
 def own_model(text: str, folder: Path) -> Model:
-    """The model `Class` of `file.py`, with its default parameters."""
+    """The model `Class` of `file.py`, with its default parameters; InputError with every fault of its class."""
     file, _, name = text.rpartition(":")
     path = (folder / file).resolve()
     if not path.is_file():
         raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path)
     spec = importlib.util.spec_from_file_location(f"own_model_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
@@ -100,15 +137,20 @@ def own_model(text: str, folder: Path) -> Model:
     sys.modules[spec.name] = module  # where dataclasses look up what an annotation of theirs means
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's file does
-        raise InputError([Fault(path, 0, 0, f"does not load: {type(error).__name__}: {error}")]) from error
+    except (Exception, SystemExit) as error:  # whatever the user's file does
+        raise InputError([source.raised(error, "does not load")]) from error
     kind: Any = getattr(module, name, None)
     if not (isinstance(kind, type) and issubclass(kind, Model)):
-        raise InputError(
-            [Fault(path, 0, 0, f'has no model class "{name}"; a model is a subclass of plant.model.Model')]
-        )
-    model: Model = kind()
-    return model
+        models = _models(vars(module))
+        known = f" (models here: {', '.join(models)})" if models else ""
+        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
+        raise InputError([Fault(path, 0, 0, f"{what}; a model is a subclass of plant.model.Model")])
+    return checked(kind, source)
+
+
+def _models(names: Mapping[str, Any]) -> list[str]:
+    """Names of the models among the names of a module."""
+    return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
 
 
 def write_model(path: Path, loaded: LoadedModel) -> None:

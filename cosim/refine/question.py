@@ -102,8 +102,9 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     study = Path(content.study)
     if not study.is_file():
         raise InputError([yaml.fault(("study",), f"no such study: {study}; it is looked for from where you are")])
-    given = YamlFile(study).validate(StudyFile)
-    loaded = load_model(given.model, study.parent)
+    yaml = YamlFile(study)
+    given = yaml.validate(StudyFile)
+    loaded = load_model(given.model, study.parent, yaml)
     known = _candidates(loaded)
     names = list(against) or content.rivals
     _check_names(path, names, known)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+import os.path
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cosim.errors import Fault, InputError
+from cosim.refine.frames import rates_of
 from cosim.refine.gate import GAP, gate, gate_faults
 from cosim.refine.log import Log, read_log
 from cosim.refine.model_file import BASE, LoadedModel, load_model
@@ -26,13 +28,22 @@ LOST = 10  # rows at least that are lost in a pause
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 
 
+def _file_name(name: str) -> str:
+    if "\0" in name:
+        raise ValueError("no name of a file holds a NUL character")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_file_name)]
+
+
 class LogLists(BaseModel):
     """Files, relative to the study."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    estimation: list[str] = Field(min_length=1)
-    validation: list[str] = []
+    estimation: list[FileName] = Field(min_length=1)
+    validation: list[FileName] = []
 
 
 class StudyFile(BaseModel):
@@ -68,65 +79,69 @@ class Study:
 
 def read_study(path: Path) -> Study:
     """Read a study and its logs; InputError with every fault of all of them."""
+    if not path.is_file() and path.exists():
+        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
     yaml = YamlFile(path)
     content = yaml.validate(StudyFile)
-    faults = list(_listed_twice(yaml, content.logs))
     try:
-        loaded = load_model(content.model, path.parent)
+        loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
-        raise InputError([*faults, *error.faults]) from None
-    faults += _unknown_names(yaml, content, loaded)
+        raise InputError([*_listed_twice(yaml, content.logs, {}), *error.faults]) from None
+    model, rates = loaded.model, rates_of(loaded.model)
+    faults = _unknown_names(yaml, content, loaded)
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
+    digests: dict[str, str] = {}
     warnings: list[str] = []
-    for part, names in _lists(content.logs):
-        for name in names:
-            try:
-                log = read_log(path.parent / name, loaded.model.inputs, loaded.model.outputs)
-            except InputError as error:
-                faults += error.faults
-                continue
-            findings = gate(log, loaded.model.rate)
-            faults += gate_faults(log, findings)
-            whole = judged(log, loaded.model.horizon)
-            faults += [] if whole else [_too_short(log, loaded.model.horizon)]
-            warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
-            if left := len(stretches(log)) - len(whole):
-                warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
-            logs[part] += whole
+    for part, name in _entries(content.logs):
+        try:
+            log = read_log(path.parent / name, model.inputs, model.outputs)
+        except InputError as error:
+            faults += error.faults
+            continue
+        digests[name] = _digest(log)
+        findings = gate(log, model.rate, rates=rates)
+        faults += gate_faults(log, findings)
+        whole = judged(log, model.horizon)
+        faults += [] if whole else [_too_short(log, model.horizon)]
+        warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
+        if left := len(stretches(log)) - len(whole):
+            warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
+        logs[part] += whole
+    faults += _listed_twice(yaml, content.logs, digests)
     if faults:
         raise InputError(faults)
     return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
 
 
-def _lists(logs: LogLists) -> list[tuple[str, list[str]]]:
-    return [("estimation", logs.estimation), ("validation", logs.validation)]
+def _entries(logs: LogLists) -> list[tuple[str, str]]:
+    """Each log with the list in which it stands."""
+    return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
 
 
-def _listed_twice(yaml: YamlFile, logs: LogLists) -> Iterator[Fault]:
-    """One file, or one content, stands once: in whatever list, under whatever name."""
+def _listed_twice(yaml: YamlFile, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
+    """One file, or one content (name → digest), stands once: in whatever list, under whatever name."""
     seen: dict[str, tuple[str, str]] = {}
-    for part, names in _lists(logs):
-        for k, name in enumerate(names):
-            path = (yaml.path.parent / name).resolve()
-            keys = [str(path), *_digest(path)]
-            before = next((seen[key] for key in keys if key in seen), None)
-            if before is not None:
-                other, where = before
-                cure = "keep one" if where == part else "a validation log is never fitted on"
-                again = f"is listed for {where} {'twice' if where == part else 'too'}"
-                what = again if str(path) in seen else f"holds the same as {other}, which is listed for {where}"
-                yield yaml.fault(("logs", part, k), f"{name} {what}; {cure}")
-            for key in keys:
-                seen.setdefault(key, (name, part))
+    for n, (part, name) in enumerate(_entries(logs)):
+        path = os.path.realpath(yaml.path.parent / name)
+        keys = [path, *([digests[name]] if name in digests else [])]
+        before = next((seen[key] for key in keys if key in seen), None)
+        if before is not None:
+            other, where = before
+            cure = "keep one" if where == part else "a validation log is never fitted on"
+            again = f"is listed for {where} {'twice' if where == part else 'too'}"
+            what = again if path in seen else f"holds the same as {other}, which is listed for {where}"
+            place = ("logs", part, n if part == "estimation" else n - len(logs.estimation))
+            yield yaml.fault(place, f"{name} {what}; {cure}")
+        for key in keys:
+            seen.setdefault(key, (name, part))
 
 
-def _digest(path: Path) -> list[str]:
-    """The hash of a file's content; none where it cannot be read, which is told when its log is."""
-    try:
-        with path.open("rb") as stream:
-            return [hashlib.file_digest(stream, "sha256").hexdigest()]
-    except OSError:
-        return []
+def _digest(log: Log) -> str:
+    """Of the numbers, however they are written: two files of one run are one log."""
+    content = hashlib.sha256(log.time.tobytes())
+    for name, values in sorted({**log.inputs, **log.outputs}.items()):
+        content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
+    return content.hexdigest()
 
 
 def least_duration(horizon: float) -> float:

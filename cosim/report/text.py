@@ -27,10 +27,10 @@ def plain(value: float, digits: int | None = 3) -> str:
 
 
 def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
-    """`value` in SI with its unit as shown: angles in degrees."""
+    """`value` in SI with its unit as shown: angles in degrees, pure numbers bare."""
     shown, factor = display(unit)
     text = plain(value * factor, digits)
-    if text == MISSING or not shown:
+    if text == MISSING or shown in ("", "1"):
         return text
     return text + shown if shown.startswith("°") else f"{text}\u00a0{shown}"
 

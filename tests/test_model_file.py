@@ -1,0 +1,393 @@
+"""A model of one's own, or a model.yaml, with something wrong in it: every fault has its line and its cure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cosim.blocks.fmu import read_description
+from cosim.check import check_fmu
+from cosim.cli import app
+from cosim.errors import Fault, InputError
+from cosim.refine.model_check import checked
+from cosim.refine.model_file import load_model, own_model, read_model
+from cosim.refine.model_source import Source
+from cosim.yaml_file import YamlFile
+from plant.hovercraft import Hovercraft
+from plant.model import Model
+
+ROOT = Path(__file__).parent.parent
+TABLE = (ROOT / "docs" / "own_model.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+FORCED = 'forced = ("rate",)'
+CATALOGUE = "catalogue = (DryFriction,)"
+TOTAL = "total = command[0] - d * rate - k * angle"
+SENSOR = """
+from plant.effects.sensors import SensorError
+
+@dataclass(frozen=True, kw_only=True)
+class Bent(SensorError):
+    name = "encoder_error"
+    equation = "reading s*a + b"
+    output = "angle"
+    bias: float = parameter(0.0, unit="rad", bounds=(-1, 1), neutral=0.0, typical=0.01, doc="bias b")
+    value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.1, doc="scale s")
+
+    def measure(self, value):
+        return value * self.value
+
+@dataclass(frozen=True, kw_only=True)
+class Table(Model):"""
+TABLE_CLASS = "\n@dataclass(frozen=True, kw_only=True)\nclass Table(Model):"
+EFFECT = """
+@dataclass(frozen=True, kw_only=True)
+class Late(TableEffect):
+    name = "late"
+    equation = "u(t - T)"
+    memory = (Quantity("torque", "N.m", "torque held back"),)
+    delay = "time"
+    time: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.02, doc="delay T")
+
+    def remember(self, t, start):
+        return ((t - 0.5, start),)
+
+    def shape(self, m, t, h, command, memory):
+        return command, memory
+
+@dataclass(frozen=True, kw_only=True)
+class Play(TableEffect):
+    name = "play"
+    equation = "play of width w"
+    memory = (Quantity("inside", "N.m", "torque after the play"),)
+    width: float = parameter(0.0, unit="N.m", bounds=(0, 0.5), neutral=0.0, typical=0.05, doc="width w")
+
+    def shape(self, m, t, h, command, memory):
+        inside = m.minimum(m.maximum(memory[0], command[0] - self.width), command[0] + self.width)
+        return (inside,), (inside,)
+"""
+
+
+def table(folder: Path, *changes: tuple[str, str]) -> Path:
+    """The table of docs/own_model.md with other words in places."""
+    text = TABLE
+    for old, new in changes:
+        assert text.count(old) == 1 or not old, old
+        text = text.replace(old, new) if old else text + new
+    path = folder / "table.py"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def faults_of(folder: Path, *changes: tuple[str, str]) -> tuple[Fault, ...]:
+    path = table(folder, *changes)
+    with pytest.raises(InputError) as caught:
+        own_model("table.py:Table", folder)
+    assert {fault.file for fault in caught.value.faults} == {path.resolve()}
+    return caught.value.faults
+
+
+def line_of(folder: Path, words: str) -> int:
+    lines = (folder / "table.py").read_text(encoding="utf-8").splitlines()
+    return next(k for k, line in enumerate(lines, 1) if words in line)
+
+
+# change of the table of the documentation → where the fault stands, what it says
+ONE_CHANGE = {
+    "default out of bounds": ("parameter(0.02,", "parameter(2.02,", "inertia: float", "the default of inertia is 2.02"),
+    "typical out of bounds": (
+        "typical=0.05",
+        "typical=5.0",
+        "level: float",
+        "the typical of dry_friction.level is 5.0",
+    ),
+    "bounds reversed": ("bounds=(0, 50)", "bounds=(50, 0)", "stiffness: float", "write the lower one first"),
+    "awake by default": ("parameter(0.0,", "parameter(0.1,", "level: float", "its neutral value 0.0; let them be"),
+    "never awake": (" neutral=0.0,", "", "class DryFriction", "dry_friction has no parameter with a neutral value"),
+    "not decorated": ("\n@dataclass(frozen=True, kw_only=True)\nclass Dry", "\nclass Dry", "level: ", "put @dataclass"),
+    "no forced": (FORCED, "", "class Table(", "forced names no state; name those"),
+    "forced misspelt": (FORCED, 'forced = ("rat",)', "forced =", 'no state "rat"; did you mean "rate"?'),
+    "forced a text": (FORCED, 'forced = ("rate")', "forced =", 'with a comma even after a single one: ("name",)'),
+    "calibrated misspelt": (
+        '"damping")',
+        '"dampin")',
+        "calibrated =",
+        'no parameter "dampin"; did you mean "damping"?',
+    ),
+    "suspect misspelt": (FORCED, FORCED + '; suspect = {"inertio": ("torque",)}', "forced", 'mean "inertia"?'),
+    "input misspelt": (FORCED, FORCED + '; suspect = {"stiffness": ("torqe",)}', "forced", 'no input "torqe"; did you'),
+    "variance misspelt": ('"rate": 1e-4', '"rte": 1e-4', "sensor_variance =", 'no output "rte"; did you mean "rate"?'),
+    "variance of nothing": ('"rate": 1e-4', '"rate": 0.0', "sensor_variance =", "it is a number above 0"),
+    "rival misspelt": (
+        FORCED,
+        FORCED + '; told_apart_by = {frozenset({"dry_frction", "damping"}): "slow runs"}',
+        "told_apart_by",
+        'no candidate "dry_frction"; did you mean "dry_friction"?',
+    ),
+    "drawn for nobody": (
+        FORCED,
+        FORCED + '; drawn_against = {"drag": ("rate",)}',
+        "drawn_against",
+        'no candidate "drag"',
+    ),
+    "starts of a stranger": (
+        'name = "dry_friction"',
+        'starts = ({"levl": 0.1},); name = "dry_friction"',
+        "starts =",
+        'dry_friction has no parameter "levl"; did you mean "level"?',
+    ),
+    "rivals not a set": (FORCED, FORCED + '; told_apart_by = {("a", "b"): "c"}', "told_apart_by", "frozenset("),
+    "effect called as a parameter": (
+        'name = "dry_friction"',
+        'name = "inertia"',
+        'name = "in',
+        "is a parameter of the",
+    ),
+    "effect twice": (CATALOGUE, "catalogue = (DryFriction, DryFriction)", 'name = "dry', "2 effects or sensor errors"),
+    "state twice": ('Quantity("rate"', 'Quantity("angle"', "base_states =", 'base_states has 2 called "angle"'),
+    "input as output": ('Quantity("torque"', 'Quantity("rate"', "class Table(", 'are called "rate"; give each its own'),
+    "no inputs": (
+        '    inputs = (Quantity("torque", "N.m", "motor torque commanded"),)\n',
+        "",
+        "class Table(",
+        "no inputs",
+    ),
+    "no outputs": ("    outputs = base_states\n", "", "class Table(", "Table has no outputs; add outputs = "),
+    "no equations": ("def equations(", "def equation(", "class Table(", "Table has no equations; give it"),
+    "catalogue no tuple": (CATALOGUE, "catalogue = (DryFriction)", "catalogue =", "a tuple of subclasses of Effect"),
+    "unit unknown": (
+        'unit="kg.m2"',
+        'unit="slug.m2"',
+        "inertia: ",
+        'unknown unit "slug.m2" of inertia; write it with SI',
+    ),
+    "if on a symbol": (TOTAL, f"angle = angle if rate > 0 else angle; {TOTAL}", "else angle;", "m.where(condition,"),
+    "math on a symbol": ("m.tanh(", "__import__('math').tanh(", "('math')", "functions come from m, which has m.sin"),
+    "a function m lacks": ("m.tanh(", "m.arctan(", "m.arctan", "functions come from m, which has m.sin"),
+    "name unknown": ("return rate, total /", "return rate, totl /", "totl /", "NameError: name 'totl' is not defined"),
+    "too many values": (
+        "total / inertia\n",
+        "total / inertia, 0.0\n",
+        "def equations",
+        "3 values; return 2: angle, rate",
+    ),
+    "one value": ("return rate, total / inertia", "return total", "def equations", "one float; return a tuple of 2"),
+    "too few outputs": ("return state\n", "return state[:1]\n", "def equations", "`output` gives 1 values; return 2"),
+    "no number": (
+        "return rate, total /",
+        "return None, total /",
+        "def equations",
+        "NoneType, no finite number, at the",
+    ),
+    "division by zero": ("return rate, total /", "return rate / angle, total /", "rate / angle", "ZeroDivisionError"),
+    "nothing returned": (
+        "return Equations(derivative, output)",
+        "pass",
+        "def equations",
+        "return Equations(derivative",
+    ),
+    "start of a stranger": (
+        "    def equations(",
+        '    def start_state(self, m=None):\n        return {"angel": 0.1}\n\n    def equations(',
+        "def start_state",
+        'a value for "angel"; did you mean "angle"?',
+    ),
+    "leaves": (FORCED, FORCED + "; raise SystemExit(3)", "SystemExit", "does not load: SystemExit: 3"),
+    "syntax": ("return rate, total /", "return rate,, total /", "rate,,", "does not load: SyntaxError: invalid syntax"),
+}
+
+
+@pytest.mark.parametrize("change", ONE_CHANGE.values(), ids=ONE_CHANGE.keys())
+def test_a_fault_of_a_model_is_told_with_its_line_and_its_cure(
+    tmp_path: Path, change: tuple[str, str, str, str]
+) -> None:
+    old, new, where, message = change
+    faults = faults_of(tmp_path, (old, new))
+    found = next(fault for fault in faults if message in fault.message)
+    assert found.line == line_of(tmp_path, where)
+    assert found.column >= 1
+
+
+def test_all_faults_of_a_model_are_told_at_once(tmp_path: Path) -> None:
+    changes = [(FORCED, 'forced = ("rat",)'), ('"damping")', '"dampin")'), ("parameter(0.02,", "parameter(2.02,")]
+    assert len(faults_of(tmp_path, *changes, ('unit="N.m/rad"', 'unit="lbf.ft"'))) == 4
+    both = faults_of(tmp_path, ("return rate, total /", "return rate, totl /"), ("return state\n", "return stat\n"))
+    assert [re.findall("'(.*?)'", fault.message) for fault in both] == [["totl"], ["stat"]]
+
+
+def test_a_model_may_have_neither_title_nor_catalogue(tmp_path: Path) -> None:
+    table(tmp_path, ('    title = "Rotary table"\n', ""), (f"    {CATALOGUE}\n", ""))
+    model = own_model("table.py:Table", tmp_path)
+    assert (model.title, model.catalogue) == ("Table", ())
+
+
+def test_the_models_of_this_project_have_no_fault() -> None:
+    checked(Hovercraft, Source(ROOT / "plant" / "hovercraft.py"))
+    own_model("drive.py:Drive", ROOT / "examples" / "drive")
+
+
+# -- sensor errors and delays ---------------------------------------------------------------------
+
+
+def test_a_sensor_error_has_one_parameter_called_value(tmp_path: Path) -> None:
+    two, sensors = (TABLE_CLASS, SENSOR), (FORCED, f"{FORCED}; sensors = (Bent,)")
+    (fault,) = faults_of(tmp_path, two, sensors)
+    assert 'one parameter, called "value"; encoder_error has bias and value' in fault.message
+    bias, value = (next(n for n in SENSOR.splitlines() if n.startswith(f"    {name}:")) for name in ("bias", "value"))
+    (fault,) = faults_of(tmp_path, (TABLE_CLASS, SENSOR.replace(f"{value}\n", "").replace("* self.value", "")), sensors)
+    assert "encoder_error has bias; call it so" in fault.message
+    one = SENSOR.replace(f"{bias}\n", "")
+    table(tmp_path, (TABLE_CLASS, one), sensors)
+    assert len(own_model("table.py:Table", tmp_path).sensors) == 1
+    (fault,) = faults_of(tmp_path, (TABLE_CLASS, one.replace('"angle"', '"angel"')), sensors)
+    assert 'encoder_error: no output "angel"; did you mean "angle"?' in fault.message
+
+
+@pytest.mark.parametrize(
+    ("catalogue", "old", "new", "message"),
+    [
+        ("Late, Play", "", "", None),
+        ("Late, Play", 'delay = "time"', 'delay = "tim"', 'late has no parameter "tim"; did you mean "time"?'),
+        ("Play, Late", "", "", "put it before play in the catalogue"),
+        (
+            "Late, Play",
+            '    equation = "play of',
+            '    delay = "width"\n    equation = "play of',
+            "let one of them do it",
+        ),
+        (
+            "Late, Play",
+            'memory = (Quantity("torque", "N.m", "torque held back"),)',
+            "memory = ()",
+            "1 inputs and has 0",
+        ),
+        (
+            "Late",
+            "command, memory):\n        return command, memory\n",
+            "c, n):\n        return c, n + 1\n",
+            "a step with",
+        ),
+        ("Play", "command[0] - self.width)", "float(command[0]))", "`shape` of play raises: TypeError"),
+        ("Play", "return (inside,), (inside,)", "return (inside,), ()", "1 commands and 1 of memory"),
+        ("Play", "return (inside,), (inside,)", "return inside, inside", "1 commands and 1 of memory"),
+    ],
+)
+def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str, new: str, message: str | None) -> None:
+    effects = EFFECT.replace(old, new) if old else EFFECT
+    changes = [(TABLE_CLASS, f"{effects}\n{TABLE_CLASS}"), (CATALOGUE, f"catalogue = ({catalogue}, DryFriction)")]
+    if message is None:
+        table(tmp_path, *changes)
+        own_model("table.py:Table", tmp_path)
+    else:
+        assert any(message in fault.message for fault in faults_of(tmp_path, *changes))
+
+
+def test_a_delay_remembers_as_long_as_it_may_last(tmp_path: Path) -> None:
+    late = """
+from plant.delay import Delay
+
+@dataclass(frozen=True, kw_only=True)
+class Late(Delay, TableEffect):
+    name = "late"
+    memory = (Quantity("torque", "N.m", "torque held back"),)
+    longest = 2.0
+    time: float = parameter(0.0, unit="s", bounds=(0, 2), neutral=0.0, typical=0.2, doc="delay T")
+"""
+    changes = [(TABLE_CLASS, f"{late}\n{TABLE_CLASS}"), (CATALOGUE, "catalogue = (Late, DryFriction)")]
+    table(tmp_path, *changes)
+    own_model("table.py:Table", tmp_path)
+    (fault,) = faults_of(tmp_path, (TABLE_CLASS, late.replace("    longest = 2.0\n", "") + TABLE_CLASS), changes[1])
+    assert "late is up to 2 s late and remembers 0.5 s; set longest = 2" in fault.message
+
+
+# -- what a study, a model.yaml and the command line say ------------------------------------------
+
+
+def test_every_command_tells_the_same_faults(tmp_path: Path) -> None:
+    table(tmp_path, (FORCED, 'forced = ("rat",)'))
+    study, out = tmp_path / "study.yaml", str(tmp_path / "out")
+    study.write_text("model: table.py:Table\nlogs:\n  estimation: [a.csv]\n")
+    model = tmp_path / "model.yaml"
+    model.write_text("model: table.py:Table\nparameters: {}\n")
+    own = f"{tmp_path / 'table.py'}:Table"
+    for call in (
+        ["check", str(study)],
+        ["refine", str(study), "--out", out],
+        ["build", "--model", own, "--out", out],
+        ["build", "--model", str(model), "--out", out],
+    ):
+        result = CliRunner().invoke(app, call)
+        assert isinstance(result.exception, InputError), call
+        assert result.exception.exit_code == 2
+        assert 'no state "rat"' in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "message"),
+    [
+        ("model: car\n", (1, 8), 'no model "car"; a model is hovercraft, or FILE.py:Class'),
+        ("model: hovercrft\n", (1, 8), 'no model "hovercrft"; did you mean "hovercraft"?'),
+        ("model: none.py:Car\n", (1, 8), "none.py; a model is hovercraft, or FILE.py:Class"),
+        ("parameters:\n  mass: heavy\n", (2, 9), "parameters.mass is 'heavy': give a finite number"),
+        ("parameters:\n  mass: .inf\n", (2, 9), "parameters.mass is inf: give a finite number"),
+        ("sensors:\n  gyro_bias.value: .nan\n", (2, 20), "finite number"),
+        ("parameters:\n  mass: true\n", (2, 9), "mass is True; it is a number [kg]"),
+    ],
+)
+def test_a_model_yaml_with_something_wrong(tmp_path: Path, text: str, place: tuple[int, int], message: str) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_model(path)
+    (fault,) = caught.value.faults
+    assert (fault.line, fault.column) == place
+    assert message in fault.message
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("table.py", "table.py:Table"),
+        ("car", "a model is base, a model.yaml, or FILE.py:Class"),
+        ("car.py:Car", "no such model"),
+    ],
+)
+def test_a_model_that_is_none_says_what_is_one(tmp_path: Path, name: str, message: str) -> None:
+    table(tmp_path)
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_model(name, tmp_path)
+    study = tmp_path / "study.yaml"
+    study.write_text(f"logs:\n  estimation: [a.csv]\nmodel: {name}\n")
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        load_model(name, tmp_path, YamlFile(study))
+    assert [(f.file, f.line, f.column) for f in caught.value.faults] == [(study, 3, 8)]
+
+
+def test_the_fmu_of_a_model_in_volts_and_amperes_defines_its_units(tmp_path: Path) -> None:
+    volts = ('Quantity("torque", "N.m"', 'Quantity("torque", "V"')
+    table(tmp_path, volts, ('unit="N.m.s/rad"', 'unit="V.A.s2/rad"'), ('unit="kg.m2"', 'unit="kΩ.A.s/rad"'))
+    call = ["build", "--model", f"{tmp_path / 'table.py'}:Table", "--out", str(tmp_path)]
+    assert CliRunner().invoke(app, call).exit_code == 0
+    assert not check_fmu(tmp_path / "plant.fmu")
+    definitions = read_description(tmp_path / "plant.fmu").unitDefinitions
+    found = {u.name: (u.baseUnit.kg, u.baseUnit.m, u.baseUnit.s, u.baseUnit.A, u.baseUnit.factor) for u in definitions}
+    assert found["V"] == (1, 2, -3, -1, 1.0)
+    assert found["V.A.s2/rad"] == (1, 2, -1, 0, 1.0)
+    assert found["kΩ.A.s/rad"] == (1, 2, -2, -1, 1000.0)
+
+
+def test_a_class_that_is_misspelt_is_told_with_those_there_are(tmp_path: Path) -> None:
+    table(tmp_path)
+    with pytest.raises(InputError, match=r'no model class "Tabel"; did you mean "Table"\? \(models here: Table\)'):
+        own_model("table.py:Tabel", tmp_path)
+
+
+def test_a_model_goes_by_its_class_where_it_has_no_title() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Nameless(Model):
+        pass
+
+    assert Nameless.title == "Nameless"
+    assert Hovercraft.title == "Thrust-vectoring hovercraft"

@@ -1,0 +1,95 @@
+"""A log stands in a study once, however it is written and wherever it lies."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import InputError
+from cosim.refine import log as log_module
+from cosim.refine.study import read_study
+from tests.logs import MOVING, fly, measured, times, write_log
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The text of a log of 8 s."""
+    flight = fly(times(8.0), start=MOVING)
+    return write_log(tmp_path_factory.mktemp("flown") / "a.csv", measured(flight, noise=1.0)).read_bytes()
+
+
+def study(folder: Path, estimation: str = "[e.csv]", validation: str = "[v.csv]") -> Path:
+    path = folder / "study.yaml"
+    path.write_text(f"model: base\nlogs:\n  estimation: {estimation}\n  validation: {validation}\n")
+    return path
+
+
+def told(path: Path) -> list[str]:
+    with pytest.raises(InputError) as refused:
+        read_study(path)
+    return [str(f).removeprefix(str(path)) for f in refused.value.faults]
+
+
+def columns_turned_round(text: bytes) -> bytes:
+    rows = [line.split(b",") for line in text.splitlines()]
+    return b"\n".join(b",".join([row[0], *row[:0:-1]]) for row in rows)
+
+
+@pytest.mark.parametrize(
+    "rewrite",
+    [
+        lambda text: text,
+        lambda text: text.replace(b"\n", b"\r\n"),
+        lambda text: b"\xef\xbb\xbf" + text,
+        lambda text: text.rstrip(b"\n"),
+        lambda text: b"\n" + text,
+        lambda text: text.replace(b"time", b"time [s]", 1),
+        columns_turned_round,
+    ],
+    ids=["copy", "line ends", "byte order mark", "last line", "first line", "unit", "columns"],
+)
+def test_a_copy_of_a_log_is_that_log(tmp_path: Path, flown: bytes, rewrite: Callable[[bytes], bytes]) -> None:
+    (tmp_path / "e.csv").write_bytes(flown)
+    (tmp_path / "v.csv").write_bytes(rewrite(flown))
+    same = "v.csv holds the same as e.csv, which is listed for estimation; a validation log is never fitted on"
+    assert told(study(tmp_path)) == [f":4:16: {same}"]
+
+
+def test_another_run_is_another_log(tmp_path: Path, flown: bytes) -> None:
+    (tmp_path / "e.csv").write_bytes(flown)
+    header, _, *rows = flown.splitlines(keepends=True)
+    (tmp_path / "v.csv").write_bytes(b"".join([header, *rows]))
+    assert len(read_study(study(tmp_path)).logs) == 1
+
+
+def test_one_file_under_two_names_is_told_at_each_place(tmp_path: Path, flown: bytes) -> None:
+    (tmp_path / "e.csv").write_bytes(flown)
+    (tmp_path / "v.csv").symlink_to("e.csv")
+    assert [t[:7] for t in told(study(tmp_path, "[e.csv, ./e.csv]"))] == [":3:23: ", ":4:16: "]
+
+
+def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "e.csv").write_bytes(flown)
+    (tmp_path / "v.csv").write_bytes(2 * flown)
+    monkeypatch.setattr(log_module, "LARGEST", len(flown))
+    opened = Path.open
+
+    def small(path: Path, *arguments: object, **keywords: object) -> object:
+        assert path.name != "v.csv"
+        return opened(path, *arguments, **keywords)  # type: ignore[arg-type, call-overload]
+
+    monkeypatch.setattr(Path, "open", small)
+    (fault,) = told(study(tmp_path))
+    assert "cut it into pieces" in fault
+
+
+def test_names_that_no_file_can_have_are_told(tmp_path: Path, flown: bytes) -> None:
+    (tmp_path / "e.csv").write_bytes(flown)
+    os.mkfifo(tmp_path / "v.csv")
+    assert told(study(tmp_path)) == [f"{tmp_path / 'v.csv'}: is no file"]
+    (fault,) = told(study(tmp_path, r'["a\0b.csv"]'))
+    assert fault.startswith(":3:16: ")
+    assert "NUL" in fault

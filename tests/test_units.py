@@ -1,0 +1,90 @@
+"""Units: what their symbols mean in SI, and the definitions an FMU carries."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from cosim.refine.units import alternatives, factor
+from fmus.units import SYMBOLS, parse, unit_definitions
+
+BASE = {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}  # FMI 2.0, 2.2.2
+
+
+@pytest.mark.parametrize(
+    ("written", "exponents", "size"),
+    [
+        ("V", {"kg": 1, "m": 2, "s": -3, "A": -1}, 1.0),
+        ("A", {"A": 1}, 1.0),
+        ("ohm", {"kg": 1, "m": 2, "s": -3, "A": -2}, 1.0),
+        ("H", {"kg": 1, "m": 2, "s": -2, "A": -2}, 1.0),
+        ("F", {"kg": -1, "m": -2, "s": 4, "A": 2}, 1.0),
+        ("W", {"kg": 1, "m": 2, "s": -3}, 1.0),
+        ("Pa", {"kg": 1, "m": -1, "s": -2}, 1.0),
+        ("Hz", {"s": -1}, 1.0),
+        ("W/K", {"kg": 1, "m": 2, "s": -3, "K": -1}, 1.0),
+        ("N.m/A", {"kg": 1, "m": 2, "s": -2, "A": -1}, 1.0),
+        ("N·m·s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}, 1.0),
+        ("mm/s2", {"m": 1, "s": -2}, 1e-3),
+        ("gf/%", {"kg": 1, "m": 1, "s": -2}, 0.980665),
+    ],
+)
+def test_a_unit_is_what_its_symbols_make(written: str, exponents: dict[str, int], size: float) -> None:
+    unit = parse(written)
+    assert unit is not None
+    assert unit.exponents == exponents
+    assert unit.factor == pytest.approx(size, rel=1e-15)  # one or two roundings
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("V/A", "ohm"),
+        ("Ω", "ohm"),
+        ("\u2126", "ohm"),
+        ("V.s/A", "H"),
+        ("V.A", "W"),
+        ("J", "N.m"),
+        ("A.s/V", "F"),
+        ("Wb", "V.s"),
+        ("T", "Wb/m2"),
+        ("S", "1/ohm"),
+        ("C", "A.s"),
+        ("Pa", "N/m2"),
+        ("1/s", "Hz"),
+        ("W.s", "J"),
+    ],
+)
+def test_units_of_one_dimension_are_one(one: str, other: str) -> None:
+    assert factor(one, other) == 1.0
+
+
+@pytest.mark.parametrize("text", ["", "furlong", "N.m/", "rad^", "N m²/(rad s)"])
+def test_what_is_no_unit_is_told(text: str) -> None:
+    assert parse(text) is None
+    with pytest.raises(ValueError, match="unknown unit"):
+        unit_definitions({text})
+
+
+def test_every_symbol_has_a_size_and_the_base_units_of_fmi() -> None:
+    for symbol, unit in SYMBOLS.items():
+        assert unit.factor > 0.0, symbol
+        assert unit.exponents.keys() <= BASE, symbol
+        assert parse(symbol) == unit
+
+
+def test_a_definition_has_exponents_factor_and_the_degrees_of_angles() -> None:
+    root = unit_definitions({"V", "mA", "rad", "1"})
+    found = {node.get("name"): {child.tag: dict(child.attrib) for child in node} for node in root}
+    assert found["V"] == {"BaseUnit": {"kg": "1", "m": "2", "s": "-3", "A": "-1"}}
+    assert found["mA"] == {"BaseUnit": {"A": "1", "factor": "0.001"}}
+    assert found["1"] == {"BaseUnit": {}}
+    assert found["rad"]["BaseUnit"] == {"rad": "1"}
+    assert found["rad"]["DisplayUnit"] == {"name": "deg", "factor": repr(180.0 / math.pi)}
+
+
+def test_volts_and_amperes_of_a_log_come_in_other_sizes() -> None:
+    assert factor("mV", "V") == factor("mA", "A") == 1e-3
+    assert {"mA", "kA"} <= set(alternatives("A"))
+    assert factor("V", "A") is None
