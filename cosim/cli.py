@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -259,6 +260,9 @@ def stages() -> Iterator[Callable[[str, float], None] | None]:
 
 def entry() -> None:
     """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
+            stream.reconfigure(errors="backslashreplace")
     try:
         app(standalone_mode=True)
     except CosimError as error:

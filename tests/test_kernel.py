@@ -144,7 +144,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
     return own_model("table.py:Table", folder)
 
 
-@pytest.mark.parametrize("cc", ["", "false", "no-such-compiler"])
+@pytest.mark.parametrize("cc", ["", "false", "no-such-compiler", 'gcc "'])
 def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
     table: Model, monkeypatch: pytest.MonkeyPatch, cc: str
 ) -> None:
@@ -210,3 +210,49 @@ def test_a_damaged_cache_is_made_anew(
         file.write_bytes(b"damaged")
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
     assert np.isfinite(make(g).simulate(data, parameters(table, g), np.zeros(2), np.zeros(0)).states).all()
+
+
+def cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+SIMULATE = (
+    "import sys, pickle, numpy as np; from cosim.refine.compiled import CompiledKernel; from cosim.refine.kernel import"
+    " Data; g, p = pickle.load(sys.stdin.buffer); d = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4);"
+    "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(2), np.zeros(0)).states).all())"
+)
+
+
+@NEEDS_C
+def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    g = generate(table, ("angle",), C())
+
+    def simulated() -> bytes:  # in a process of its own, which a damaged library may end
+        given = pickle.dumps((g, parameters(table, g)))
+        return subprocess.run([sys.executable, "-c", SIMULATE], input=given, capture_output=True, check=True).stdout
+
+    assert simulated() == b"True\n"
+    (library,) = files(cached("", "").parent)
+    cut(library)
+    assert simulated() == b"True\n"
+    (again,) = files(cached("", "").parent)
+    before = again.stat().st_mtime_ns
+    assert simulated() == b"True\n"
+    assert again.stat().st_mtime_ns == before  # a sound one is taken as it is
+
+
+@pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
+def test_what_numba_keeps_may_be_cut(
+    table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, suffix: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    g = generate(table, ("angle",), Python())
+    JitKernel(g)
+    chosen = [file for file in files(cached("", "").parent) if file.suffix == suffix]
+    assert chosen
+    for file in chosen:
+        cut(file)
+    data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
+    states = JitKernel(g).simulate(data, parameters(table, g), np.zeros(2), np.zeros(0)).states
+    assert np.isfinite(states).all()

@@ -1,0 +1,52 @@
+"""What the command line makes of odd files and odd terminals: an answer, never a traceback, never a wait."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.check import check_files
+from cosim.errors import InputError
+from cosim.refine.study import read_study
+from tests.conftest import ROOT
+from tests.logs import times, write_log
+
+
+def told(*files: Path) -> list[str]:
+    with pytest.raises(InputError) as refused:
+        check_files(files)
+    return [str(f) for f in refused.value.faults]
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "utf-8"])
+def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
+    time = times(12.0)
+    commands = {n: np.sin(time) for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")}  # down to −1
+    log = write_log(tmp_path / "a.csv", {"time": time, **commands, "ax": np.cos(time)})
+    run = subprocess.run(
+        [sys.executable, "-m", "cosim.cli", "check", str(log)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": encoding},
+        capture_output=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    assert ("−1.00" if encoding == "utf-8" else "\\u22121.00") in run.stdout.decode(encoding)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "study.yaml", "plant.fmu", "log"])
+def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    assert told(tmp_path / name) == [f"{tmp_path / name}: is no file"]
+    with pytest.raises(InputError, match="is no file"):
+        read_study(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", ["model: base\n", "candidates: [mass]\n"])
+def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: str) -> None:
+    (tmp_path / "study.yaml").write_text(text)
+    assert told(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']
