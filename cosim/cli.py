@@ -155,6 +155,7 @@ def refine(
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cosim.refine.report.errors import second_sentence
     from cosim.refine.workflow import refine as refine_study
 
     with stages() as progress:
@@ -165,7 +166,7 @@ def refine(
             write_refine_report(out / "report.html", result)
     for warning in result.study.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    say(str(result.record["sentence"]))
+    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous":
         say(f"a flight that would decide: cosim excite {out}")

@@ -14,7 +14,9 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from cosim.cli import app
 from cosim.refine.attribution import Attributor
 from cosim.refine.candidates import candidates
 from cosim.refine.fit import Fit
@@ -212,6 +214,15 @@ def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refi
     assert "On sealed runs" in second_sentence(cart)
 
 
+def test_the_command_tells_the_verdict_and_what_became_of_the_error(cart: Refinement, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["refine", str(cart.study.path), "--out", str(out), "--no-report"])
+    assert result.exit_code == 0, result.output
+    first, second = result.output.strip().splitlines()[-2:]
+    assert first == f"{cart.record['sentence']} {second_sentence(cart)}"
+    assert second == f"verdict: effect_found, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}"
+
+
 def dry_friction(r: Refinement) -> Shown:
     (found,) = shown(r)
     assert (found.effect, found.where, found.against.name) == ("dry", "v", "v")
@@ -354,13 +365,25 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
 
 def test_a_claim_that_leaves_the_error_where_it_was_is_withdrawn(cart: Refinement) -> None:
     verdict = Judged(cart)(rivals=())
-    floor, before = {"x": 1.0, "v": 1.0, "quiet": 1.0}, {"x": 11.0, "v": 5.0, "quiet": 1.5}
-    assert proven(verdict, before, {"x": 1.2, "v": 5.0, "quiet": 1.5}, floor) is verdict  # one channel is mended
-    withdrawn = proven(verdict, before, {"x": 6.0, "v": 5.0, "quiet": 1.0}, floor)
+    before, same = {"x": 11.0, "v": 5.0, "quiet": 1.5}, {"x": 11.0, "v": 5.0, "quiet": 1.5}
+    floor = dict.fromkeys(before, 1.0)
+
+    def held(
+        after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
+    ) -> Verdict:
+        return proven(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
+
+    assert held({"x": 1.2, "v": 5.0, "quiet": 1.5}) is verdict  # one channel is mended
+    withdrawn = held({"x": 6.0, "v": 5.0, "quiet": 1.0})
     assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, cart.attribution.best.names)
     assert withdrawn.sentence.endswith("With it, 29\u00a0% of the excess error stays.")  # 35 of 120
-    # where no channel was far off before, the replay tells nothing
-    assert proven(verdict, {**before, "x": 1.9, "v": 1.9}, {"x": 1.9, "v": 1.9, "quiet": 1.0}, floor) is verdict
+    # where no channel was far off before, there is no excess to tell of
+    near = {**before, "x": 1.9, "v": 1.9}
+    assert held({"x": 1.9, "v": 1.9, "quiet": 1.0}, near) is verdict
+    # but an effect has to do better than the base parameters do without it
+    worse = held({"x": 1.9, "v": 1.9, "quiet": 1.5}, near, {"x": 1.8, "v": 1.7, "quiet": 1.5})
+    assert worse.name == "unexplained"
+    assert worse.sentence.endswith("nearer on no channel than those of the model recalibrated without it.")
 
 
 def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:

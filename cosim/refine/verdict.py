@@ -69,23 +69,26 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     return Verdict(_found(a.best.candidates), a.best, (), "", residual, sentence)
 
 
-def proven(
-    verdict: Verdict, before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
-) -> Verdict:
-    """The verdict, its claim withdrawn where the model with it still misses every channel that it missed without it.
+def proven(verdict: Verdict, error: Mapping[str, Mapping[str, float]], floor: Mapping[str, float]) -> Verdict:
+    """The verdict, its claim withdrawn where replays are no better for it: `error` before, recalibrated and after.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it. An error of a sensor alone
     leaves the replay as it is.
     """
-    if verdict.claimed is None or {c.kind for c in verdict.claimed.candidates} == {"sensor"}:
+    kinds = {c.kind for c in verdict.claimed.candidates} if verdict.claimed else {"sensor"}
+    if verdict.claimed is None or kinds == {"sensor"}:
         return verdict
+    before, after = error["before"], error["after"]
     left = [x for n, f in floor.items() if not math.isnan(x := excess_left(before[n], after[n], f))]
-    if not left or min(left) <= MENDS:
+    if "effect" in kinds and floor and all(after[n] >= error["recalibrated"][n] for n in floor):
+        told = "Replays with it are nearer on no channel than those of the model recalibrated without it."
+    elif left and min(left) > MENDS:
+        told = f"With it, {percent(min(left))} of the excess error stays."
+    else:
         return verdict
     names = verdict.claimed.names
     found = _unexplained(verdict.residual, names, "No hypothesis explains what the model misses.")
-    sentence = f"{found} With it, {percent(min(left))} of the excess error stays."
-    return replace(verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=sentence)
+    return replace(verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=f"{found} {told}")
 
 
 def _found(candidates: Sequence[Candidate]) -> Name:

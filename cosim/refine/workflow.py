@@ -106,9 +106,9 @@ def _proven(study: Study, a: Attribution, verdict: Verdict, problem: Problem) ->
         return verdict
     no_fmu = Path()  # the kernel replays them here, before there is anything to build
     variants = _variants(study, a, verdict, refined_model(study.loaded, verdict.claimed), no_fmu, no_fmu)
-    before, after = (predicted_errors(variants[name], problem, study.logs) for name in ("before", "after"))
+    error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
     rng = np.random.default_rng(FLOOR_SEED)
-    return proven(verdict, before, after, noise_floor(variants["after"], problem, study.logs, rng))
+    return proven(verdict, error, noise_floor(variants["after"], problem, study.logs, rng))
 
 
 def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:
