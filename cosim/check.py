@@ -50,11 +50,13 @@ def _check(path: Path, model: Model) -> list[str]:
         return []
     if path.suffix == ".csv":
         return log_findings(path, model)
-    root = YamlFile(path).root
-    if "logs" in root or ("components" not in root and root.keys() & {"model", "candidates"}):
-        return [f"warning: {text}" for text in read_study(path).warnings]
-    if "components" not in root and "scenario" not in root and root.keys() & {"parameters", "sensors"}:
+    keys = YamlFile(path).root.keys()
+    if keys & {"components", "scenario"}:
+        check_scenario(path)
+    elif "logs" not in keys and keys & {"parameters", "sensors"}:
         read_model(path)
+    elif keys & {"logs", "model", "candidates"}:
+        return [f"warning: {text}" for text in read_study(path).warnings]
     else:
         check_scenario(path)
     return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -169,7 +170,10 @@ def refine(
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous":
-        say(f"a flight that would decide: cosim excite {out}")
+        from cosim.refine.question import inputs_to_limit
+
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
+        say(f"a flight that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
 
 
 @app.command()

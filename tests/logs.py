@@ -43,14 +43,14 @@ def times(seconds: float, step: float = STEP) -> Array:
     return step * np.arange(round(seconds / step) + 1, dtype=np.float64)
 
 
-def dither(time: Array, seed: int = 1) -> dict[str, Array]:
-    """Commands held over each row: both tilts and both duties move, in many frequencies."""
+def dither(time: Array, seed: int = 1, share: float = 1.0) -> dict[str, Array]:
+    """Commands held over each row: both tilts and both duties move, in many frequencies, by a share of the usual."""
     rng = np.random.default_rng(seed)
 
     def tones(size: float, count: int = 8) -> Array:
         frequency, phase = rng.uniform(0.2, 4.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
         waves = [np.sin(2.0 * math.pi * f * time + p) for f, p in zip(frequency, phase, strict=True)]
-        return size * np.sum(waves, axis=0) / math.sqrt(count)
+        return share * size * np.sum(waves, axis=0) / math.sqrt(count)
 
     common, differential, duty = tones(0.1), tones(0.05), Hovercraft().duty_nominal
     values = (duty + tones(0.05), duty + tones(0.05), common + differential, common - differential)
@@ -58,10 +58,14 @@ def dither(time: Array, seed: int = 1) -> dict[str, Array]:
 
 
 def fly(
-    time: Array, model: Hovercraft | None = None, start: Mapping[str, float] | None = None, seed: int = 1
+    time: Array,
+    model: Hovercraft | None = None,
+    start: Mapping[str, float] | None = None,
+    seed: int = 1,
+    share: float = 1.0,
 ) -> Flight:
-    """Fly the plant's equations in process, at any times."""
-    commands = dither(time, seed)
+    """Fly the plant's equations in process, at any times, under a share of the usual dither."""
+    commands = dither(time, seed, share)
     stepper = Stepper(model or Hovercraft())
     moment = stepper.start(float(time[0]), start)
     states, outputs = [], []

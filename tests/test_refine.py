@@ -18,6 +18,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from cosim.blocks.fmu import read_description
 from cosim.check import check_files
 from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
@@ -34,6 +35,7 @@ from cosim.refine.residual import FREE_RUN
 from cosim.refine.study import read_study
 from cosim.refine.verdict import Name
 from cosim.refine.workflow import Refinement, refine
+from fmus.build import build, plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.blind.truth import write
@@ -169,8 +171,15 @@ def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tm
     assert r.record["verdict"] == "sensor_error"
     assert named(r) == {"gyro_bias"}
     assert holds(r, "gyro_bias", "value", 0.03)
-    assert "effects" not in (tmp_path / "out" / "model.yaml").read_text()
-    assert read_model(tmp_path / "out" / "model.yaml").sensors["gyro_bias.value"] == pytest.approx(0.03, abs=5e-3)
+    model = read_model(tmp_path / "out" / "model.yaml")
+    assert model.sensors["gyro_bias.value"] == pytest.approx(0.03, abs=5e-3)
+    assert model.parameters == {}
+    built = [
+        read_description(f) for f in (tmp_path / "out" / "plant.fmu", build(plant_recipe(), tmp_path / "base.fmu"))
+    ]
+    starts = [{v.name: v.start for v in description.modelVariables} for description in built]
+    assert starts[0] == starts[1]
+    assert r.record["error"]["after"]["validation"]["psi_dot"] < r.record["error"]["before"]["validation"]["psi_dot"]
 
 
 def test_nothing_missing_is_said_and_the_model_left_alone(tmp_path: Path) -> None:

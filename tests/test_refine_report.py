@@ -205,6 +205,12 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
     assert "Cart &lt;of mine&gt;" in text
 
 
+def test_what_is_to_be_typed_stands_as_code(cart: Refinement, tmp_path: Path) -> None:
+    record = {**cart.record, "sentence": "These logs <cannot> tell; `cosim excite` designs it."}
+    text = page(replace(cart, record=record), tmp_path)
+    assert "These logs &lt;cannot&gt; tell; <code>cosim excite</code> designs it." in text
+
+
 def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refinement) -> None:
     error, floor = cart.record["error"], cart.record["noise_floors"]["validation"]["s"]
     shown_sizes = re.findall(r"([\d.]+)\u00a0mm", second_sentence(cart))

@@ -138,25 +138,29 @@ class Attributor:
         return tuple(name for name in effects if self.told.get(name, np.inf) < SIGNIFICANT**2)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:
-        """Log-likelihood gained over the base on each log, fitted on the others; of one log, on each half.
+        """Objective gained over the base on each log, with what is claimed as the others have it; of one log, halves.
 
-        Of the base, parameters that the hypothesis calls wrong stay as the model has them.
+        What is not claimed, base parameters and process noise, settles on the log itself, for both alike: logs that
+        excite little leave it open, and one that excites much would refuse what they guessed. Of the base, parameters
+        that the hypothesis calls wrong stay as the model has them.
         """
         if h is base:
             return 0.0
         problem = self.problem if len(self.problem.logs) > 1 else halved(self.problem)
-        claimed = {f.name: self.problem.values[f.name] for c in h.candidates for f in c.free}
-        without = [f for f in self.free(()) if f.name not in claimed]
-        trials = ((without, {**base.fit.values, **claimed}, base.fit), (self.free(h.candidates), h.fit.values, h.fit))
+        names = [f.name for c in h.candidates for f in c.free]
+        settling = [f for f in self.free(()) if f.name not in names]
+        neutral = {name: self.problem.values[name] for name in names}
         count = len(problem.logs)
         gained = 0.0
         for left_out in range(count):
             others = [k for k in range(count) if k != left_out]
-            nll = []
-            for free, start, fitted in trials:
-                f = fit(problem, free, start, fitted.log_q, others, SCREEN_ITERATIONS)
-                nll.append(problem.scored(f.values, f.log_q, [left_out]).nll)
-            gained += nll[0] - nll[1]
+            learnt = fit(problem, self.free(h.candidates), h.fit.values, h.fit.log_q, others, SCREEN_ITERATIONS)
+            claimed = {name: learnt.values[name] for name in names}
+            without, with_it = (
+                fit(problem, settling, {**f.values, **stays}, f.log_q, [left_out], SCREEN_ITERATIONS).objective
+                for f, stays in ((base.fit, neutral), (h.fit, claimed))
+            )
+            gained += without - with_it
         return gained
 
     # -- within -------------------------------------------------------------------------------

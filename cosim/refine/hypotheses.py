@@ -24,6 +24,11 @@ class Hypothesis:
         """Their names, sorted."""
         return tuple(sorted(c.name for c in self.candidates))
 
+    @property
+    def of_sensors(self) -> bool:
+        """It says something of sensors and nothing of the plant."""
+        return {c.kind for c in self.candidates} == {"sensor"}
+
 
 @dataclass(frozen=True)
 class Attribution:
@@ -33,7 +38,7 @@ class Attribution:
     tried: tuple[Hypothesis, ...]
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]
-    held_out: float  # log-likelihood the best one gains on logs it was not fitted on
+    held_out: float  # log-likelihood the best one gains on each log, its parameters as the others have them
     noise_gain: tuple[float, ...]  # log-likelihood that the process noise of each forced equation gains in the best one
     reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # why each hypothesis but the best lost
     hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os.path
 import re
 import sys
 from collections.abc import Mapping
@@ -123,6 +124,14 @@ def _absolute(text: str, folder: Path) -> str:
     return f"{(folder / file).resolve()}:{name}"
 
 
+def _relative(source: str, folder: Path) -> str:
+    """The same from a folder at or below that of the file: the two may move together."""
+    file, _, name = source.rpartition(":")
+    if not file or not folder.is_relative_to(Path(file).parent):
+        return source
+    return f"{Path(os.path.relpath(file, folder)).as_posix()}:{name}"
+
+
 def own_model(text: str, folder: Path) -> Model:
     """The model `Class` of `file.py`, with its default parameters; InputError with every fault of its class."""
     file, _, name = text.rpartition(":")
@@ -153,9 +162,9 @@ def _models(names: Mapping[str, Any]) -> list[str]:
     return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
 
 
-def write_model(path: Path, loaded: LoadedModel) -> None:
-    """Write a model.yaml that `read_model` reads back."""
-    lines = ["schema_version: 1", f"model: {loaded.source}"]
+def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
+    """Write a model.yaml that `read_model` reads back, in `folder` if it is to move there."""
+    lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
     for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
         lines.append(f"{section}:" if values else f"{section}: {{}}")
         lines += [

@@ -172,10 +172,19 @@ def _rivals(
     return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
 
 
+def inputs_to_limit(model: Model) -> tuple[str, ...]:
+    """Inputs of which one has to say how far they may go."""
+    return tuple(q.name for q in model.inputs if q.name not in _own_limits(model))
+
+
+def _own_limits(model: Model) -> dict[str, float]:
+    return dict(HOVERCRAFT_LIMITS) if isinstance(model, Hovercraft) else {}
+
+
 def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, float]:
     """Limits by signal: the hovercraft's, and over them those given as NAME=VALUE, a unit behind the value."""
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
-    limits = dict(HOVERCRAFT_LIMITS) if isinstance(model, Hovercraft) else {}
+    limits = _own_limits(model)
     for item in given:
         read = LIMIT.fullmatch(item.strip())
         name = read["name"].strip() if read else item.partition("=")[0].strip()

@@ -148,7 +148,9 @@ class Record(_Entry):
         "sensor noise; on the validation logs where there are any"
     )
     noise_floors: Parts = Field(description="the same for each set of logs")
-    held_out_gain: Likelihood = Field(description="log-likelihood gained on logs that were not fitted")
+    held_out_gain: Likelihood = Field(
+        description="log-likelihood that the claim gains on each log, as the other logs have it"
+    )
     seconds: Finite = Field(description="time it took")
 
 

@@ -75,9 +75,9 @@ def proven(verdict: Verdict, error: Mapping[str, Mapping[str, float]], floor: Ma
     What takes away innovations a row ahead need not be what acts: the replay shows it. An error of a sensor alone
     leaves the replay as it is.
     """
-    kinds = {c.kind for c in verdict.claimed.candidates} if verdict.claimed else {"sensor"}
-    if verdict.claimed is None or kinds == {"sensor"}:
+    if verdict.claimed is None or verdict.claimed.of_sensors:
         return verdict
+    kinds = {c.kind for c in verdict.claimed.candidates}
     before, after = error["before"], error["after"]
     left = [x for n, f in floor.items() if not math.isnan(x := excess_left(before[n], after[n], f))]
     if "effect" in kinds and floor and all(after[n] >= error["recalibrated"][n] for n in floor):

@@ -80,7 +80,7 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     refined = refined_model(study.loaded, verdict.claimed)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
-        write_model(scratch / "model.yaml", refined)
+        write_model(scratch / "model.yaml", refined, folder)
         tell("building the refined FMU", 0.0)
         variants = _variants(study, attribution, verdict, refined, *_build_fmus(study.loaded, refined, scratch))
         tell("replaying through the FMUs", 0.0)
@@ -112,12 +112,17 @@ def _proven(study: Study, a: Attribution, verdict: Verdict, problem: Problem) ->
 
 
 def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:
-    """The model with what was claimed put in, base parameters recalibrated with it; unchanged where nothing was."""
+    """The model with what was claimed put in, base parameters recalibrated with it; unchanged where nothing was.
+
+    Errors of sensors alone leave its parameters as they are, and so its FMU.
+    """
     if claimed is None:
         return loaded
     sensors = {f"{k.name}.{p.name}" for k in loaded.model.sensors for p in parameters_of(k)}
     moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free}
-    parameters = {**loaded.parameters, **{n: v for n, v in moved.items() if n not in sensors}}
+    parameters = dict(loaded.parameters)
+    if not claimed.of_sensors:  # of which the plant knows nothing
+        parameters |= {n: v for n, v in moved.items() if n not in sensors}
     known = {**loaded.sensors, **{n: v for n, v in moved.items() if n in sensors}}
     return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
 
@@ -153,17 +158,22 @@ def _variants(
 ) -> dict[str, Variant]:
     """The model before, recalibrated and after, each with the filter that starts its replays."""
     given, base = study.loaded, a.base.fit
-    nominal = {**neutral_values(given.model), **given.values}
+    nominal = _values(given)
     recalibrated = {f.name: float(base.values[f.name]) for f in base.free}
     changed = given.model.with_values(recalibrated)
     before = after = Variant(given.model, nominal, base.log_q, given_fmu, {})
     if claimed := verdict.claimed:
-        after = Variant(refined.model, {**nominal, **claimed.fit.values}, claimed.fit.log_q, refined_fmu, {})
+        after = Variant(refined.model, _values(refined), claimed.fit.log_q, refined_fmu, {})
     return {
         "before": before,
         "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.log_q, given_fmu, recalibrated),
         "after": after,
     }
+
+
+def _values(loaded: LoadedModel) -> dict[str, float]:
+    """Every number the kernel takes, sensors included."""
+    return {**neutral_values(loaded.model), **loaded.values}
 
 
 def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) -> Replayed:

@@ -85,7 +85,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
         if part not in error["before"]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
-        note = "The model was fitted on these." if part == "estimation" else "Opened once, when all was decided."
+        note = "What was learnt from." if part == "estimation" else "Opened once, when all was decided."
         found.append(ErrorTable(title, note, rows))
     return found
 
@@ -143,7 +143,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 def second_sentence(r: Refinement) -> str:
     """The error of the channel that fell most, on sealed runs where there are any."""
     part = judged(r)
-    where = "On sealed runs" if part == "validation" else "On the runs it was fitted on (none are sealed)"
+    where = "On sealed runs" if part == "validation" else "On the runs that were learnt from (none are sealed)"
     ratios = {}
     for name in r.record["error"]["before"][part]:
         before, _, after, floor = _numbers(r, part, name)

@@ -188,7 +188,7 @@ def _ranking_lead(r: Refinement) -> str:
         "parameters, less ½ ln N for each parameter added."
     )
     if r.verdict.claimed is not None and len(r.study.logs) > 1:
-        lead += f" On each log, fitted on the others only, the claim still gains {plain(float(gain), 3)} in all."
+        lead += f" On each log, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
     return lead
 
 

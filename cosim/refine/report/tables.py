@@ -150,9 +150,10 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
         "The bar is the 95 % interval, the dashed line the neutral value or the data sheet.", "Neutral",
         tuple(names[True]),
     )  # fmt: skip
+    note = "The model keeps its own: a sensor's error is none of the plant's." if hypothesis.of_sensors else ""
     rest = ParameterTable(
-        "Base parameters, recalibrated", "Held near the data sheet: within 1 % is no discovery.", "Data sheet",
-        tuple(names[False]),
+        f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
+        note or "Held near the data sheet: within 1 % is no discovery.", "Data sheet", tuple(names[False]),
     )  # fmt: skip
     return [t for t in (added, rest) if t.rows]
 
