@@ -26,6 +26,7 @@ CLAIM_IN_NOISE = 15.0  # the same where process noise is at work: it is seldom a
 SHARE = 0.02  # of what the first effects gain, that one more must gain too
 RIVAL = 5.0  # score within which another hypothesis explains as well
 SIGNIFICANT = 3.0  # standard deviations from neutral
+SIGNIFICANT_IN_NOISE = 15.0  # the same where process noise is left: intervals that take it for white are too narrow
 NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
 SCREEN_ITERATIONS = 12
 TO_THE_END = 60  # iterations within which every fit seen has converged
@@ -50,6 +51,7 @@ class Attributor:
         self.price = 0.5 * np.log(max(2, problem.samples))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.told: dict[str, float] = {}
+        self.drowned: set[tuple[str, ...]] = set()
         self.claim = CLAIM
 
     def run(self) -> Attribution:
@@ -58,7 +60,7 @@ class Attributor:
         base = self.hypothesis((), None)
         self.claim = CLAIM_IN_NOISE if any(self.noisy(base.fit)) else CLAIM
         singles = self._fit_all([(c,) for c in self.candidates], base, "trying every effect, sensor and parameter")
-        best = self._better(singles, base)
+        best = self._better(singles, base, alone=False)
         if best is not base:
             best = self._extend(best, singles, base)
         self.problem = self.fine
@@ -209,21 +211,29 @@ class Attributor:
         promised = replace(start.fit, values=values, nll_by_log=(first - promise.gain, *rest), iterations=0)
         return Hypothesis(parts, promised, start.score - promise.gain + price)
 
-    def _better(self, options: Sequence[Hypothesis], than: Hypothesis, gain: float | None = None) -> Hypothesis:
-        """The best option that gains enough and is significant in each of its parts; else `than`."""
+    def _better(
+        self, options: Sequence[Hypothesis], than: Hypothesis, gain: float | None = None, *, alone: bool = True
+    ) -> Hypothesis:
+        """The best option that gains enough and is significant in each of its parts; else `than`.
+
+        One that leaves process noise must stand out from it, unless it is not `alone`: what it leaves may be another's.
+        """
         for h in sorted(options, key=lambda h: h.score):
             if than.score - h.score < (self.claim if gain is None else gain):
                 break
-            if all(self.significant(h, c) for c in h.candidates):
+            least = SIGNIFICANT_IN_NOISE if alone and any(self.noisy(h.fit)) else SIGNIFICANT
+            if all(self.significant(h, c, least) for c in h.candidates):
                 return h
+            if all(self.significant(h, c) for c in h.candidates):
+                self.drowned.add(h.names)
         return than
 
-    def significant(self, h: Hypothesis, c: Candidate) -> bool:
+    def significant(self, h: Hypothesis, c: Candidate, least: float = SIGNIFICANT) -> bool:
         """Away from neutral by Wald's test of all its parameters together, and none of them at a limit."""
         neutral = self.problem.values
         away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
         pinned = any(h.fit.values[f.name] in (f.low, f.high) and d != 0.0 for f, d in zip(c.free, away, strict=True))
-        return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > SIGNIFICANT**2)
+        return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > least**2)
 
     def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
@@ -271,6 +281,8 @@ class Attributor:
             return f"{limits[0]} is at its limit"
         if not all(self.significant(h, c) for c in h.candidates):
             return "not significantly away from neutral"
+        if h.names in self.drowned:
+            return f"less than {SIGNIFICANT_IN_NOISE:.0f} standard deviations from neutral, and process noise is left"
         if behind < 0.0:
             return f"gains {-behind:.1f} on {than}, less than an added effect must"
         return f"explains less than {than} by {behind:.1f}"
