@@ -231,6 +231,13 @@ def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
     assert r.record["residual"]["equation"] in {"vx", "vy"}
 
 
+def test_an_effect_that_drowns_in_a_disturbance_is_not_claimed(tmp_path: Path) -> None:
+    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.06}}, disturbed=True)
+    assert r.record["verdict"] == "unexplained"
+    why = {tuple(row["names"]): row["why"] for row in r.record["candidates"]}
+    assert why["quadratic_drag",] == "less than 15 standard deviations from neutral, and process noise is left"
+
+
 def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
     # generated C and Python differ by rounding alone: 12 s of closed loop, integrators included
     path = study_of(tmp_path, {})
