@@ -51,6 +51,8 @@ def _check(path: Path, model: Model) -> list[str]:
     if path.suffix == ".csv":
         return log_findings(path, model)
     keys = YamlFile(path).root.keys()
+    if keys >= {"verdict", "candidates"}:
+        raise InputError([Fault(path, 1, 1, "is an answer of `cosim refine`; check the study or model.yaml beside it")])
     if keys & {"components", "scenario"}:
         check_scenario(path)
     elif "logs" not in keys and keys & {"parameters", "sensors"}:

@@ -50,3 +50,10 @@ def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None
 def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: str) -> None:
     (tmp_path / "study.yaml").write_text(text)
     assert told(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']
+
+
+def test_an_answer_is_no_study(tmp_path: Path) -> None:
+    (tmp_path / "refine.json").write_text('{"study": "study.yaml", "verdict": "no_effect", "candidates": []}')
+    assert told(tmp_path / "refine.json") == [
+        f"{tmp_path / 'refine.json'}:1:1: is an answer of `cosim refine`; check the study or model.yaml beside it"
+    ]

@@ -399,6 +399,8 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     assert verdict.name == "unexplained"
     assert "acts on v; it is constant, and that takes away 79\u00a0% of what is missing." in verdict.sentence
     assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
+    nothing = judged(Unnamed("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
+    assert nothing.sentence.endswith("acts on v; it is constant.")
     gained = base.score - cart.attribution.best.score
     left = judged(Unnamed("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best

@@ -163,11 +163,8 @@ def _unexplained(
 ) -> str:
     where = residual["equation"]
     if residual["signals"]:
-        share = (
-            ""
-            if residual["share"] is None
-            else f", and that takes away {percent(residual['share'])} of what is missing"
-        )
+        # a term may promise likelihood where noise, not its own share, fills what is missing
+        share = f", and that takes away {percent(residual['share'])} of what is missing" if residual["share"] else ""
         text = f"Something outside the catalogue acts on {where}; it {_follows(residual['signals'][0])}{share}."
     elif where:
         text = f"A disturbance acts on {where}; it depends on nothing that is measured."
