@@ -57,6 +57,8 @@ OUTPUTS = (
 SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
     ("x", "y", "x_world", "y_world"), 1e-6
 )
+# A craft is let go by hand: where nothing measures them, speeds at the start are known to 0.2 m/s and 0.1 rad/s.
+START_VARIANCE = {q.name: {"m/s": 0.2, "rad/s": 0.1}.get(q.unit, 1.0) ** 2 for q in STATES}
 TOLD_APART_BY = {
     frozenset(
         {"thrust_asymmetry", "com_offset"}
@@ -81,7 +83,7 @@ class Hovercraft(Model):
 
     title = "Thrust-vectoring hovercraft"
     base_states, inputs, outputs, catalogue, sensors = STATES, INPUTS, OUTPUTS, CATALOGUE, SENSORS
-    sensor_variance = SENSOR_VARIANCE
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("vx", "vy", "psi_dot")
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base

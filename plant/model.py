@@ -98,10 +98,12 @@ class Model(Parametric):
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]] = ()
-    # what is known of a real one: errors its sensors may have, variance of each measured output, the states whose
+    # what is known of a real one: errors its sensors may have, variance of each measured output, variance at the start
+    # of a log of states that nothing measures (without: as far as the model's own run takes them), the states whose
     # equations may lack something, parameters to recalibrate, and further ones that may be wrong where inputs vary
     sensors: ClassVar[tuple[type[Any], ...]] = ()
     sensor_variance: ClassVar[Mapping[str, float]] = {}
+    start_variance: ClassVar[Mapping[str, float]] = {}
     forced: ClassVar[tuple[str, ...]] = ()
     calibrated: ClassVar[tuple[str, ...]] = ()
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told

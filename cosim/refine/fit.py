@@ -21,7 +21,7 @@ from cosim.refine.process_noise import NoiseRange, noise_range
 SKIPPED = 1.0  # [s] of each log that the filter may use to find its state, unscored
 ITERATIONS = 30
 CONVERGED = 0.02  # of NLL, the improvement below which an iteration is the last
-RANGE_FROM = 10.0  # [s] of the first log, from which the range of the process noise is told
+RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, that tell the range of the process noise
 DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
 Q_DIFFERENCE = 0.05
 FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
@@ -94,7 +94,8 @@ class Problem:
     @cached_property
     def noise(self) -> NoiseRange:
         """How large process noise can be."""
-        rows = round((SKIPPED + RANGE_FROM) / self.logs[0].step)
+        step = self.logs[0].step
+        rows = round((SKIPPED + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
         seen = [np.isfinite(log.y).any(axis=0) for log in logs]
         taken = [k for k in range(len(logs)) if k == 0 or np.any(seen[k] & ~seen[0])]  # what the first does not measure
@@ -149,14 +150,22 @@ class Fit:
         own = np.isin([f.name for f in self.free] + [""] * len(self.log_q), names)
         F = self.information
         reduced: Array = (
-            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ np.linalg.pinv(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
         )
         return reduced
 
     def sigma(self, name: str) -> float:
         """Standard deviation of an estimate, from the inverse of the information."""
         k = [f.name for f in self.free].index(name)
-        return float(np.sqrt(max(0.0, np.linalg.pinv(self.information)[k, k])))
+        return float(np.sqrt(max(0.0, inverse(self.information)[k, k])))
+
+
+def inverse(information: Array) -> Array:
+    """Pseudo-inverse; of each parameter in its own unit, or it would drop those that are told least in theirs."""
+    scale = np.sqrt(np.diag(information).clip(min=0.0))
+    scale[scale == 0.0] = 1.0
+    unscaled: Array = np.linalg.pinv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return unscaled
 
 
 def fit(
@@ -168,12 +177,14 @@ def fit(
     iterations: int = ITERATIONS,
     goal: float = np.inf,
     fair: int = FAIR,
+    known: float = np.inf,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
-    A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is.
+    A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is;
+    above `known`, an objective that some values of these parameters reach, not while its pace would bring it there.
     """
-    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair)
+    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, known)
 
 
 class _Scoring:
@@ -197,18 +208,21 @@ class _Scoring:
         self.theta = np.clip(np.array([*(self.known[f.name] for f in free), *log_q]), self.low, self.high)
         self.damping = 1e-3
 
-    def run(self, iterations: int, goal: float, fair: int) -> Fit:
+    def run(self, iterations: int, goal: float, fair: int, known: float) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
-        done, converged = 0, False
+        done, converged, pace = 0, False, 0.0
         information = np.zeros((len(self.theta),) * 2)
         while done < iterations and not converged:
             gradient, information = self._derivatives()
             before = self._objective(self.theta, self.scored)
-            promised = 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
-            if done >= fair and before - PROMISE * promised > goal:
+            hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
+            if before > known:  # far from the optimum, where the quadratic model says little
+                hope = max(hope, pace * (iterations - done))
+            if done >= fair and before - hope > goal:
                 break
-            converged = self._move(gradient, information) < CONVERGED
+            pace = self._move(gradient, information)
+            converged = pace < CONVERGED
             done += 1
         values, log_q = self._unpack(self.theta)
         return Fit(

@@ -45,7 +45,8 @@ def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
     generated = problem.kernel.generated
     data = [as_data(model, log, generated.outputs) for log in logs]
     x0 = [start_state(model, d, generated.outputs, generated.states) for d in data]
-    return replace(problem, logs=data, x0=x0, P0=start_covariance(model, data, generated, problem.r))
+    posed = replace(problem, logs=data, x0=x0)
+    return replace(posed, P0=start_covariance(model, posed))
 
 
 def replays(

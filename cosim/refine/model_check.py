@@ -84,12 +84,14 @@ _MAPPINGS: tuple[tuple[str, type, Any], ...] = (
     ("suspect", str, tuple),
     ("drawn_against", str, tuple),
     ("sensor_variance", str, (int, float)),
+    ("start_variance", str, (int, float)),
     ("told_apart_by", frozenset, str),
 )
 _WRITTEN = {
     "suspect": '{"parameter": ("input",)}',
     "drawn_against": '{"effect": ("signal",)}',
     "sensor_variance": '{"output": variance}',
+    "start_variance": '{"state": variance}',
     "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
 }
 
@@ -149,9 +151,10 @@ def _numbers(kind: type[Model]) -> Found:
         value = getattr(kind, name)
         if not isinstance(value, (int, float)) or not value > 0.0 or value == most:
             yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
-    for name, value in kind.sensor_variance.items():
-        if not (math.isfinite(value) and value > 0.0):
-            yield kind, "sensor_variance", f"the sensor_variance of {name} is {value!r}; it is a number above 0"
+    for attribute in ("sensor_variance", "start_variance"):
+        for name, value in getattr(kind, attribute).items():
+            if not (math.isfinite(value) and value > 0.0):
+                yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
 
 
 def _effects(kind: type[Model]) -> Found:
@@ -262,6 +265,7 @@ def _names(kind: type[Model]) -> Found:
         ("suspect", "parameter", [*kind.suspect], numbers),
         ("suspect", "input", [n for names in kind.suspect.values() for n in names], inputs),
         ("sensor_variance", "output", [*kind.sensor_variance], outputs),
+        ("start_variance", "state", [*kind.start_variance], states),
         ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
         ("drawn_against", "candidate", [*kind.drawn_against], candidates),
     ]

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cosim.refine.backend import kernel
 from cosim.refine.candidates import neutral_values
 from cosim.refine.fit import Problem
-from cosim.refine.generate import Generated
-from cosim.refine.kernel import Array, Data
+from cosim.refine.kernel import Array, Data, Simulated
 from cosim.refine.log import Log
 from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
 
-# Standard deviation with which a state that no sensor reads at the start is known there, by unit; 1 in others.
-UNKNOWN = {"m/s": 0.2, "rad/s": 0.1}
 FIRST = 0.2  # [s] within which a measurement still tells the state at the start
 
 
@@ -41,7 +39,8 @@ def build_problem(
     r = np.array([variance[name] for name in measured])
     x0 = [start_state(model, d, measured, generated.states) for d in data]
     values = {**dict.fromkeys(generated.parameters, 0.0), **neutral_values(model), **(sensors or {})}
-    return Problem(compiled, data, x0, start_covariance(model, data, generated, r), r, values)
+    problem = Problem(compiled, data, x0, np.empty((0, 0)), r, values)
+    return replace(problem, P0=start_covariance(model, problem))
 
 
 def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
@@ -63,13 +62,34 @@ def start_state(model: Model, data: Data, measured: Sequence[str], states: Seque
     return np.array([start.get(name, 0.0) for name in states])
 
 
-def start_covariance(model: Model, logs: Sequence[Data], generated: Generated, r: Array) -> Array:
-    """P0 of the stochastic states: 10·r of what every log measures at its start, else what is usual of the unit."""
-    seen = set.intersection(*(set(_seen_first(model, data, generated.outputs)) for data in logs))
-    variance = dict(zip(generated.outputs, r.tolist(), strict=True))
-    units = {s.name: s.unit for s in model.states}
+def start_covariance(model: Model, problem: Problem) -> Array:
+    """P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
+
+    Of a state of which it says nothing, the range of the model's own run on the commands.
+    """
+    generated = problem.kernel.generated
+    seen = set.intersection(*(set(_seen_first(model, data, generated.outputs)) for data in problem.logs))
+    known = {n: 10 * v for n, v in zip(generated.outputs, problem.r.tolist(), strict=True) if n in seen}
+    known = {**model.start_variance, **known}
     names = [generated.states[k] for k in generated.stochastic]
-    return np.diag([10 * variance[n] if n in seen else UNKNOWN.get(units.get(n, ""), 1.0) ** 2 for n in names])
+    if not known.keys() >= set(names):
+        ranges = dict(zip(generated.states, _range(problem).tolist(), strict=True))
+        known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
+    return np.diag([known[name] for name in names])
+
+
+def _range(problem: Problem) -> Array:
+    """Of each state, how far apart the ends are between which the model's own run moves; 0 at rest."""
+    states = np.vstack([own_run(problem, index).states for index in range(len(problem.logs))])
+    low, high = np.nanpercentile(states, (1, 99), axis=0)
+    return np.asarray(np.nan_to_num(high - low))
+
+
+def own_run(problem: Problem, index: int) -> Simulated:
+    """The model on the commands of a log, free of noise; NaN from where it runs away."""
+    generated = problem.kernel.generated
+    p = np.array([problem.values[name] for name in generated.parameters])
+    return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], np.zeros(generated.memory))
 
 
 def _seen_first(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:

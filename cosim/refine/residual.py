@@ -116,6 +116,11 @@ def noise_level(values: Column) -> float:
     left = surprise(values)
     if not np.isfinite(left).any():
         left = surprise(values[np.isfinite(values)])  # a sensor slower than the log
+    return white_noise(left)
+
+
+def white_noise(left: Column) -> float:
+    """Standard deviation of the white noise that leaves these surprises, by their median; NaN without any."""
     left = left[np.isfinite(left)]
     return float(1.4826 * np.median(np.abs(left)) / math.sqrt(70 / 36)) if left.size else math.nan
 

@@ -27,6 +27,7 @@ from cosim.refine.measure import Evidence, Variant, noise_floor, predicted_error
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model
 from cosim.refine.problem import build_problem, varied_inputs
 from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, known, ranking, residual
+from cosim.refine.sensor_noise import other_noise
 from cosim.refine.study import Study, read_study
 from cosim.refine.unnamed import unnamed_terms
 from cosim.refine.verdict import Verdict, judge, proven
@@ -65,13 +66,13 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     study = read_study(path)
     check_writable(folder, (*RESULTS, "report.html"))
     model = study.loaded.model
-    problem = build_problem(model, study.logs, noise=study.content.noise, sensors=study.loaded.values)
+    study, problem, noise = _posed(study)
     trial = candidates(model, problem.values, varied_inputs(model, study.logs))
     if study.content.candidates is not None:
         trial = [c for c in trial if c.name in study.content.candidates]
     attribution = Attributor(model, problem, trial, tell).run()
     tell("looking for what has no name", 0.0)
-    nameless = build_problem(model, study.logs, unnamed=True, noise=study.content.noise, sensors=study.loaded.values)
+    nameless = build_problem(model, study.logs, unnamed=True, noise=noise, sensors=study.loaded.values)
     generated = problem.kernel.generated
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
     verdict = judge(attribution, unnamed_terms(coarsened(nameless), attribution.best.fit), model, forced)
@@ -98,6 +99,17 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
         variants = _publish(scratch, folder, variants)
     evidence = {name: {part: found[model.horizon] for part, found in parts.items()} for name, parts in replayed.items()}
     return Refinement(study, attribution, verdict, record, folder, problem, variants, evidence)
+
+
+def _posed(study: Study) -> tuple[Study, Problem, dict[str, float]]:
+    """The fitting problem, with the noise that is not the model's; what is to be known of that joins the warnings."""
+    model, known, told = study.loaded.model, study.loaded.values, study.content.noise
+    problem = build_problem(model, study.logs, noise=told, sensors=known)
+    seen, warnings = other_noise(problem, model, told)
+    noise = {**told, **seen}
+    if seen:
+        problem = build_problem(model, study.logs, noise=noise, sensors=known)
+    return replace(study, warnings=(*study.warnings, *warnings)), problem, noise
 
 
 def _proven(study: Study, a: Attribution, verdict: Verdict, problem: Problem) -> Verdict:

@@ -1,0 +1,69 @@
+"""How much noise the sensors have, as the logs tell it: what the model says of them may be of another sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from cosim.refine.fit import Problem
+from cosim.refine.problem import own_run
+from cosim.refine.residual import surprise, white_noise
+from cosim.report.text import plain
+from plant.model import Model
+
+OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
+TOO_QUIET = 0.1  # of the model's, below which it is no sensor's: an encoder between its steps, a filtered reading
+SMOOTH = 0.5  # of a channel's level, that the model's own motion may make of it from row to row
+
+
+def sensor_noise(problem: Problem) -> dict[str, float]:
+    """Output → standard deviation of its noise in the logs [its unit], of the outputs in which noise can be told.
+
+    The level is that of what four neighbours do not say of a row, so of white noise and of fast motion alike. The
+    model's own run tells how much is motion; an output in which that is much, or that is not measured in every row,
+    is left out.
+    """
+    found = {}
+    runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
+    for j, name in enumerate(problem.kernel.generated.outputs):
+        measured = white_noise(np.concatenate([surprise(log.y[:, j]) for log in problem.logs]))
+        motion = white_noise(np.concatenate([surprise(run[:, j]) for run in runs]))
+        if motion < SMOOTH * measured:
+            found[name] = math.sqrt(measured**2 - motion**2)
+    return found
+
+
+def other_noise(problem: Problem, model: Model, told: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Noise of the logs where it is plainly another than the model's, to be used; and warnings of it.
+
+    told: what the study says, which holds. Where the logs are far too quiet, the model's noise stays: it may stand for
+    more than noise.
+    """
+    known = dict(zip(problem.kernel.generated.outputs, np.sqrt(problem.r).tolist(), strict=True))
+    seen = {name: level for name, level in sensor_noise(problem).items() if name not in told}
+    off = {n: level for n, level in seen.items() if not known[n] / OFF <= level <= OFF * known[n]}
+    quiet = {n: level for n, level in off.items() if level < TOO_QUIET * known[n] and n in model.sensor_variance}
+    used = {n: level for n, level in off.items() if n not in quiet and level > 0.0}
+    units = {q.name: q.unit for q in model.outputs}
+    warnings = []
+    if used:
+        warnings.append(
+            f"the noise in the logs is not the model's ({_beside(used, known, units)}); "
+            f"that of the logs is used, as {_line(used)} in the study would say"
+        )
+    if quiet:
+        warnings.append(
+            f"the logs show next to no noise ({_beside(quiet, known, units)}); "
+            f"the model's is used, unless the study says {_line(quiet)}"
+        )
+    return used, tuple(warnings)
+
+
+def _beside(levels: Mapping[str, float], known: Mapping[str, float], units: Mapping[str, str]) -> str:
+    return "; ".join(f"{n} {plain(v, 2)}, not {plain(known[n], 2)} {units[n]}" for n, v in levels.items())
+
+
+def _line(levels: Mapping[str, float]) -> str:
+    return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
