@@ -23,7 +23,9 @@ from cosim.yaml_file import did_you_mean
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500
 Steps = tuple[list[float], list[float], list[int]]
-Memory = Mapping[int, Any]  # place among the effects that shape the command → what it remembers, as JSON
+Own = list[Any]  # what decides the future of an FMU of ours, as JSON: time, state, memory of each shaping effect
+STATE, MEMORY = 1, 2  # parts of that
+Memory = Mapping[tuple[int, int], Any]  # part and place in that → what stands there
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
@@ -62,16 +64,35 @@ class RestartableFmu(FmuBlock):
         except FMICallException as error:
             self._fail(error.function, error.status)
 
+    def own(self) -> Own:
+        """The state of an FMU of ours; of another ValueError, KeyError or TypeError, whatever its bytes come to."""
+        t, state, memory = self._state()["own"]
+        return [float(t), [*state], [*memory]]
+
     def remember(self, memory: Memory) -> None:
-        """Put what effects remember into the state of an FMU of ours: start values know but a constant past."""
-        before = self._fmu.getFMUstate()
-        state = json.loads(self._fmu.serializeFMUstate(before))
-        self._fmu.freeFMUstate(before)
-        for place, remembered in memory.items():
-            state["own"][2][place] = remembered
-        after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
-        self._fmu.setFMUstate(after)
-        self._fmu.freeFMUstate(after)
+        """Put this into the state of an FMU of ours: start values know but a constant past."""
+        from fmpy.fmi1 import FMICallException
+
+        state = self._state()
+        for (part, place), value in memory.items():
+            state["own"][part][place] = value
+        try:
+            after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
+            self._fmu.setFMUstate(after)
+            self._fmu.freeFMUstate(after)
+        except FMICallException as error:
+            self._fail(error.function, error.status)
+
+    def _state(self) -> Any:
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            held = self._fmu.getFMUstate()
+            state = self._fmu.serializeFMUstate(held)
+            self._fmu.freeFMUstate(held)
+        except FMICallException as error:
+            self._fail(error.function, error.status)
+        return json.loads(state)
 
     def _reset(self) -> bool:
         try:
@@ -128,11 +149,26 @@ class Drive:
         self._begin(start, row, float(self.log.time[-1]))
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
-    def run(self, first: int, last: int, start: Mapping[str, Any], memory: Memory | None = None) -> Column:
+    def own(self, start: Mapping[str, Any]) -> Own:
+        """State of an FMU of ours at the first row, from `start`; it is put back, so that what cannot be is told."""
+        self._begin(start, 0, float(self.log.time[-1]))
+        self.block.start()
+        self.block.remember({})
+        return self.block.own()
+
+    def run(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        memory: Memory | None = None,
+        visit: Callable[[int], None] | None = None,
+    ) -> Column:
         """Outputs at rows `first` … `last`, shape (rows, outputs), started at the first from `start`.
 
         The command of row k is held from t_k to t_k+1. Raises StoppedReplay where the FMU fails.
-        memory: what effects of an FMU of ours remember at the first row, in place of what follows from `start`
+        memory: what an FMU of ours keeps at the first row, in place of what follows from `start`
+        visit:  called at each row between, where the FMU takes steps of any length
         """
         times, held, rows = self._steps(first, last)
         reached = [float(self.log.time[first]), *(t + h for t, h in zip(times, held, strict=True))]
@@ -146,9 +182,12 @@ class Drive:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
             for done, (t, h, k) in enumerate(zip(times, held, rows, strict=True), 1):
-                if k != acting and commands:
-                    self._row[: len(self.inputs)] = commands[k]
-                    block.put()
+                if k != acting:
+                    if visit is not None:
+                        visit(k)
+                    if commands:
+                        self._row[: len(self.inputs)] = commands[k]
+                        block.put()
                     acting = k
                 block.advance(t, h)
                 block.get()

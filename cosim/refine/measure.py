@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import Drive, Memory, StoppedReplay
+from cosim.refine.drive import MEMORY, Drive, Memory, StoppedReplay
 from cosim.refine.fit import Problem
 from cosim.refine.kernel import Array, Data, Filtered
 from cosim.refine.log import Log
@@ -109,13 +109,13 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
 def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
     """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
     shaping = overrides(variant.model.awake, "shape", Effect)
-    found: dict[int, Any] = {}
+    found: dict[tuple[int, int], Any] = {}
     for place, effect in enumerate(shaping):
         if effect.delay:
             row = int(log.grid[k])
             late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
             rows = range(max(0, math.floor(row - late)), row) or [row]
-            found[place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+            found[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
     return found
 
 

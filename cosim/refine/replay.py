@@ -7,7 +7,7 @@ are: each starts at row k, at time t_k, from a state known by then, and runs for
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,11 +17,10 @@ import numpy as np
 from cosim.refine.drive import Drive, Memory, as_columns, rows_of
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN
-from cosim.refine.starts import StartParameter, first_start, start_parameters, window_starts
+from cosim.refine.starts import StartParameter, first_start, hidden_places, start_parameters, stretch, window_starts
 
 SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
-HORIZON = 2.0  # [s], the measure
-HORIZONS = (0.5, 2.0)
+HORIZONS = (0.5, 2.0)  # [s], the second is the measure
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +30,7 @@ class Replay:
     horizon: [s], FREE_RUN where it is one run over the whole log
     starts:  first row of each run → start values it was given
     outputs: name → (rows,), NaN where nothing was predicted
+    hidden:  row where a window may start → what an FMU of ours keeps there that no output shows; of others nothing
     """
 
     time: Column
@@ -38,6 +38,7 @@ class Replay:
     starts: Mapping[int, Mapping[str, Any]]
     outputs: Mapping[str, Column]
     units: Mapping[str, str]
+    hidden: Mapping[int, Memory] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Column]:
         """Channel → measured − model, NaN where one of them is missing."""
@@ -64,9 +65,19 @@ def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]],
 
 def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     """`replay` on an FMU that is loaded."""
-    chosen = first_start(drive, start_parameters(drive)) if start is None else start
-    table = drive.run(0, drive.log.rows - 1, chosen)
-    return Replay(drive.log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units)
+    log, parameters = drive.log, start_parameters(drive)
+    chosen = first_start(drive, parameters) if start is None else start
+    places = hidden_places(drive, parameters)
+    rows = set() if places is None else {k for horizon in horizons(log) for k in own_rows(log, horizon)}
+    hidden: dict[int, Memory] = {}
+
+    def keep(k: int) -> None:
+        if k in rows:
+            own = drive.block.own()
+            hidden[k] = {(part, place): own[part][place] for part, place in places or ()}
+
+    table = drive.run(0, log.rows - 1, chosen, visit=keep)
+    return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, hidden)
 
 
 def windows(
@@ -75,7 +86,7 @@ def windows(
     horizon: float,
     memories: Mapping[int, Memory] = MappingProxyType({}),
 ) -> Replay:
-    """`replay_windows` on an FMU that is loaded; memories: row → what effects remember there."""
+    """`replay_windows` on an FMU that is loaded; memories: row → what an FMU of ours keeps there."""
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
     for first in sorted(starts):
@@ -89,11 +100,24 @@ def windows(
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
-    """Consecutive windows that start from the measurements themselves; None where FMU or log do not allow it."""
-    rows = window_rows(drive.log, horizon)
+    """Consecutive windows that start from the measurements themselves, and what these do not show from the free run.
+
+    None where FMU or log do not allow it.
+    """
+    rows = own_rows(drive.log, horizon)
     if not rows or not parameters.keys() & drive.log.outputs.keys():
         return None
-    return windows(drive, window_starts(drive, parameters, free.outputs, rows), horizon)
+    return windows(drive, window_starts(drive, parameters, free.outputs, rows), horizon, free.hidden)
+
+
+def horizons(log: Log) -> tuple[float, ...]:
+    """HORIZONS [s], the measure last; longer where rows are slower than 20 ms, so that they span as many."""
+    return tuple(horizon * stretch(log) for horizon in HORIZONS)
+
+
+def own_rows(log: Log, horizon: float) -> list[int]:
+    """First rows of windows that start from the measurements themselves."""
+    return window_rows(log, horizon, SKIPPED * stretch(log))
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:

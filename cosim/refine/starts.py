@@ -2,13 +2,13 @@
 
 The FMU carries what is fast, the measurements what is slow: over the last PAST seconds the difference
 measured − free run is fitted by a parabola in time, and its end corrects the free run's state there.
-Angle and rate share one parabola, weighted by their noise. States that are not measured are the free run's.
+Angle and rate share one parabola, weighted by their noise. States that are not measured are the free run's,
+those that no output shows too, where the FMU is one of ours: its state can be read and put back.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import SimulationError
-from cosim.refine.drive import Drive, as_columns, rows_of
+from cosim.refine.drive import MEMORY, STATE, Drive, as_columns, rows_of
 from cosim.refine.log import Column, Log, rate_of
 from cosim.refine.residual import noise_level
 
+ROWS = 0.02  # [s] from row to row, for which the times are made; see `stretch`
 PAST = 0.5  # [s] before a window
 FIRST = 1.0  # [s] after the start of the log, where there is no past
 REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
@@ -30,17 +31,20 @@ LEAST = 4  # samples of a channel; slow sensors look further away
 PASSES = 4  # over the first second
 OLDEST = 2.0  # [s] from which even a slow sensor's samples say nothing
 Rows = NDArray[np.intp]
+Place = tuple[int, int]  # of a number in the state of an FMU of ours
+OURS = "PythonFMU"  # what FMUs of ours are generated with; no other is asked for its state
 Error = tuple[Column, float, bool]  # measured − carrier, its noise, whether it is the rate's
 
 
 @dataclass(frozen=True)
 class StartParameter:
-    """A start parameter that an output shows: output = gain·parameter when initialized."""
+    """A start parameter that an output shows: output = gain·parameter when initialized, as `tried` with two values."""
 
     name: str
     gain: float
     low: float
     high: float
+    tried: tuple[float, float]
 
     def value(self, output: float) -> float:
         """The parameter that makes the output this value."""
@@ -56,12 +60,28 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     for output in drive.outputs:
         names = (f"{output}_start", f"{output.removesuffix('_actual')}_start")
         variable = next((variables[n] for n in names if n in variables), None)
-        if variable is not None and (gain := _gain(drive, output, variable)) is not None:
-            found[output] = StartParameter(variable.name, gain, *_limits(variable))
+        if variable is not None and (parameter := _tried(drive, output, variable)) is not None:
+            found[output] = parameter
     return found
 
 
-def _gain(drive: Drive, output: str, variable: Any) -> float | None:
+def hidden_places(drive: Drive, parameters: Mapping[str, StartParameter]) -> tuple[Place, ...] | None:
+    """Places in the state of an FMU of ours that no start parameter reaches which an output shows.
+
+    A rate of the tilt, a play, the commands a delay has not let through. None of an FMU whose state we cannot read.
+    """
+    about, tool = drive.description.coSimulation, str(drive.description.generationTool)
+    if not (tool.startswith(OURS) and about.canGetAndSetFMUstate and about.canSerializeFMUstate):
+        return None
+    try:
+        one, other = (drive.own({p.name: p.tried[k] for p in parameters.values()}) for k in (0, 1))
+    except (SimulationError, ValueError, KeyError, TypeError):
+        return None
+    unmoved = [(STATE, k) for k, pair in enumerate(zip(one[STATE], other[STATE], strict=True)) if pair[0] == pair[1]]
+    return (*unmoved, *((MEMORY, k) for k in range(len(one[MEMORY]))))
+
+
+def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
     default, (low, high) = float(variable.start or 0.0), _limits(variable)
     width = 0.1 * max(1.0, abs(default))
     tries = [
@@ -75,12 +95,19 @@ def _gain(drive: Drive, output: str, variable: Any) -> float | None:
         return None
     gain = (shown[1] - shown[0]) / (tries[1] - tries[0])
     proportional = abs(shown[0] - gain * tries[0]) <= 1e-6 * max(map(abs, shown))
-    return gain if proportional and abs(gain) > 1e-9 else None
+    if not proportional or abs(gain) <= 1e-9:
+        return None
+    return StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
 
 
 def _limits(variable: Any) -> tuple[float, float]:
     low, high = (None if v is None else float(v) for v in (variable.min, variable.max))
     return -math.inf if low is None else low, math.inf if high is None else high
+
+
+def stretch(log: Log) -> int:
+    """How many times longer than at 50 Hz everything lasts on a log of slower rows, so that it spans as many."""
+    return max(1, math.ceil(log.step / ROWS - 0.1))
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
@@ -89,7 +116,7 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
     start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()}
     sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
-    last = max(rows_of(log, 0, FIRST), min(FEWEST, log.rows - 1))
+    last = max(rows_of(log, 0, FIRST * stretch(log)), min(FEWEST, log.rows - 1))
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
@@ -102,25 +129,14 @@ def window_starts(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Mapping[str, Column], rows: Sequence[int]
 ) -> dict[int, dict[str, float]]:
     """Start of each window, from the free run and the measurements up to its row."""
-    log, memory, starts = drive.log, _remembered_commands(drive), {}
+    log, starts = drive.log, {}
     sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
     for k in rows:
         state = {name: float(free[name][k]) for name in parameters}
-        oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST))
+        oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
         _correct(log, free, sigma, state, k, np.arange(oldest, k + 1))
-        start = {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
-        starts[k] = start | {p: float(log.inputs[name][max(0, k - 1)]) for p, name in memory.items()}
+        starts[k] = {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
     return starts
-
-
-def _remembered_commands(drive: Drive) -> dict[str, str]:
-    """`effect.input_start` → the input whose last command an effect such as a delay remembers."""
-    found = {}
-    for variable in drive.description.modelVariables:
-        match = re.fullmatch(r".+\.(\w+)_start", variable.name)
-        if match and match[1] in drive.log.inputs and variable.causality == "parameter":
-            found[variable.name] = match[1]
-    return found
 
 
 def _correct(
@@ -160,7 +176,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
     ahead = bool(rows.size and rows[-1] > at)
     found: tuple[float | None, float | None] = None, None
     for reach in REACHES:
-        design, side = _equations(log, errors, at, rows, reach * (FIRST if ahead else PAST))
+        design, side = _equations(log, errors, at, rows, reach * stretch(log) * (FIRST if ahead else PAST))
         order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
         if side.size < order:
             break
@@ -192,7 +208,7 @@ def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
     near: Rows = np.flatnonzero(away <= reach + 1e-9)
     if near.size < LEAST:
         nearest = np.argsort(away, kind="stable")[:LEAST]
-        near = np.sort(nearest[away[nearest] <= OLDEST])
+        near = np.sort(nearest[away[nearest] <= OLDEST * stretch(log)])
     return near
 
 

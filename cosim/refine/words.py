@@ -8,17 +8,12 @@ from collections.abc import Sequence
 from cosim.refine.compare import ChannelSummary, Comparison
 from cosim.refine.finding import Finding
 from cosim.refine.residual import FREE_RUN
-from cosim.report.text import amount, counted, length, plain
+from cosim.report.text import amount, counted, plain, size
 
 
 def horizon_name(horizon: float) -> str:
     """`2 s`, `free run`."""
     return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
-
-
-def size(value: float, unit: str) -> str:
-    """A size as a reader would say it."""
-    return length(value) if unit == "m" else amount(value, unit, 2)
 
 
 def verdict(comparison: Comparison) -> str:
@@ -30,9 +25,11 @@ def verdict(comparison: Comparison) -> str:
         if measure == FREE_RUN
         else f"{measure:g}\u00a0s"
     )
-    sizes = _and([f"{c.name} by {size(c.scores[measure].rmse, c.unit)}" for c in channels])
-    lead = f"Over {over} the model misses {sizes} (rms)"
-    beyond = sorted((c for c in channels if not c.matched), key=lambda c: -c.excess)
+    lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)"
+    lost = [c for c in channels if c.lost]
+    beyond = sorted((c for c in channels if not (c.matched or c.lost)), key=lambda c: -c.excess)
+    if lost and not beyond:
+        return f"{lead}. {_no_measure(lost)}"
     if not beyond:
         return f"{lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
     if measure == FREE_RUN:
@@ -42,7 +39,22 @@ def verdict(comparison: Comparison) -> str:
         f"{plain(c.excess, 2)} times {'what the noise of the sensors explains ' * (c is beyond[0])}for {c.name}"
         for c in beyond
     ]
-    return f"{lead}. That is {_and(times)}. {_cause(comparison, beyond)}"
+    rest = f" {_no_measure(lost)}" if lost else ""
+    return f"{lead}. That is {_and(times)}. {_cause(comparison, beyond)}{rest}"
+
+
+def _no_measure(lost: Sequence[ChannelSummary]) -> str:
+    """Which channels windows do not measure, how that shows, and what the free run says of them."""
+    names = _and([c.name for c in lost])
+    own = _and([f"{c.name} by {size(c.astray, c.unit)}" for c in lost])
+    return (
+        f"The windows do not measure {names}: restarted from its own outputs this FMU misses {own}, "
+        f"for it keeps a state that no output shows. Its free run misses {_sizes(lost, FREE_RUN)}."
+    )
+
+
+def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
+    return _and([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:

@@ -45,6 +45,11 @@ def length(value: float) -> str:
     return amount(value * 100, "cm", 2) if size < 0.5 else amount(value, "m", 3)
 
 
+def size(value: float, unit: str) -> str:
+    """A size as a reader would say it: two digits, lengths in mm, cm or m."""
+    return length(value) if unit == "m" else amount(value, unit, 2)
+
+
 def percent(share: float) -> str:
     """A share 0 … 1; never `0 %` for something that happened, never `100 %` for almost all."""
     if not math.isfinite(share):

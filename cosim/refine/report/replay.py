@@ -17,15 +17,16 @@ from cosim.refine.drive import PLANT, Drive, StoppedReplay, as_columns
 from cosim.refine.finding import Finding
 from cosim.refine.gate import gate, refuse_faults
 from cosim.refine.log import Column, Log
-from cosim.refine.replay import HORIZON, free_run
+from cosim.refine.replay import SKIPPED, free_run
 from cosim.refine.report.lags import neighbours, over_lag, stem_rows, stems
 from cosim.refine.residual import FREE_RUN
+from cosim.refine.starts import stretch
 from cosim.report.data import Series, sample_rows, to_json
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit, display
 from cosim.report.svg import Plot, make_plot, time_axis
 from cosim.report.tables import Badge, Row
 from cosim.report.template import render
-from cosim.report.text import MISSING, amount, counted, percent, plain
+from cosim.report.text import MISSING, amount, counted, percent, plain, size
 from cosim.results import Results
 from cosim.version import __version__
 
@@ -115,7 +116,8 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
     def draw(panels: Sequence[Panel]) -> list[Plot]:
         return [make_plot(p, log.time, x, series.add(p), POINTS) for p in panels]
 
-    windowed = HORIZON in comparison.replays
+    windowed, measure = comparison.measure in comparison.replays, comparison.measure
+    skipped = SKIPPED * stretch(log)
     horizons = sorted(comparison.replays)
     found = comparison.findings
     return {
@@ -127,8 +129,11 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
         "badges": _badges(comparison),
         "tiles": [_tile(c) for c in comparison.channels[:6]],
         "horizons": [words.horizon_name(h) for h in horizons],
+        "measure": words.horizon_name(measure),
+        "skipped": words.horizon_name(skipped),
+        "least": words.horizon_name(skipped + measure),
         "basis": "the free run" if comparison.basis == FREE_RUN else words.horizon_name(comparison.basis),
-        "within": draw(_pair_panels(comparison, HORIZON)) if windowed else [],
+        "within": draw(_pair_panels(comparison, measure)) if windowed else [],
         "free": draw(_pair_panels(comparison, FREE_RUN)),
         "residual": draw(_residual_panels(comparison)),
         "commands": draw(_command_panels(log)),
@@ -163,7 +168,7 @@ def _warnings(findings: Sequence[Finding]) -> int:
 
 def _tile(channel: ChannelSummary) -> Row:
     measure = channel.measure
-    value = words.size(channel.scores[measure].rmse, channel.unit)
+    value = size(channel.scores[measure].rmse, channel.unit)
     over = "in a free run" if measure == FREE_RUN else f"rms over {words.horizon_name(measure)}"
     noise = f", {plain(channel.excess, 2)} × what noise explains" if np.isfinite(channel.excess) else ""
     return Row(channel.name, value, over + noise)
@@ -226,12 +231,12 @@ def _input_correlation(comparison: Comparison) -> list[Plot]:
 
 def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
     scores = tuple(
-        (words.size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
+        (size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
         for s in (channel.scores[h] for h in horizons)
     )
     p = channel.whiteness.p_value
     return TableRow(
-        channel.name, words.size(channel.noise, channel.unit), scores,
+        channel.name, size(channel.noise, channel.unit), scores,
         f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING, channel.matched,
         neighbours(channel.whiteness), "< 0.001" if p < 1e-3 else plain(p, 2),
         words.whiteness_words(channel), words.input_words(channel),
