@@ -14,10 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import Drive, Memory, as_columns, rows_of
+from cosim.refine.drive import Drive, Memory, Own, as_columns, rows_of
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN
-from cosim.refine.starts import StartParameter, first_start, hidden_places, start_parameters, stretch, window_starts
+from cosim.refine.starts import (
+    StartParameter,
+    first_start,
+    kept,
+    readable,
+    start_parameters,
+    stretch,
+    window_starts,
+)
 
 SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
 HORIZONS = (0.5, 2.0)  # [s], the second is the measure
@@ -30,7 +38,7 @@ class Replay:
     horizon: [s], FREE_RUN where it is one run over the whole log
     starts:  first row of each run → start values it was given
     outputs: name → (rows,), NaN where nothing was predicted
-    hidden:  row where a window may start → what an FMU of ours keeps there that no output shows; of others nothing
+    states:  row where a window may start → the state of an FMU of ours there; nothing of another
     """
 
     time: Column
@@ -38,7 +46,7 @@ class Replay:
     starts: Mapping[int, Mapping[str, Any]]
     outputs: Mapping[str, Column]
     units: Mapping[str, str]
-    hidden: Mapping[int, Memory] = field(default_factory=dict)
+    states: Mapping[int, Own] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Column]:
         """Channel → measured − model, NaN where one of them is missing."""
@@ -67,17 +75,15 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     """`replay` on an FMU that is loaded."""
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
-    places = hidden_places(drive, parameters)
-    rows = set() if places is None else {k for horizon in horizons(log) for k in own_rows(log, horizon)}
-    hidden: dict[int, Memory] = {}
+    rows = {k for horizon in horizons(log) for k in own_rows(log, horizon)} if readable(parameters) else set()
+    states: dict[int, Own] = {}
 
     def keep(k: int) -> None:
         if k in rows:
-            own = drive.block.own()
-            hidden[k] = {(part, place): own[part][place] for part, place in places or ()}
+            states[k] = drive.block.own()
 
     table = drive.run(0, log.rows - 1, chosen, visit=keep)
-    return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, hidden)
+    return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, states)
 
 
 def windows(
@@ -107,7 +113,9 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
     rows = own_rows(drive.log, horizon)
     if not rows or not parameters.keys() & drive.log.outputs.keys():
         return None
-    return windows(drive, window_starts(drive, parameters, free.outputs, rows), horizon, free.hidden)
+    starts = window_starts(drive, parameters, free.outputs, rows)
+    memories = {k: kept(free.states[k], parameters, starts[k]) for k in rows} if readable(parameters) else {}
+    return windows(drive, starts, horizon, memories)
 
 
 def horizons(log: Log) -> tuple[float, ...]:

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import SimulationError
-from cosim.refine.drive import MEMORY, STATE, Drive, as_columns, rows_of
+from cosim.refine.drive import MEMORY, STATE, Drive, Memory, Own, as_columns, rows_of
 from cosim.refine.log import Column, Log, rate_of
 from cosim.refine.residual import noise_level
 
@@ -31,20 +31,23 @@ LEAST = 4  # samples of a channel; slow sensors look further away
 PASSES = 4  # over the first second
 OLDEST = 2.0  # [s] from which even a slow sensor's samples say nothing
 Rows = NDArray[np.intp]
-Place = tuple[int, int]  # of a number in the state of an FMU of ours
 OURS = "PythonFMU"  # what FMUs of ours are generated with; no other is asked for its state
 Error = tuple[Column, float, bool]  # measured − carrier, its noise, whether it is the rate's
 
 
 @dataclass(frozen=True)
 class StartParameter:
-    """A start parameter that an output shows: output = gain·parameter when initialized, as `tried` with two values."""
+    """A start parameter that an output shows: output = gain·parameter when initialized, as `tried` with two values.
+
+    places: where it stands in the state of an FMU of ours; empty for another, whose state cannot be read
+    """
 
     name: str
     gain: float
     low: float
     high: float
     tried: tuple[float, float]
+    places: tuple[int, ...] = ()
 
     def value(self, output: float) -> float:
         """The parameter that makes the output this value."""
@@ -62,23 +65,23 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         variable = next((variables[n] for n in names if n in variables), None)
         if variable is not None and (parameter := _tried(drive, output, variable)) is not None:
             found[output] = parameter
-    return found
+    return _placed(drive, found)
 
 
-def hidden_places(drive: Drive, parameters: Mapping[str, StartParameter]) -> tuple[Place, ...] | None:
-    """Places in the state of an FMU of ours that no start parameter reaches which an output shows.
-
-    A rate of the tilt, a play, the commands a delay has not let through. None of an FMU whose state we cannot read.
-    """
+def _placed(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
+    """The same with their places in the state, where the FMU is one of ours: what moves with each."""
     about, tool = drive.description.coSimulation, str(drive.description.generationTool)
-    if not (tool.startswith(OURS) and about.canGetAndSetFMUstate and about.canSerializeFMUstate):
-        return None
+    editable = about.canGetAndSetFMUstate and about.canSerializeFMUstate and drive.variable_step
+    if not (found and tool.startswith(OURS) and editable):
+        return found
+    tried = {p.name: p.tried[0] for p in found.values()}
     try:
-        one, other = (drive.own({p.name: p.tried[k] for p in parameters.values()}) for k in (0, 1))
+        before = drive.own(tried)[STATE]
+        after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in found.items()}
     except (SimulationError, ValueError, KeyError, TypeError):
-        return None
-    unmoved = [(STATE, k) for k, pair in enumerate(zip(one[STATE], other[STATE], strict=True)) if pair[0] == pair[1]]
-    return (*unmoved, *((MEMORY, k) for k in range(len(one[MEMORY]))))
+        return found
+    moved = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
+    return {n: replace(p, places=moved[n]) for n, p in found.items()} if all(moved.values()) else found
 
 
 def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
@@ -128,15 +131,31 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
 def window_starts(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Mapping[str, Column], rows: Sequence[int]
 ) -> dict[int, dict[str, float]]:
-    """Start of each window, from the free run and the measurements up to its row."""
+    """Start of each window, from the free run and the measurements up to its row.
+
+    Of an FMU of ours only what the measurements tell: the rest of its state is kept, see `kept`.
+    """
     log, starts = drive.log, {}
     sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
     for k in rows:
         state = {name: float(free[name][k]) for name in parameters}
         oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
-        _correct(log, free, sigma, state, k, np.arange(oldest, k + 1))
-        starts[k] = {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
+        told = _correct(log, free, sigma, state, k, np.arange(oldest, k + 1))
+        names = told if readable(parameters) else parameters
+        starts[k] = {parameters[name].name: parameters[name].value(state[name]) for name in names}
     return starts
+
+
+def readable(parameters: Mapping[str, StartParameter]) -> bool:
+    """Whether the FMU's state can be read and put back: it is one of ours."""
+    return any(p.places for p in parameters.values())
+
+
+def kept(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
+    """All of an FMU's state but what these start values set."""
+    given = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
+    whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
+    return {place: value for place, value in whole.items() if place not in given}
 
 
 def _correct(
