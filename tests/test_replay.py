@@ -64,14 +64,14 @@ def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
 
     from pythonfmu.builder import FmuBuilder
 
-    script = folder / "cart.py"
+    script = folder / f"cart_{starts}.py"  # one process keeps one module of a name
     script.write_text(CART.replace("{starts}", str(starts)))
     path, modules = list(sys.path), set(sys.modules)
     try:
         fmu = Path(FmuBuilder.build_FMU(script, folder / "Cart.fmu"))
     finally:
         sys.path[:] = path
-        for module in set(sys.modules) - modules & {"cart"}:
+        for module in set(sys.modules) - modules & {script.stem}:
             del sys.modules[module]
     return fmu if variable_step else with_equal_steps(fmu)
 
