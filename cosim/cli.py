@@ -203,6 +203,8 @@ def excite(
             model, out, against or (), limits=limit or (), measured=measured or (), duration=duration, seed=seed,
             progress=progress,
         )  # fmt: skip
+    if found.warning:
+        typer.echo(f"warning: {found.warning}", err=True)
     for line in found.sentences:
         say(line)
     say(f"excitation: {out / 'excitation.csv'}, flown by: cosim run {out / 'excitation.yaml'}")

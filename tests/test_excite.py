@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -135,20 +136,86 @@ def test_a_model_of_one_s_own_is_played_open_loop_within_its_limits(tmp_path: Pa
     assert np.abs(rows["plant.position"]).max() <= 0.15
 
 
+def hypothesis(parameters: dict[str, float], gain: float | None, *, fitted: bool = True) -> dict[str, object]:
+    """As refine.json has it."""
+    names = sorted({name.partition(".")[0] for name in parameters})
+    return {"names": names, "parameters": parameters, "fitted": fitted, "log_likelihood_gain": gain}
+
+
+def refined(folder: Path, rivals: Sequence[str], ranking: list[dict[str, object]], hidden: Sequence[str] = ()) -> None:
+    """A study of the hovercraft and what refine says of it."""
+    (folder / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
+    record = {"study": str(folder / "study.yaml"), "rivals": [*rivals], "candidates": ranking, "hidden": [*hidden]}
+    (folder / "refine.json").write_text(json.dumps(record | {"measured": ["psi", "ax"]}))
+
+
 def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path) -> None:
-    (tmp_path / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
     ranking = [
-        {"names": ["com_offset", "lag"], "parameters": {"com_offset.right": -0.0034, "lag": 0.1}},
-        {"names": ["thrust_asymmetry"], "parameters": {"thrust_asymmetry.ratio": 0.021}},
+        hypothesis({"com_offset.right": -0.0034, "lag": 0.1}, 30.0),
+        hypothesis({"thrust_asymmetry.ratio": 0.021}, 30.0),
     ]
-    record = {"study": str(tmp_path / "study.yaml"), "rivals": [*RIVALS], "candidates": ranking}
-    (tmp_path / "refine.json").write_text(json.dumps(record | {"measured": ["psi", "ax"]}))
+    refined(tmp_path, RIVALS, ranking)
     for place in (tmp_path, tmp_path / "refine.json"):
         question = ask(str(place))
         assert question.pairs == (RIVALS,)
         assert question.measured == ("psi", "ax")
         assert [r.values for r in question.rivals] == [ranking[1]["parameters"], ranking[0]["parameters"]]
         assert [f.name for f in question.rivals[1].free] == ["com_offset.right", "lag"]
+
+
+@pytest.mark.parametrize(
+    ("ranking", "hidden"),
+    [
+        ([hypothesis({"thrust_asymmetry.ratio": -1e-5}, 0.5)], []),  # within noise of neutral
+        ([hypothesis({"thrust_asymmetry.ratio": -1e-5}, None)], []),  # its filter diverged
+        ([hypothesis({"thrust_asymmetry.ratio": 0.5}, 30.0)], []),  # at its limit: the fit ran away
+        ([hypothesis({"thrust_asymmetry.ratio": 0.01}, 30.0, fitted=False)], []),
+        ([hypothesis({"thrust_asymmetry.ratio": 0.01}, 30.0)], ["thrust_asymmetry"]),
+        ([hypothesis({"thrust_asymmetry.ratio": 0.0, "lag": 0.2}, 31.0), hypothesis({"lag": 0.2}, 30.0)], []),
+        ([], []),
+    ],
+    ids=["neutral", "diverged", "at its limit", "screened", "hidden", "gained by another", "never tried"],
+)
+def test_a_rival_the_logs_did_not_show_stands_at_its_typical_size(
+    tmp_path: Path, ranking: list[dict[str, object]], hidden: list[str]
+) -> None:
+    refined(tmp_path, RIVALS, ranking, hidden)
+    shown = next(r for r in ask(str(tmp_path)).rivals if r.name == "thrust_asymmetry")
+    usual = next(r for r in ask("base", RIVALS).rivals if r.name == "thrust_asymmetry")
+    assert shown == usual
+
+
+def test_after_logs_that_show_nothing_the_flight_still_tells_the_effects_apart(tmp_path: Path) -> None:
+    effects = ("actuator_delay", "servo_dead_band", "yaw_damping")
+    neutral = {"actuator_delay.time": 0.0, "servo_dead_band.width": 0.0, "yaw_damping.coefficient": 0.0}
+    refined(tmp_path, effects, [hypothesis({n: v}, 0.0, fitted=False) for n, v in neutral.items()], effects)
+    found = excite(str(tmp_path), tmp_path / "out", duration=10.0, experiments=3)
+    assert min(found.apart.values()) > 3.0
+    assert not found.warning
+
+
+def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path: Path) -> None:
+    blind = ("accelerometer_bias", "accelerometer_scale")  # one and the same where the acceleration is not logged
+
+    def found(count: int) -> Excitation:
+        rivals = [*blind, "yaw_damping"]
+        return excite("base", tmp_path, rivals, measured=["psi", "psi_dot"], duration=10.0, experiments=count)
+
+    first, best = found(1), found(6)
+    assert best.apart[blind] == 0.0
+    assert best.score > first.score
+    assert best.apart[blind[0], "yaw_damping"] > 1.2 * first.apart[blind[0], "yaw_damping"]
+    assert "does not tell accelerometer_bias from accelerometer_scale (less than 3" in best.warning
+
+
+def test_of_many_pairs_the_hardest_are_told_and_the_rest_counted(tmp_path: Path) -> None:
+    done = command.invoke(app, ["excite", "base", "--measured", "psi", "--duration", "5", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert len(done.stdout.splitlines()) < 16
+    assert "and 11 more pairs, 0.0 standard deviations apart at least" in done.stdout
+    assert done.stderr.startswith("warning: the best input found does not tell ")
+    assert done.stderr.count("\n") == 1
+    assert (tmp_path / "excitation.yaml").read_text().count(" standard deviations (the manoeuvre:") == 16
 
 
 def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: Path) -> None:
@@ -168,6 +235,10 @@ def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: 
         (["base", "--limit", "tilt_right=8m"], "say how far tilt_right may go, above 0 [rad]"),
         (["base", "--measured", "ps"], 'no output "ps"; did you mean "psi"?'),
         (["none.yaml"], "none.yaml: no such file"),
+        (  # the acceleration is not logged
+            ["base", "--against", "accelerometer_bias", "--measured", "psi", "--duration", "5"],
+            "base: none of 48 experiments drives any two rivals a standard deviation apart; try a wider --limit",
+        ),
         ([f"{DRIVE}:Drive"], "how far from 0 may force go? Say --limit force=VALUE [N]"),
     ],
 )

@@ -1,7 +1,7 @@
 """`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that flies it.
 
-Experiments are drawn by a seed, flown without noise, and kept within limits. Written is the one under which the pair of
-rivals that is hardest to tell apart is farthest apart.
+Experiments are drawn by a seed, flown without noise, and kept within limits. Written is the one that tells most pairs
+of rivals apart, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
 """
 
 from __future__ import annotations
@@ -20,12 +20,17 @@ from cosim.refine.problem import build_problem
 from cosim.refine.question import Question, ask
 from cosim.refine.separation import Pair, Separation
 from cosim.refine.signals import draw_signals
+from cosim.report.text import counted
 from plant.hovercraft import Hovercraft
 
 EXPERIMENTS = 48
 DURATION = 40.0  # [s]
 FEW = 4  # rivals, of which each is flown before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
+TOLD_APART = 3.0  # standard deviations between rivals, from which a log decides
+UNSEEN = 1.0  # standard deviations up to which noise hides the difference
+CURE = "try a wider --limit, a longer --duration or more outputs --measured"
+LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
 Progress = Callable[[str, float], None]
 
 
@@ -44,23 +49,44 @@ class Excitation:
     usual: Mapping[Pair, float]
 
     @property
-    def score(self) -> float:
-        """Distance of the nearest pair, divided by how far beyond its limits a rival takes the craft."""
-        beyond = (flight.beyond(self.question.limits) for flight in self.rivals.values())
-        return min(self.apart.values()) / max([1.0, *beyond])
+    def score(self) -> tuple[int, float]:
+        """Merit of its distances, divided by how far beyond its limits a rival takes the craft."""
+        return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
+
+    @property
+    def distances(self) -> list[str]:
+        """A line for each pair, hardest first."""
+        return [
+            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
+            for a, b in self._hardest_first
+        ]
 
     @property
     def sentences(self) -> list[str]:
         """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
-        lines = [
-            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
-            for a, b in sorted(self.apart, key=lambda pair: self.apart[pair])
-        ]
+        lines = self.distances
+        if len(lines) > LISTED + 1:
+            least = self.apart[self._hardest_first[LISTED]]
+            rest = counted(len(lines) - LISTED, "more pair")
+            lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
         lines.append(f"excursion: {self._ranges(self.flight)}")
         for name, flight in self.rivals.items():
             if flight.beyond(self.question.limits) > 1.0:
                 lines.append(f"beyond its limits if {name} is true: {self._ranges(flight)}")
         return lines
+
+    @property
+    def warning(self) -> str:
+        """The pairs it does not tell apart, empty where there are none."""
+        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < TOLD_APART]):
+            return ""
+        named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
+        what = f"the best input found does not tell {', '.join(named)}"
+        return f"{what} (less than {TOLD_APART:g} standard deviations apart); {CURE}"
+
+    @property
+    def _hardest_first(self) -> list[Pair]:
+        return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, flight: Flight) -> str:
         model = self.question.loaded.model
@@ -68,6 +94,13 @@ class Excitation:
         shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
         ranges = ((n, *flight.excursion(n)) for n in shown)
         return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
+
+
+def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
+    """How many pairs are told apart, and the distance of the nearest of them; of the farthest where none is."""
+    distances = [distance / beyond for distance in apart.values()]
+    told = [distance for distance in distances if distance >= TOLD_APART]
+    return len(told), min(told, default=max(distances))
 
 
 def excite(
@@ -95,6 +128,9 @@ def excite(
     if found is None:
         message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
         raise InputError([Fault(Path(text), 0, 0, message)])
+    if max(found.apart.values()) < UNSEEN:
+        message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
+        raise InputError([Fault(Path(text), 0, 0, message)])
     tell("building the FMUs", 0.0)
     _write(folder, found, seed)
     return found
@@ -114,7 +150,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, te
         if flight is None:
             continue
         apart = separation.of(flight.log(model, question.measured))
-        if best is None or min(apart.values()) > best.score:
+        if best is None or _merit(apart) > best.score:
             rivals = _rivals_flown(question, rig, flight) if len(question.rivals) <= FEW else {}
             other = Excitation(question, rig, flight, rivals, apart, usually)
             best = other if best is None or other.score > best.score else best
@@ -168,7 +204,8 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     """Lines of the scenario that flies it."""
     flight, model, rig = found.flight, found.question.loaded.model, found.rig
     yield "name: excitation"
-    yield f'description: "Tells {"; ".join(f"{a} from {b}" for a, b in found.question.pairs)}."'
+    yield f'description: "To tell apart {", ".join(r.name for r in found.question.rivals)}."'
+    yield from (f"# {line}" for line in found.distances)
     yield f"duration: {flight.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"

@@ -11,6 +11,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.errors import Fault, InputError
+from cosim.refine.attribution import SIGNIFICANT
 from cosim.refine.candidates import Candidate, candidates, neutral_values
 from cosim.refine.model_file import LoadedModel, load_model
 from cosim.refine.separation import Pair, Rival, all_pairs, at_typical
@@ -62,6 +63,8 @@ class Ranked(BaseModel):
 
     names: list[str]
     parameters: dict[str, float]
+    fitted: bool
+    log_likelihood_gain: float | None
 
 
 class Refined(BaseModel):
@@ -72,6 +75,7 @@ class Refined(BaseModel):
     study: str
     rivals: list[str]
     candidates: list[Ranked]
+    hidden: list[str]
     measured: list[str]
 
 
@@ -96,7 +100,7 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
 
 
 def _of_refinement(path: Path, against: Sequence[str]) -> Question:
-    """Rivals as they were fitted, about the model that was given to the study."""
+    """Rivals as they were fitted, or typical where they did not show, about the model that was given to the study."""
     yaml = YamlFile(path)
     content = yaml.validate(Refined)
     study = Path(content.study)
@@ -109,16 +113,34 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     names = list(against) or content.rivals
     _check_names(path, names, known)
     rivals, pairs = _rivals(loaded, known, names)
-    fitted = tuple(_as_fitted(r, names, content.candidates, known) for r in rivals)
+    values = {**neutral_values(loaded.model), **loaded.values}
+    fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
     return Question(loaded, loaded, fitted, pairs, tuple(content.measured), given.noise, {})
 
 
-def _as_fitted(r: Rival, names: Sequence[str], ranking: Sequence[Ranked], known: Mapping[str, Candidate]) -> Rival:
-    """A rival as the best hypothesis has it that holds none of the others; as it is where there is none."""
-    for h in ranking:
-        if r.name in h.names and not set(h.names) & set(names) - {r.name}:
+def _as_fitted(
+    r: Rival, names: Sequence[str], found: Refined, known: Mapping[str, Candidate], values: Mapping[str, float]
+) -> Rival:
+    """A rival as the best hypothesis has it that holds none of the others; as it is where the logs did not show it.
+
+    What they did not show was fitted to noise, to neutral as a rule, where no input could tell it from anything.
+    """
+    others = set(names) - {r.name}
+    for h in found.candidates:
+        if r.name in h.names and not others.intersection(h.names) and _shown(known[r.name], h, found, values):
             return Rival(r.name, h.parameters, tuple(f for n in h.names for f in known[n].free))
     return r
+
+
+def _shown(c: Candidate, h: Ranked, found: Refined, values: Mapping[str, float]) -> bool:
+    """Whether the logs showed a candidate of a hypothesis: fitted, within its limits, significant by likelihood."""
+    if c.name in found.hidden or not h.fitted or h.log_likelihood_gain is None:
+        return False
+    if any(h.parameters[f.name] in (f.low, f.high) and h.parameters[f.name] != values[f.name] for f in c.free):
+        return False
+    rest = set(h.names) - {c.name}
+    without = max((o.log_likelihood_gain or 0.0 for o in found.candidates if rest.issuperset(o.names)), default=0.0)
+    return h.log_likelihood_gain - without > 0.5 * SIGNIFICANT**2
 
 
 def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
