@@ -13,7 +13,7 @@ from cosim.manifest import check_pinned
 from cosim.refine.frames import rates_of
 from cosim.refine.gate import gate, refuse_faults
 from cosim.refine.log import read_log
-from cosim.refine.model_file import BASE, load_model, read_model
+from cosim.refine.model_file import BASE, load_model, only_model, read_model
 from cosim.refine.study import read_study
 from cosim.refine.words import finding_line
 from cosim.scenario_file import ScenarioFile
@@ -47,6 +47,12 @@ def _check(path: Path, model: Model) -> list[str]:
     if path.suffix == ".fmu" or zipfile.is_zipfile(path):
         if faults := check_fmu(path):
             raise InputError(faults)
+        return []
+    if path.suffix == ".py":
+        only_model(path)
+        return []
+    if path.suffix.startswith(".py:"):  # FILE.py:Class
+        load_model(str(path), Path())
         return []
     if path.suffix == ".csv":
         return log_findings(path, model)

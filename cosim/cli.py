@@ -108,7 +108,7 @@ def build(
 
 @app.command()
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv) or FMUs.")],
+    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],
     model: Annotated[
         str, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
     ] = "base",

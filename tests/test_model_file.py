@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.blocks.fmu import read_description
-from cosim.check import check_fmu
+from cosim.check import check_files, check_fmu
 from cosim.cli import app
 from cosim.errors import Fault, InputError
 from cosim.refine.model_check import checked
@@ -322,6 +322,38 @@ def test_every_command_tells_the_same_faults(tmp_path: Path) -> None:
         assert isinstance(result.exception, InputError), call
         assert result.exception.exit_code == 2
         assert 'no state "rat"' in str(result.exception)
+
+
+@pytest.mark.parametrize("of_class", ["", ":Table"])
+def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) -> None:
+    named = [Path(f"{table(tmp_path)}{of_class}")]
+    assert check_files(named) == []
+    table(tmp_path, (FORCED, 'forced = ("rat",)'), ('unit="N.m.s/rad"', 'unit="N.q"'))
+    with pytest.raises(InputError) as caught:
+        check_files(named)
+    assert [(f.file, f.line, f.message.partition(";")[0]) for f in caught.value.faults] == [
+        (tmp_path / "table.py", line_of(tmp_path, "forced ="), 'forced: no state "rat"'),
+        (tmp_path / "table.py", line_of(tmp_path, "damping: float"), 'unknown unit "N.q" of damping'),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        ("", "own.py", "own.py: has no model class; a model is a subclass"),
+        ("class A(Model): pass\nclass B(A): pass\n", "own.py", "own.py:A or {}/own.py:B"),
+        ("class A(Model): pass\n", "own.py:B", 'has no model class "B" (models here: Hovercraft, A)'),
+        ("class A(Model): pass\n", "own.py", "own.py:3:1: A has no equations"),
+        ("import (\n", "own.py", "own.py:3:8: does not load: SyntaxError"),
+        ("", "none.py", "none.py: no such model file"),
+        ("", "none.py:A", "none.py: no such model file"),
+    ],
+)
+def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: str, message: str) -> None:
+    header = "from plant.hovercraft import Hovercraft\nfrom plant.model import Model\n"
+    (tmp_path / "own.py").write_text(header + text)
+    with pytest.raises(InputError, match=re.escape(message.format(tmp_path))):
+        check_files([tmp_path / name])
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
@@ -25,6 +26,7 @@ from plant.quantities import parameters_of
 BASE = "base"
 HOVERCRAFT = "hovercraft"
 ALLOWED = f"a model is {HOVERCRAFT}, or FILE.py:Class of a model of one's own"
+SUBCLASS = "a model is a subclass of plant.model.Model"
 GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
 
 
@@ -139,6 +141,34 @@ def own_model(text: str, folder: Path) -> Model:
     if not path.is_file():
         raise InputError([Fault(path, 0, 0, "no such model file")])
     source = Source(path)
+    module = _module(path, source)
+    kind: Any = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        models = _models(vars(module))
+        known = f" (models here: {', '.join(models)})" if models else ""
+        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
+        raise InputError([Fault(path, 0, 0, f"{what}; {SUBCLASS}")])
+    return checked(kind, source)
+
+
+def only_model(path: Path) -> Model:
+    """The one model that `file.py` defines; InputError with every fault, and where there is none or a choice."""
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path.resolve())
+    module = _module(source.path, source)
+    names = vars(module)
+    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # the others are imported
+    if not own:
+        raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
+    if len(own) > 1:
+        choice = " or ".join(f"{path}:{name}" for name in own)
+        raise InputError([Fault(path, 0, 0, f"has {len(own)} models; write {choice}")])
+    return checked(names[own[0]], source)
+
+
+def _module(path: Path, source: Source) -> ModuleType:
+    """The file, executed; InputError where it raises."""
     spec = importlib.util.spec_from_file_location(f"own_model_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
@@ -148,13 +178,7 @@ def own_model(text: str, folder: Path) -> Model:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever the user's file does
         raise InputError([source.raised(error, "does not load")]) from error
-    kind: Any = getattr(module, name, None)
-    if not (isinstance(kind, type) and issubclass(kind, Model)):
-        models = _models(vars(module))
-        known = f" (models here: {', '.join(models)})" if models else ""
-        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
-        raise InputError([Fault(path, 0, 0, f"{what}; a model is a subclass of plant.model.Model")])
-    return checked(kind, source)
+    return module
 
 
 def _models(names: Mapping[str, Any]) -> list[str]:
