@@ -85,6 +85,26 @@ class YamlFile:
         except ValidationError as error:
             raise InputError([self._pydantic_fault(model, e) for e in error.errors()]) from None
 
+    def partly(self, model: type[M]) -> tuple[M | None, list[Fault]]:
+        """The document without its faulty parts, so that the rest can be checked too, and their faults.
+
+        None where it cannot do without them, or where a key at its top is at fault, on which the rest depends.
+        """
+        data = plain(self.root)
+        try:
+            return model.model_validate(data), []
+        except ValidationError as error:
+            errors = error.errors()
+        faults = [self._pydantic_fault(model, e) for e in errors]
+        if any(len(e["loc"]) < 2 for e in errors):
+            return None, faults
+        for e in errors:
+            _leave_out(data, e["loc"])
+        try:
+            return model.model_validate(data), faults
+        except ValidationError:
+            return None, faults
+
     def _pydantic_fault(self, model: type[BaseModel], error: Any) -> Fault:
         location: Location = tuple(p for p in error["loc"] if not _is_tag(p))
         name = ".".join(map(str, location))
@@ -100,6 +120,16 @@ class YamlFile:
             detail = "it is on or off"
         shown = repr(given) if isinstance(given, (str, int, float, bool)) or given is None else type(given).__name__
         return self.fault(location, f"{name} is {shown}: {detail[:1].lower() + detail[1:]}")
+
+
+def _leave_out(data: Any, location: Location) -> None:
+    """Take a part out of plain data; a list goes as a whole, or those behind would move up."""
+    for step in location[:-1]:
+        if not isinstance(data.get(step), dict):
+            data.pop(step, None)
+            return
+        data = data[step]
+    data.pop(location[-1], None)
 
 
 def plain(node: Any) -> Any:

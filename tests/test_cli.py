@@ -57,3 +57,39 @@ def test_an_answer_is_no_study(tmp_path: Path) -> None:
     assert told(tmp_path / "refine.json") == [
         f"{tmp_path / 'refine.json'}:1:1: is an answer of `cosim refine`; check the study or model.yaml beside it"
     ]
+
+
+def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(
+        "noise: {psi: 0, psy: 1}\ncandidates: [masss]\nlogs:\n  estimation: [none.csv]\n  validaton: [b.csv]\n"
+    )
+    told_of = [line.removeprefix(f"{tmp_path}/").partition(";")[0] for line in told(path)]
+    assert told_of == [
+        "none.csv: no such file",
+        "study.yaml:1:14: noise.psi is 0: it should be greater than 0",
+        'study.yaml:1:17: no output "psy"',
+        'study.yaml:2:14: no candidate "masss"',
+        'study.yaml:5:3: unknown key "validaton"',
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("model: 5\nnoise: {speed: 0}\n", "1:8: model is 5"),  # of which model are the names?
+        ("modle: own.yaml\nnoise: {speed: 0}\n", '1:1: unknown key "modle"'),
+    ],
+)
+def test_nothing_is_guessed_of_a_study_whose_model_is_not_known(tmp_path: Path, text: str, line: str) -> None:
+    (tmp_path / "study.yaml").write_text(f"{text}logs: {{estimation: [none.csv]}}\n")
+    first, second = told(tmp_path / "study.yaml")
+    assert first.startswith(f"{tmp_path / 'study.yaml'}:{line}")
+    assert second.startswith(f"{tmp_path / 'study.yaml'}:2:16: noise.speed is 0")
+
+
+def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
+    missing, item = told(tmp_path / "study.yaml")
+    assert "none.csv: no such file" in missing
+    assert "study.yaml:1:14: candidates.0 is list" in item

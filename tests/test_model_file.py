@@ -378,6 +378,45 @@ def test_a_model_yaml_with_something_wrong(tmp_path: Path, text: str, place: tup
     assert message in fault.message
 
 
+def test_all_faults_of_a_model_yaml_are_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "model.yaml"
+    path.write_text(
+        "parameters:\n  mass: .nan\n  izz: -1\n  lagg: 0.1\n  arm: heavy\nsensors:\n  gyro_bias.valu: 0.1\n"
+    )
+    with pytest.raises(InputError) as caught:
+        read_model(path)
+    assert [(f.line, f.message.partition(":")[0].partition(";")[0]) for f in caught.value.faults] == [
+        (2, "parameters.mass is nan"),
+        (3, "izz is -1.0"),
+        (4, 'hovercraft has no parameter "lagg"'),
+        (5, "parameters.arm is 'heavy'"),
+        (7, 'hovercraft has no sensor "gyro_bias.valu"'),
+    ]
+
+
+def test_faults_of_a_model_yaml_and_of_the_class_it_names_are_told_at_once(tmp_path: Path) -> None:
+    table(tmp_path, (FORCED, 'forced = ("rat",)'))
+    (tmp_path / "model.yaml").write_text("model: table.py:Table\nparameters: {inertia: .nan}\n")
+    with pytest.raises(InputError) as caught:
+        read_model(tmp_path / "model.yaml")
+    assert [f.file.name for f in caught.value.faults] == ["model.yaml", "table.py"]
+
+
+@pytest.mark.parametrize(
+    ("named", "model"), [("", "base"), ("model: base\n", "base"), ("model: t.py:T\n", "{}/t.py:T")]
+)
+def test_a_study_in_place_of_a_model_is_told_which_model_it_names(tmp_path: Path, named: str, model: str) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(f"{named}logs: {{estimation: [a.csv]}}\n")
+    out = ["--out", str(tmp_path / "out")]
+    for call in (["excite", str(study), *out], ["build", "--model", str(study), *out]):
+        refused = CliRunner().invoke(app, call).exception
+        assert isinstance(refused, InputError)
+        (fault,) = refused.faults
+        assert (fault.line, fault.column) == (1 + bool(named), 1)
+        assert f"this is a study, not a model: give its model, {model.format(tmp_path)}, or" in fault.message
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [

@@ -6,7 +6,7 @@ import importlib.util
 import os.path
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -95,29 +95,54 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
 def read_model(path: Path) -> LoadedModel:
     """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
     yaml = YamlFile(path)
-    content = yaml.validate(ModelFile)
-    if content.model != HOVERCRAFT and not re.fullmatch(r".+\.py:\w+", content.model):
-        message = f'no model "{content.model}"{did_you_mean(content.model, [HOVERCRAFT])}; {ALLOWED}'
-        raise InputError([yaml.fault(("model",), message)])
-    file = path.parent / content.model.rpartition(":")[0]
-    if content.model != HOVERCRAFT and not file.is_file():
-        raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
-    model = Hovercraft() if content.model == HOVERCRAFT else own_model(content.model, path.parent)
-    known = {p.name: p for p in model.parameters}
-    known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
-    sensors = {f"{k.name}.{p.name}": p for k in model.sensors for p in parameters_of(k)}
-    faults: list[Fault] = []
-    for section, names, given in (("parameters", known, content.parameters), ("sensors", sensors, content.sensors)):
-        for name, value in given.items():
-            if name not in names:
-                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
-                faults.append(yaml.fault((section, name), message, key=True))
-            elif fault := names[name].fault(value):
-                faults.append(yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip(".")))
+    _refuse_study(yaml)
+    content, faults = yaml.partly(ModelFile)
+    if content is None:
+        raise InputError(faults)
+    try:
+        model = _named_model(yaml, content)
+    except InputError as error:
+        raise InputError([*faults, *error.faults]) from None
+    faults += _value_faults(yaml, content, model)
     if faults:
         raise InputError(faults)
     source = content.model if content.model == HOVERCRAFT else _absolute(content.model, path.parent)
     return LoadedModel(model.with_values(content.parameters), source, content.parameters, content.sensors)
+
+
+def _refuse_study(yaml: YamlFile) -> None:
+    """A study where a model is asked for: which model it names."""
+    if "logs" in yaml.root:
+        named = str(yaml.root.get("model", BASE))
+        model = named if named == BASE else yaml.path.parent / named
+        cure = f"give its model, {model}, or, to `cosim excite`, the folder that `cosim refine` left"
+        raise InputError([yaml.fault(("logs",), f"this is a study, not a model: {cure}", key=True)])
+
+
+def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
+    """The model that a model.yaml names, with its default parameters."""
+    folder = yaml.path.parent
+    if content.model != HOVERCRAFT and not re.fullmatch(r".+\.py:\w+", content.model):
+        message = f'no model "{content.model}"{did_you_mean(content.model, [HOVERCRAFT])}; {ALLOWED}'
+        raise InputError([yaml.fault(("model",), message)])
+    file = folder / content.model.rpartition(":")[0]
+    if content.model != HOVERCRAFT and not file.is_file():
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
+    return Hovercraft() if content.model == HOVERCRAFT else own_model(content.model, folder)
+
+
+def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
+    """Unknown names, and values out of bounds."""
+    known = {p.name: p for p in model.parameters}
+    known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
+    sensors = {f"{k.name}.{p.name}": p for k in model.sensors for p in parameters_of(k)}
+    for section, names, given in (("parameters", known, content.parameters), ("sensors", sensors, content.sensors)):
+        for name, value in given.items():
+            if name not in names:
+                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
+                yield yaml.fault((section, name), message, key=True)
+            elif fault := names[name].fault(value):
+                yield yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip("."))
 
 
 def _absolute(text: str, folder: Path) -> str:

@@ -82,13 +82,15 @@ def read_study(path: Path) -> Study:
     if not path.is_file() and path.exists():
         raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
     yaml = YamlFile(path)
-    content = yaml.validate(StudyFile)
+    content, faults = yaml.partly(StudyFile)
+    if content is None:
+        raise InputError(faults)
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
-        raise InputError([*_listed_twice(yaml, content.logs, {}), *error.faults]) from None
+        raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
     model, rates = loaded.model, rates_of(loaded.model)
-    faults = _unknown_names(yaml, content, loaded)
+    faults += _unknown_names(yaml, content, loaded)
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []
