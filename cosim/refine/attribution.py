@@ -19,6 +19,7 @@ from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import FAIR, PROMISE, Fit, Free, Problem, fit
 from cosim.refine.hypotheses import NOISE, Attribution, Hypothesis
 from cosim.refine.screen import ScoreTest
+from cosim.refine.sensor_noise import at_rest
 from plant.model import Model
 
 CLAIM = 6.0  # score a hypothesis must gain on the one it extends
@@ -143,8 +144,10 @@ class Attributor:
         return any(0.5 * ((f.values[x.name] - x.prior[0]) / x.prior[1]) ** 2 > self.claim for x in f.free if x.prior)
 
     def hidden(self) -> tuple[str, ...]:
-        """Effects of which no parameter, at its usual size, would be told from neutral."""
+        """Effects of which no parameter, at its usual size, would be told from neutral; all of them at rest."""
         effects = [c.name for c in self.candidates if c.kind == "effect"]
+        if at_rest(self.problem):
+            return tuple(effects)
         return tuple(name for name in effects if self.told.get(name, np.inf) < SIGNIFICANT**2)
 
     def held_out(self, h: Hypothesis, base: Hypothesis) -> float:

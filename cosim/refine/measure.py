@@ -7,7 +7,7 @@ All horizons are measured through the FMU; the floor, which needs dozens of runs
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -122,12 +122,17 @@ def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
 def without_sensor_errors(log: Log, variant: Variant) -> Log:
     """The log with its readings corrected for what the model knows of its sensors."""
     outputs = dict(log.outputs)
-    for kind in reversed(variant.model.sensors):
-        if kind.output in outputs:
-            sensor = kind(value=variant.values[f"{kind.name}.value"])
-            at_zero, at_one = sensor.measure(0.0), sensor.measure(1.0)  # readings are straight lines
-            outputs[kind.output] = (outputs[kind.output] - at_zero) / (at_one - at_zero)
+    for output, at_zero, gain in _lines(variant):
+        if output in outputs:
+            outputs[output] = (outputs[output] - at_zero) / gain
     return replace(log, outputs=outputs)
+
+
+def _lines(variant: Variant) -> Iterator[tuple[str, float, float]]:
+    """Output, reading at zero and gain of each sensor error, the last to act first; readings are straight lines."""
+    for kind in reversed(variant.model.sensors):
+        sensor = kind(value=variant.values[f"{kind.name}.value"])
+        yield kind.output, sensor.measure(0.0), sensor.measure(1.0) - sensor.measure(0.0)
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
@@ -168,11 +173,19 @@ def _numbers(variant: Variant, problem: Problem) -> Array:
 
 
 def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:
-    """Measured − model of replays over the model's horizon, each from the state the filter knew by then."""
+    """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
+
+    Each starts from the state that the filter knew by then.
+    """
     horizon = variant.model.horizon
     length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
     rows = log.grid[first_rows(log, horizon)].tolist()
-    return data.y - _predicted(problem, data, _numbers(variant, problem), seen, rows, length)
+    gains = dict.fromkeys(problem.kernel.generated.outputs, 1.0)
+    for output, _, gain in _lines(variant):
+        if output in gains:
+            gains[output] *= gain
+    readings = data.y - _predicted(problem, data, _numbers(variant, problem), seen, rows, length)
+    return np.asarray(readings / np.array(list(gains.values())))
 
 
 def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:

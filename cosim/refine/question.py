@@ -110,7 +110,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     given = yaml.validate(StudyFile)
     loaded = load_model(given.model, study.parent, yaml)
     known = _candidates(loaded)
-    names = list(against) or content.rivals
+    names = list(against) or [n for n in content.rivals if n != "no_effect"]
     _check_names(path, names, known)
     rivals, pairs = _rivals(loaded, known, names)
     values = {**neutral_values(loaded.model), **loaded.values}

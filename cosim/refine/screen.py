@@ -83,7 +83,8 @@ class ScoreTest:
             for name, d in step.items():
                 values[name] += count * d
         values = {f.name: float(np.clip(values[f.name], f.low, f.high)) for f in c.free}
-        return Promise(gain, max(float(r @ r) for r in rows) / SHARE**2, values)
+        shown = [r[: len(self.scored.errors)] for r in rows]  # in what is read, not in how well the filter knows it
+        return Promise(gain, max(float(r @ r) for r in shown) / SHARE**2, values)
 
     def _row(self, steps: Mapping[str, float], log_q: Array | None = None) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}

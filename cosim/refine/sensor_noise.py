@@ -8,13 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.refine.fit import Problem
+from cosim.refine.log import Column
 from cosim.refine.problem import own_run
-from cosim.refine.residual import surprise, white_noise
+from cosim.refine.residual import noise_level, surprise, white_noise
 from cosim.report.text import plain
 from plant.model import Model
 
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
 TOO_QUIET = 0.1  # of the model's, below which it is no sensor's: an encoder between its steps, a filtered reading
+REST = 1.2  # times its noise, up to which the spread of a channel is no motion
 SMOOTH = 0.5  # of a channel's level, that the model's own motion may make of it from row to row
 
 
@@ -67,3 +69,15 @@ def _beside(levels: Mapping[str, float], known: Mapping[str, float], units: Mapp
 
 def _line(levels: Mapping[str, float]) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
+
+
+def at_rest(problem: Problem) -> bool:
+    """Whether in none of the logs anything moves: neither an input nor, beyond its noise, an output."""
+    return all(
+        not np.ptp(log.u, axis=0).any() and all(_noise_alone(column[np.isfinite(column)]) for column in log.y.T)
+        for log in problem.logs
+    )
+
+
+def _noise_alone(values: Column) -> bool:
+    return values.size == 0 or float(np.std(values)) <= REST * noise_level(values)

@@ -46,10 +46,11 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     kinds = {c.kind for c in a.best.candidates}
     effects = sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
     # a log at rest may show a biased sensor; of forces it says nothing
-    if len(a.hidden) > max(1.0, BLIND * effects) and kinds != {"sensor"}:
-        experiment = DEFAULT_EXPERIMENT
-        sentence = _too_little(len(a.hidden), effects, experiment)
-        return Verdict("ambiguous", None, a.hidden, experiment, residual, sentence)
+    too_little = len(a.hidden) > max(1.0, BLIND * effects) or (len(a.hidden) == effects == 1 and not kinds)
+    if too_little and kinds != {"sensor"}:
+        rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
+        sentence = _too_little(len(a.hidden), effects, DEFAULT_EXPERIMENT)
+        return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, sentence)
     if not kinds:
         if not a.quiet or (unnamed and unnamed[0].most > NOTICED):
             return Verdict("unexplained", None, (), "", residual, _unexplained(residual, ()))
@@ -98,9 +99,10 @@ def _found(candidates: Sequence[Candidate]) -> Name:
 
 
 def _too_little(hidden: int, effects: int, experiment: str) -> str:
+    which = "the one effect" if effects == 1 else f"{hidden} of {effects} effects"
     return (
-        f"These logs excite too little: {hidden} of {effects} effects would not show in them, present or not. "
-        f"This would show them: {experiment}."
+        f"These logs excite too little: {which} would not show in them, present or not. "
+        f"This would show {'it' if effects == 1 else 'them'}: {experiment}."
     )
 
 
@@ -181,17 +183,14 @@ def _claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> s
     """What these candidates of the best hypothesis are, with their values and intervals."""
     units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
     units |= {p.name: p.unit for p in model.parameters}
-    said = []
+    said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
         moved = [(n, best.fit.values[n], CI95 * best.fit.sigma(n), shown(units[n])) for n in c.parameters]
         values = ", ".join(f"{n.rpartition('.')[2]} = {v:.4g} ± {ci:.2g} {unit}".rstrip() for n, v, ci, unit in moved)
-        said.append(f"{c.name} ({values})")
-    opening = {
-        "effect_found": "The model lacks",
-        "parameter_error": "The model has a wrong",
-        "sensor_error": "The sensors have",
-    }
-    return f"{opening[_found(candidates)]} {' and '.join(said)}."
+        said[c.kind].append(f"{c.name} ({values})")
+    openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
+    text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in said.items() if names)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def shown(unit: str) -> str:
