@@ -18,6 +18,7 @@ import numpy as np
 from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import FAIR, PROMISE, Fit, Free, Problem, fit
 from cosim.refine.hypotheses import NOISE, Attribution, Hypothesis
+from cosim.refine.problem import coarsened, halved
 from cosim.refine.screen import ScoreTest
 from cosim.refine.sensor_noise import at_rest
 from plant.model import Model
@@ -31,7 +32,6 @@ SIGNIFICANT_IN_NOISE = 15.0  # the same where process noise is left: intervals t
 NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
 SCREEN_ITERATIONS = 12
 TO_THE_END = 60  # iterations within which every fit seen has converged
-SAME = 0.5  # of NLL, by which fewer substeps may change it
 MOST_EFFECTS = 3
 PAIRS_AMONG = 4
 
@@ -302,27 +302,3 @@ class Attributor:
         """Moved, and as far as it may."""
         value = h.fit.values[f.name]
         return value in (f.low, f.high) and value != self.problem.values[f.name]
-
-
-def coarsened(problem: Problem) -> Problem:
-    """The problem with the fewest substeps that give the base model's likelihood as the model's own number does."""
-    log_q = problem.noise.plain
-    exact = problem.scored(problem.values, log_q).nll
-    most = max(log.substeps for log in problem.logs)
-    for n in (2**k for k in range(10) if 2**k < most):
-        coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.scored(problem.values, log_q).nll - exact) < SAME:
-            return coarse
-    return problem
-
-
-def halved(problem: Problem) -> Problem:
-    """One log as two; the second starts where the filter is then."""
-    (log,), (x0,) = problem.logs, problem.x0
-    half = len(log.u) // 2
-    halves = [
-        replace(log, u=log.u[:half], y=log.y[:half]),
-        replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
-    ]
-    reached = problem.run(problem.values, problem.noise.plain, 0, states=True).states[half]
-    return replace(problem, logs=halves, x0=[x0, reached])

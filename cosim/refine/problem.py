@@ -16,6 +16,7 @@ from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
 
+SAME = 0.5  # of NLL, by which fewer substeps may change it
 FIRST = 0.2  # [s] within which a measurement still tells the state at the start
 
 
@@ -114,3 +115,27 @@ def _shown(model: Model) -> set[str]:
 def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:
     """Inputs that are not constant in some log."""
     return [q.name for q in model.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
+
+
+def coarsened(problem: Problem) -> Problem:
+    """The problem with the fewest substeps that give the base model's likelihood as the model's own number does."""
+    log_q = problem.noise.plain
+    exact = problem.scored(problem.values, log_q).nll
+    most = max(log.substeps for log in problem.logs)
+    for n in (2**k for k in range(10) if 2**k < most):
+        coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
+        if abs(coarse.scored(problem.values, log_q).nll - exact) < SAME:
+            return coarse
+    return problem
+
+
+def halved(problem: Problem) -> Problem:
+    """One log as two; the second starts where the filter is then."""
+    (log,), (x0,) = problem.logs, problem.x0
+    half = len(log.u) // 2
+    halves = [
+        replace(log, u=log.u[:half], y=log.y[:half]),
+        replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
+    ]
+    reached = problem.run(problem.values, problem.noise.plain, 0, states=True).states[half]
+    return replace(problem, logs=halves, x0=[x0, reached])

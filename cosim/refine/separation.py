@@ -15,12 +15,11 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.refine.attribution import coarsened
 from cosim.refine.candidates import Candidate, base_parameters
 from cosim.refine.fit import DIFFERENCE, Free, Problem
 from cosim.refine.kernel import Array
 from cosim.refine.log import Log
-from cosim.refine.problem import as_data, start_state
+from cosim.refine.problem import as_data, coarsened, start_state
 from plant.model import Model
 from plant.quantities import Parameter, parameters_of
 

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.files import atomic_write, check_writable
-from cosim.refine.attribution import Attributor, coarsened
+from cosim.refine.attribution import Attributor
 from cosim.refine.candidates import candidates, neutral_values
 from cosim.refine.fit import Problem
 from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.log import Log
 from cosim.refine.measure import Evidence, Variant, noise_floor, predicted_errors, replays, rmse
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model
-from cosim.refine.problem import build_problem, varied_inputs
+from cosim.refine.problem import build_problem, coarsened, varied_inputs
 from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, known, ranking, residual
 from cosim.refine.sensor_noise import other_noise
 from cosim.refine.study import Study, read_study
