@@ -13,9 +13,10 @@ import pytest
 
 from cosim.errors import InputError, SimulationError
 from cosim.refine import drive as drive_module
+from cosim.refine import starts
 from cosim.refine.drive import Drive, StoppedReplay, model_signals
 from cosim.refine.log import Log, read_log
-from cosim.refine.replay import Replay, replay, replay_windows, window_rows
+from cosim.refine.replay import Replay, chains, replay, replay_windows, window_rows
 from cosim.refine.report.replay import write_replay
 from cosim.refine.residual import rmse
 from cosim.refine.starts import start_parameters
@@ -296,6 +297,34 @@ def test_the_plant_explains_its_own_flight(log: Log, tmp_path: Path, plant_fmu: 
     psi_dot = next(c for c in comparison.channels if c.name == "psi_dot")
     # 500 rows: standard error of an RMSE is 3 %; the start adds a little
     assert psi_dot.scores[2.0].rmse == pytest.approx(NOISE["psi_dot"], rel=0.15)
+
+
+@pytest.mark.parametrize(("seed", "ours"), [(2, True), (4, True), (4, False)])
+def test_a_right_model_is_not_accused_for_a_free_run_that_drifts(
+    seed: int, ours: bool, tmp_path: Path, plant_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not ours:
+        monkeypatch.setattr(starts, "OURS", "another tool")
+    flown = fly(times(40.0), start=MOVING, seed=seed)
+    log = log_of(tmp_path / "a.csv", measured(flown, noise=1.0, seed=seed))
+    comparison = write_replay(tmp_path, log, plant_fmu, report=False)
+    drift = comparison.replays[math.inf].errors(log)["psi"]
+    assert float(np.abs(drift).max()) > math.radians(5.0)
+    # an RMSE over 19 windows is known to some 15 %; carried by the free run, positions would be at 1.6 to 3.4
+    assert {c.name: c.excess for c in comparison.channels if not c.excess < 1.3} == {}
+
+
+def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
+    """What was commanded in it is lost: no window spans it, and those after it start from what was measured since."""
+    flown = measured(fly(times(20.0), start=MOVING), noise=1.0)
+    there = (flown["time"] < 9.0) | (flown["time"] > 12.0)
+    log = log_of(tmp_path / "a.csv", {name: values[there] for name, values in flown.items()})
+    assert [[round(float(log.time[k]), 2) for k in c.rows] for c in chains(log, 2.0)] == [
+        [2.0, 4.0, 6.0, 8.0], [12.02, 12.52, 13.02, 13.52, 14.02, 16.02, 18.02],
+    ]  # fmt: skip
+    comparison = write_replay(tmp_path, log, plant_fmu, report=False)
+    assert min(comparison.replays[2.0].starts.keys() - {100, 200, 300}) == chains(log, 2.0)[1].begin
+    assert [c.name for c in comparison.channels if not c.matched] == []
 
 
 def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> None:

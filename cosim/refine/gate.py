@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from cosim.report.text import amount, counted, percent, plain
 
 ORDER = ("fault", "warning", "note")
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
+LOST = 10  # rows at least that are lost in a pause
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
 SPIKE = 8.0  # times the noise
@@ -244,3 +246,17 @@ def _answering(log: Log) -> NDArray[np.bool_]:
     after = max(5, round(ANSWER / log.step))
     near = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows]
     return np.asarray(near > 0.5)
+
+
+def stretches(log: Log) -> list[Log]:
+    """A log cut at its pauses, over which neither commands nor state are known; each stretch is a log of its own."""
+    cuts = np.flatnonzero(np.diff(log.time) > max(GAP, LOST * log.step)) + 1
+    if not cuts.size:
+        return [log]
+    found = []
+    for first, end in pairwise([0, *cuts.tolist(), log.rows]):
+        rows = slice(first, end)
+        outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
+        inputs = {name: values[rows] for name, values in log.inputs.items()}
+        found.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
+    return found

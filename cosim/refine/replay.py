@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,16 +16,19 @@ from typing import Any
 import numpy as np
 
 from cosim.refine.drive import Drive, Memory, Own, as_columns, rows_of
+from cosim.refine.gate import stretches
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN
 from cosim.refine.starts import (
+    PAST,
     StartParameter,
     first_start,
     kept,
+    noise_levels,
     readable,
     start_parameters,
     stretch,
-    window_starts,
+    window_start,
 )
 
 SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
@@ -38,7 +42,7 @@ class Replay:
     horizon: [s], FREE_RUN where it is one run over the whole log
     starts:  first row of each run → start values it was given
     outputs: name → (rows,), NaN where nothing was predicted
-    states:  row where a window may start → the state of an FMU of ours there; nothing of another
+    states:  row where a chain of windows may start → the state of an FMU of ours there; nothing of another
     """
 
     time: Column
@@ -51,6 +55,14 @@ class Replay:
     def errors(self, log: Log) -> dict[str, Column]:
         """Channel → measured − model, NaN where one of them is missing."""
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Windows one after the other: each begins at a row where the one before it ends, `begin` the first that counts."""
+
+    rows: tuple[int, ...]
+    begin: int
 
 
 def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
@@ -75,7 +87,7 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     """`replay` on an FMU that is loaded."""
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
-    rows = {k for horizon in horizons(log) for k in own_rows(log, horizon)} if readable(parameters) else set()
+    rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
     states: dict[int, Own] = {}
 
     def keep(k: int) -> None:
@@ -106,16 +118,26 @@ def windows(
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
-    """Consecutive windows that start from the measurements themselves, and what these do not show from the free run.
+    """Consecutive windows that start from the measurements and, in what these do not show, from the window before.
 
-    None where FMU or log do not allow it.
+    The free run carries to the first of each chain. None where FMU or log do not allow windows.
     """
-    rows = own_rows(drive.log, horizon)
-    if not rows or not parameters.keys() & drive.log.outputs.keys():
+    log, found = drive.log, chains(drive.log, horizon)
+    if not found or not parameters.keys() & log.outputs.keys():
         return None
-    starts = window_starts(drive, parameters, free.outputs, rows)
-    memories = {k: kept(free.states[k], parameters, starts[k]) for k in rows} if readable(parameters) else {}
-    return windows(drive, starts, horizon, memories)
+    table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log)
+    carried = table.copy()
+    for chain in found:
+        own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
+        for first, last in pairwise(chain.rows):
+            start = window_start(log, parameters, sigma, carrier, since, first)
+            memory = None if own is None else kept(own, parameters, start)
+            carried[first : last + 1] = drive.run(first, last, start, memory)
+            own, carrier, since = own and drive.block.own(), dict(zip(drive.outputs, carried.T, strict=True)), first
+            if first >= chain.begin:
+                starts[first] = start
+                table[first + 1 : last + 1] = carried[first + 1 : last + 1]
+    return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
 
 
 def horizons(log: Log) -> tuple[float, ...]:
@@ -123,9 +145,19 @@ def horizons(log: Log) -> tuple[float, ...]:
     return tuple(horizon * stretch(log) for horizon in HORIZONS)
 
 
-def own_rows(log: Log, horizon: float) -> list[int]:
-    """First rows of windows that start from the measurements themselves."""
-    return window_rows(log, horizon, SKIPPED * stretch(log))
+def chains(log: Log, horizon: float) -> list[Chain]:
+    """Windows that start from the measurements; over a pause nothing is known, there a chain ends and another begins.
+
+    After a pause the state settles in short windows, for as long as is left out at the start of the log.
+    """
+    found, skipped, first = [], SKIPPED * stretch(log), 0
+    for part in stretches(log):
+        if rows := window_rows(part, horizon, skipped):
+            settle = [k for k in window_rows(part, PAST * stretch(log), 0.0) if k < rows[0]] if first else []
+            edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
+            found.append(Chain(tuple(first + k for k in edges), first + rows[0]))
+        first += part.rows
+    return found
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:

@@ -1,9 +1,10 @@
 """Where a replay starts: a simple estimate of the state out of the measurements, for any FMU with start parameters.
 
 The FMU carries what is fast, the measurements what is slow: over the last PAST seconds the difference
-measured − free run is fitted by a parabola in time, and its end corrects the free run's state there.
-Angle and rate share one parabola, weighted by their noise. States that are not measured are the free run's,
-those that no output shows too, where the FMU is one of ours: its state can be read and put back.
+measured − carrier is fitted by a parabola in time, and its end corrects the carrier's state there. The carrier
+is the window before: over a whole log even a right model drifts. Angle and rate share one parabola, weighted by
+their noise. States that are not measured are the carrier's, those that no output shows too, where the FMU is one
+of ours: its state can be read and put back.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ ROWS = 0.02  # [s] from row to row, for which the times are made; see `stretch`
 PAST = 0.5  # [s] before a window
 FIRST = 1.0  # [s] after the start of the log, where there is no past
 REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
-FITS = 2.0  # times the noise's variance
+FITS = 2.5  # times the noise's variance; noise alone makes more of half a second at 50 Hz once in 10⁴
 FEWEST = 6  # samples of a parabola
 LEAST = 4  # samples of a channel; slow sensors look further away
 PASSES = 4  # over the first second
@@ -118,7 +119,7 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     log = drive.log
     seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
     start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()}
-    sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
+    sigma = noise_levels(log)
     last = max(rows_of(log, 0, FIRST * stretch(log)), min(FEWEST, log.rows - 1))
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
@@ -128,22 +129,28 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     return start
 
 
-def window_starts(
-    drive: Drive, parameters: Mapping[str, StartParameter], free: Mapping[str, Column], rows: Sequence[int]
-) -> dict[int, dict[str, float]]:
-    """Start of each window, from the free run and the measurements up to its row.
+def window_start(
+    log: Log,
+    parameters: Mapping[str, StartParameter],
+    sigma: Mapping[str, float],
+    carrier: Mapping[str, Column],
+    since: int,
+    k: int,
+) -> dict[str, float]:
+    """Start of a window at row k, from what carries to there from row `since` on and the measurements up to it.
 
     Of an FMU of ours only what the measurements tell: the rest of its state is kept, see `kept`.
     """
-    log, starts = drive.log, {}
-    sigma = {name: sigma_of(values) for name, values in log.outputs.items()}
-    for k in rows:
-        state = {name: float(free[name][k]) for name in parameters}
-        oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
-        told = _correct(log, free, sigma, state, k, np.arange(oldest, k + 1))
-        names = told if readable(parameters) else parameters
-        starts[k] = {parameters[name].name: parameters[name].value(state[name]) for name in names}
-    return starts
+    state = {name: float(carrier[name][k]) for name in parameters}
+    oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
+    told = _correct(log, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
+    names = told if readable(parameters) else parameters
+    return {parameters[name].name: parameters[name].value(state[name]) for name in names}
+
+
+def noise_levels(log: Log) -> dict[str, float]:
+    """Channel → its noise, by which it is weighted."""
+    return {name: sigma_of(values) for name, values in log.outputs.items()}
 
 
 def readable(parameters: Mapping[str, StartParameter]) -> bool:

@@ -6,8 +6,7 @@ import hashlib
 import math
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cosim.errors import Fault, InputError
 from cosim.refine.frames import rates_of
-from cosim.refine.gate import GAP, gate, gate_faults
+from cosim.refine.gate import gate, gate_faults, stretches
 from cosim.refine.log import Log, read_log
 from cosim.refine.model_file import BASE, LoadedModel, load_model
 from cosim.refine.replay import SKIPPED
@@ -24,7 +23,6 @@ from cosim.report.text import counted, plain
 from cosim.yaml_file import YamlFile, did_you_mean
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
-LOST = 10  # rows at least that are lost in a pause
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 
 
@@ -149,20 +147,6 @@ def _digest(log: Log) -> str:
 def least_duration(horizon: float) -> float:
     """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored."""
     return SKIPPED + (horizon if math.isfinite(horizon) else 0.0) + SCORED
-
-
-def stretches(log: Log) -> list[Log]:
-    """A log cut at its pauses, over which neither commands nor state are known; each stretch is a log of its own."""
-    cuts = np.flatnonzero(np.diff(log.time) > max(GAP, LOST * log.step)) + 1
-    if not cuts.size:
-        return [log]
-    found = []
-    for first, end in pairwise([0, *cuts.tolist(), log.rows]):
-        rows = slice(first, end)
-        outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
-        inputs = {name: values[rows] for name, values in log.inputs.items()}
-        found.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
-    return found
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
