@@ -77,7 +77,7 @@ def _timing(log: Log) -> Iterator[Finding]:
         yield Finding(
             "warning" if spread > 0.1 else "note", "jitter", "time",
             f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
-            "each is replayed at its own time",
+            "replays step at their times, the filter of `cosim refine` at equal ones",
             {"step": log.step, "spread": spread, "worst": worst},
         )  # fmt: skip
     holes = np.flatnonzero(ratio > MISSING)
