@@ -15,6 +15,7 @@ from cosim.refine.fit import inverse
 from cosim.refine.log import read_log
 from cosim.refine.problem import build_problem
 from cosim.refine.sensor_noise import other_noise, sensor_noise
+from cosim.refine.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
 from tests.test_refine import holds, named, proven, study_of
@@ -151,6 +152,19 @@ def test_a_hidden_state_may_start_far_from_where_the_model_does(tmp_path: Path) 
     r = proven(motor_study(tmp_path, 6.0, start=200.0), tmp_path / "out")
     assert r.record["verdict"] == "no_effect"
     assert 60.0 < math.sqrt(r.problem.P0[0, 0]) < 300.0  # steady states reach from −120 to 120 rad/s
+
+
+def test_a_model_that_runs_away_tells_nothing_of_its_start(tmp_path: Path) -> None:
+    study = motor_study(tmp_path, 6.0)
+    unstable = MOTOR.replace("- self.k * state[0])", "+ 4 * self.k * state[0])").replace('{"tacho": 1e-4}', "{}")
+    (tmp_path / "motor.py").write_text(unstable)
+    read = read_study(study)
+    model = read.loaded.model
+    problem = build_problem(model, read.logs)
+    assert problem.P0.tolist() == [[1.0]]
+    used, (warning,) = other_noise(problem, model, {})
+    assert used == {}
+    assert "how much noise tacho has" in warning
 
 
 def test_a_scaled_reading_is_held_against_a_floor_of_its_own(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ class Attributor:
         ranking = tuple(sorted(self.tried.values(), key=lambda h: h.score))
         rivals, reasons = self._rivals(best, base), self._reasons(best, base)
         held_out, noise_gain = self.held_out(best, base), self.noise_gain(best.fit)
-        return Attribution(base, ranking, best, rivals, held_out, noise_gain, reasons, self.hidden())
+        return Attribution(base, ranking, best, rivals, held_out, noise_gain, reasons, self.hidden(best is base))
 
     def hypothesis(
         self,
@@ -143,10 +143,10 @@ class Attributor:
         """Some base parameter is pulled from its data sheet by more than its prior can be asked for."""
         return any(0.5 * ((f.values[x.name] - x.prior[0]) / x.prior[1]) ** 2 > self.claim for x in f.free if x.prior)
 
-    def hidden(self) -> tuple[str, ...]:
-        """Effects of which no parameter, at its usual size, would be told from neutral; all of them at rest."""
+    def hidden(self, nothing_found: bool) -> tuple[str, ...]:
+        """Effects of which no parameter, at its usual size, would be told from neutral; at rest all, if none was."""
         effects = [c.name for c in self.candidates if c.kind == "effect"]
-        if at_rest(self.problem):
+        if nothing_found and at_rest(self.problem):
             return tuple(effects)
         return tuple(name for name in effects if self.told.get(name, np.inf) < SIGNIFICANT**2)
 

@@ -66,7 +66,7 @@ def start_state(model: Model, data: Data, measured: Sequence[str], states: Seque
 def start_covariance(model: Model, problem: Problem) -> Array:
     """P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
 
-    Of a state of which it says nothing, the range of the model's own run on the commands.
+    Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
     """
     generated = problem.kernel.generated
     seen = set.intersection(*(set(_seen_first(model, data, generated.outputs)) for data in problem.logs))
@@ -80,10 +80,19 @@ def start_covariance(model: Model, problem: Problem) -> Array:
 
 
 def _range(problem: Problem) -> Array:
-    """Of each state, how far apart the ends are between which the model's own run moves; 0 at rest."""
-    states = np.vstack([own_run(problem, index).states for index in range(len(problem.logs))])
-    low, high = np.nanpercentile(states, (1, 99), axis=0)
-    return np.asarray(np.nan_to_num(high - low))
+    """Of each state, how far apart the ends are between which the model's own run moves; 0 at rest, or astray.
+
+    A run that leaves what was measured by more than the range of that, as one of an unstable model, tells nothing.
+    """
+    runs = [own_run(problem, index) for index in range(len(problem.logs))]
+    for log, run in zip(problem.logs, runs, strict=True):
+        seen = np.isfinite(log.y)
+        apart = np.abs(np.where(seen, run.outputs - np.where(seen, log.y, 0.0), 0.0)).max(axis=0)
+        measured = np.where(seen, log.y, -np.inf).max(axis=0) - np.where(seen, log.y, np.inf).min(axis=0)
+        if not np.all((apart <= measured) | ~seen.any(axis=0)):  # also where it has run to infinity
+            return np.zeros(len(problem.kernel.generated.states))
+    low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
+    return np.asarray(high - low)
 
 
 def own_run(problem: Problem, index: int) -> Simulated:

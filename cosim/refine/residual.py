@@ -83,7 +83,8 @@ class InputCorrelation:
 def rmse(*errors: Column) -> float:
     """Root mean square of everything finite, pooled; NaN where nothing is."""
     kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
-    return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
+    with np.errstate(over="ignore"):  # of a model that runs away
+        return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
 
 
 def excess_left(before: float, after: float, floor: float) -> float:

@@ -60,6 +60,12 @@ def other_noise(problem: Problem, model: Model, told: Mapping[str, float]) -> tu
             f"the logs show next to no noise ({_beside(quiet, known, units)}); "
             f"the model's is used, unless the study says {_line(quiet)}"
         )
+    if unknown := [n for n in known if n not in model.sensor_variance and n not in told and n not in used]:
+        line = f"`noise: {{{', '.join(f'{n}: …' for n in unknown)}}}`"
+        warnings.append(
+            f"how much noise {' and '.join(unknown)} has, neither the model says (sensor_variance) nor the logs; "
+            f"1 is used, unless the study says {line}"
+        )
     return used, tuple(warnings)
 
 
