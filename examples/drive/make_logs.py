@@ -38,8 +38,7 @@ def write_study(folder: Path, estimation: list[str], validation: list[str]) -> P
     model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
     path.write_text(
         f"model: {model}:Drive\nlogs:\n"
-        f"  estimation: [{', '.join(estimation)}]\n  validation: [{', '.join(validation)}]\n"
-        "noise: {position: 1.0e-4} # the model's, not the encoder's: see README.md\n",
+        f"  estimation: [{', '.join(estimation)}]\n  validation: [{', '.join(validation)}]\n",
         encoding="utf-8",
     )
     return path
