@@ -49,7 +49,7 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
     too_little = len(a.hidden) > max(1.0, BLIND * effects) or (len(a.hidden) == effects == 1 and not kinds)
     if too_little and kinds != {"sensor"}:
         rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
-        sentence = _too_little(len(a.hidden), effects, DEFAULT_EXPERIMENT)
+        sentence = _too_little(len(a.hidden), effects)
         return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, sentence)
     if not kinds:
         if not a.quiet or (unnamed and unnamed[0].most > NOTICED):
@@ -98,11 +98,11 @@ def _found(candidates: Sequence[Candidate]) -> Name:
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
-def _too_little(hidden: int, effects: int, experiment: str) -> str:
+def _too_little(hidden: int, effects: int) -> str:
     which = "the one effect" if effects == 1 else f"{hidden} of {effects} effects"
     return (
         f"These logs excite too little: {which} would not show in them, present or not. "
-        f"This would show {'it' if effects == 1 else 'them'}: {experiment}."
+        f"This would show {'it' if effects == 1 else 'them'}: {DEFAULT_EXPERIMENT}."
     )
 
 
