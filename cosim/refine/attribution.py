@@ -54,13 +54,13 @@ class Attributor:
         self.told: dict[str, float] = {}
         self.drowned: set[tuple[str, ...]] = set()
         self.claim = CLAIM
-        self.known = np.inf  # objective of the base model, recalibrated
+        self.reached = np.inf  # objective of the base model, recalibrated
 
     def run(self) -> Attribution:
         """Base fit, singles, extensions, rivals."""
         self.progress("recalibrating the base model", 0.0)
         base = self.hypothesis((), None)
-        self.known = base.fit.objective
+        self.reached = base.fit.objective
         self.claim = CLAIM_IN_NOISE if any(self.noisy(base.fit)) else CLAIM
         singles = self._fit_all([(c,) for c in self.candidates], base, "trying every effect, sensor and parameter")
         best = self._better(singles, base, alone=False)
@@ -101,15 +101,15 @@ class Attributor:
                 if not set(c.parameters) <= moved:
                     values |= c.starts[min(k, len(c.starts) - 1)]
             fair = 1 if values == known else FAIR
-            fits.append(fit(self.problem, free, values, log_q, only, iterations, goal, fair, self._known(parts)))
+            fits.append(fit(self.problem, free, values, log_q, only, iterations, goal, fair, self._reached(parts)))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.price * sum(len(c.free) for c in parts))
 
-    def _known(self, parts: tuple[Candidate, ...]) -> float:
+    def _reached(self, parts: tuple[Candidate, ...]) -> float:
         """Objective that some of the parts reach without the others: all together can do no worse when fitted."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
-        return min(fitted, default=self.known)
+        return min(fitted, default=self.reached)
 
     def free(self, parts: tuple[Candidate, ...]) -> list[Free]:
         """What a fit of these candidates may move."""

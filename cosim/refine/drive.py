@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import ctypes
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
+from cosim.blocks.restartable import Memory, Own, RestartableFmu
 from cosim.errors import Fault, InputError, SimulationError
 from cosim.refine.log import Column, Log, SignalLike
 from cosim.refine.units import factor
@@ -23,9 +23,6 @@ from cosim.yaml_file import did_you_mean
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500
 Steps = tuple[list[float], list[float], list[int]]
-Own = list[Any]  # what decides the future of an FMU of ours, as JSON: time, state, memory of each shaping effect
-STATE, MEMORY = 1, 2  # parts of that
-Memory = Mapping[tuple[int, int], Any]  # part and place in that → what stands there
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
@@ -40,66 +37,6 @@ class StoppedReplay(SimulationError):
     def __init__(self, error: SimulationError, done: Column) -> None:
         Exception.__init__(self, str(error))
         self.component, self.time, self.done = error.component, error.time, done
-
-
-class RestartableFmu(FmuBlock):
-    """An FMU that begins again without being unpacked, where it can be reset."""
-
-    def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
-        """Enter initialization at `start` with these start values."""
-        from fmpy.fmi1 import FMICallException
-
-        self.start_values = values
-        self._time = start
-        if self._fmu is None or not self._reset():
-            self.close()
-            self._initialized = False
-            self.open(start, stop)
-            return
-        self._initialized = False
-        try:
-            self._fmu.setupExperiment(startTime=start, stopTime=stop)
-            self._set_start_values()
-            self._fmu.enterInitializationMode()
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-
-    def own(self) -> Own:
-        """The state of an FMU of ours; of another ValueError, KeyError or TypeError, whatever its bytes come to."""
-        t, state, memory = self._state()["own"]
-        return [float(t), [*state], [*memory]]
-
-    def remember(self, memory: Memory) -> None:
-        """Put this into the state of an FMU of ours: start values know but a constant past."""
-        from fmpy.fmi1 import FMICallException
-
-        state = self._state()
-        for (part, place), value in memory.items():
-            state["own"][part][place] = value
-        try:
-            after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
-            self._fmu.setFMUstate(after)
-            self._fmu.freeFMUstate(after)
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-
-    def _state(self) -> Any:
-        from fmpy.fmi1 import FMICallException
-
-        try:
-            held = self._fmu.getFMUstate()
-            state = self._fmu.serializeFMUstate(held)
-            self._fmu.freeFMUstate(held)
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-        return json.loads(state)
-
-    def _reset(self) -> bool:
-        try:
-            self._fmu.reset()
-        except Exception:  # FMPy raises bare Exceptions; what cannot be reset is opened anew
-            return False
-        return True
 
 
 class Drive:

@@ -102,13 +102,18 @@ class Problem:
         short = replace(self, logs=[logs[k] for k in taken], x0=[self.x0[k] for k in taken])
         return noise_range(lambda log_q: short.scored(self.values, log_q).variances, len(self.kernel.generated.noisy))
 
+    def numbers(self, values: Mapping[str, float]) -> Array:
+        """Values of the parameters in the kernel's order."""
+        return np.array([values[name] for name in self.kernel.generated.parameters])
+
     def run(self, values: Mapping[str, float], log_q: Array, index: int, *, states: bool = False) -> Filtered:
         """Filter one log."""
         generated = self.kernel.generated
-        p = np.array([values[name] for name in generated.parameters])
         q = np.zeros(len(generated.stochastic))
         q[list(generated.noisy)] = np.exp(log_q)
-        return self.kernel.run(self.logs[index], p, self.x0[index], self.P0, q, self.r, states=states)
+        return self.kernel.run(
+            self.logs[index], self.numbers(values), self.x0[index], self.P0, q, self.r, states=states
+        )
 
     def scored(self, values: Mapping[str, float], log_q: Array, only: Sequence[int] | None = None) -> Scored:
         """Filter all logs, or some."""
@@ -177,14 +182,14 @@ def fit(
     iterations: int = ITERATIONS,
     goal: float = np.inf,
     fair: int = FAIR,
-    known: float = np.inf,
+    reached: float = np.inf,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
     A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is;
-    above `known`, an objective that some values of these parameters reach, not while its pace would bring it there.
+    above `reached`, an objective that some values of these parameters have, not while its pace would bring it there.
     """
-    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, known)
+    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, reached)
 
 
 class _Scoring:
@@ -208,7 +213,7 @@ class _Scoring:
         self.theta = np.clip(np.array([*(self.known[f.name] for f in free), *log_q]), self.low, self.high)
         self.damping = 1e-3
 
-    def run(self, iterations: int, goal: float, fair: int, known: float) -> Fit:
+    def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
         done, converged, pace = 0, False, 0.0
@@ -217,7 +222,7 @@ class _Scoring:
             gradient, information = self._derivatives()
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
-            if before > known:  # far from the optimum, where the quadratic model says little
+            if before > reached:  # far from the optimum, where the quadratic model says little
                 hope = max(hope, pace * (iterations - done))
             if done >= fair and before - hope > goal:
                 break

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import MEMORY, Drive, Memory, StoppedReplay
+from cosim.blocks.restartable import MEMORY, Memory
+from cosim.refine.drive import Drive, StoppedReplay
 from cosim.refine.fit import Problem
 from cosim.refine.kernel import Array, Data, Filtered
 from cosim.refine.log import Log
@@ -147,7 +148,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
     problem = filtering(problem, variant.model, logs)
     generated = problem.kernel.generated
-    p = _numbers(variant, problem)
+    p = problem.numbers(variant.values)
     missed = []
     noisy = [generated.stochastic[k] for k in generated.noisy]
     q = np.zeros(len(generated.stochastic))
@@ -168,10 +169,6 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     return _root_mean_squares(problem, missed)
 
 
-def _numbers(variant: Variant, problem: Problem) -> Array:
-    return np.array([variant.values[name] for name in problem.kernel.generated.parameters])
-
-
 def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:
     """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
 
@@ -184,7 +181,7 @@ def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filt
     for output, _, gain in _lines(variant):
         if output in gains:
             gains[output] *= gain
-    readings = data.y - _predicted(problem, data, _numbers(variant, problem), seen, rows, length)
+    readings = data.y - _predicted(problem, data, problem.numbers(variant.values), seen, rows, length)
     return np.asarray(readings / np.array(list(gains.values())))
 
 

@@ -50,9 +50,8 @@ class Steps:
 
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
-        known = {**problem.values, **values}
         generated = problem.kernel.generated
-        self.p = np.array([known[name] for name in generated.parameters])
+        self.p = problem.numbers({**problem.values, **values})
         late = self.p[generated.delay] / self.data.step if generated.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 

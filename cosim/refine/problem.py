@@ -97,9 +97,8 @@ def _range(problem: Problem) -> Array:
 
 def own_run(problem: Problem, index: int) -> Simulated:
     """The model on the commands of a log, free of noise; NaN from where it runs away."""
-    generated = problem.kernel.generated
-    p = np.array([problem.values[name] for name in generated.parameters])
-    return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], np.zeros(generated.memory))
+    p, memory = problem.numbers(problem.values), np.zeros(problem.kernel.generated.memory)
+    return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], memory)
 
 
 def _seen_first(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.refine.drive import Drive, Memory, Own, as_columns, rows_of
+from cosim.blocks.restartable import Memory, Own
+from cosim.refine.drive import Drive, as_columns, rows_of
 from cosim.refine.gate import stretches
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN

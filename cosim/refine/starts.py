@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.blocks.restartable import MEMORY, STATE, Memory, Own
 from cosim.errors import SimulationError
-from cosim.refine.drive import MEMORY, STATE, Drive, Memory, Own, as_columns, rows_of
+from cosim.refine.drive import Drive, as_columns, rows_of
 from cosim.refine.log import Column, Log, rate_of
 from cosim.refine.residual import noise_level
 

@@ -1,0 +1,72 @@
+"""An FMU that is run again and again, and of one of ours the state between its runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from cosim.blocks.fmu import FmuBlock
+
+Own = list[Any]  # what decides the future of an FMU of ours, as JSON: time, state, memory of each shaping effect
+STATE, MEMORY = 1, 2  # parts of that
+Memory = Mapping[tuple[int, int], Any]  # part and place in that → what stands there
+
+
+class RestartableFmu(FmuBlock):
+    """An FMU that begins again without being unpacked, where it can be reset."""
+
+    def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Enter initialization at `start` with these start values."""
+        self.start_values = values
+        self._time = start
+        if self._fmu is None or not self._reset():
+            self.close()
+            self._initialized = False
+            self.open(start, stop)
+            return
+        self._initialized = False
+        with self._failing():
+            self._fmu.setupExperiment(startTime=start, stopTime=stop)
+            self._set_start_values()
+            self._fmu.enterInitializationMode()
+
+    def own(self) -> Own:
+        """The state of an FMU of ours; of another ValueError, KeyError or TypeError, whatever its bytes come to."""
+        t, state, memory = self._state()["own"]
+        return [float(t), [*state], [*memory]]
+
+    def remember(self, memory: Memory) -> None:
+        """Put this into the state of an FMU of ours: start values know but a constant past."""
+        state = self._state()
+        for (part, place), value in memory.items():
+            state["own"][part][place] = value
+        with self._failing():
+            after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
+            self._fmu.setFMUstate(after)
+            self._fmu.freeFMUstate(after)
+
+    def _state(self) -> Any:
+        with self._failing():
+            held = self._fmu.getFMUstate()
+            state = self._fmu.serializeFMUstate(held)
+            self._fmu.freeFMUstate(held)
+        return json.loads(state)
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Tell which of these calls failed."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            yield
+        except FMICallException as error:
+            self._fail(error.function, error.status)
+
+    def _reset(self) -> bool:
+        try:
+            self._fmu.reset()
+        except Exception:  # FMPy raises bare Exceptions; what cannot be reset is opened anew
+            return False
+        return True
