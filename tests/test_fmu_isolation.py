@@ -14,6 +14,7 @@ import pytest
 import fmus.build
 from fmus.build import build, plant_recipe
 from tests.hosts_fmpy import Instance
+from tests.misbehaving import misbehaving_fmu
 
 ROOT = Path(__file__).resolve().parent.parent
 STEP = 0.02  # [s]
@@ -171,8 +172,8 @@ RELEASES = """
 import atexit, json, sys
 from pathlib import Path
 from tests.hosts_fmpy import Instance
-at_exit = []
-atexit.register = lambda function: at_exit.append(function)
+at_exit, register = [], atexit.register
+atexit.register = lambda function: at_exit.append(register(function))  # seen, and done: without it the end may abort
 for path in sys.argv[1:]:
     with Instance(Path(path)) as one, Instance(Path(path)) as two:
         one.initialize()
@@ -196,6 +197,28 @@ def test_what_pythonfmu_releases_twice_is_kept_in_balance(
     assert libraries >= 3
     assert let_go == ["finalizePythonInterpreter"] * libraries
     assert references == [1, 1]
+
+
+FOREIGN = """
+import atexit, ctypes, json, sys
+from pathlib import Path
+from cosim.blocks.fmu import FmuBlock, read_description
+at_exit, register = [], atexit.register
+atexit.register = lambda function: at_exit.append(register(function))
+path = Path(sys.argv[1])
+for _ in range(2):
+    block = FmuBlock("foreign", path, read_description(path), {}, frozenset())
+    block.bind((ctypes.c_double * 3)(), 0)
+    block.open(0.0, 1.0)
+    block.close()
+print(json.dumps([f.__name__ for f in at_exit if getattr(f, "__name__", "") == "finalizePythonInterpreter"]))
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
+def test_cosim_keeps_it_in_balance_for_an_fmu_that_does_not(tmp_path: Path) -> None:
+    fmu = misbehaving_fmu(tmp_path, "Behaves")
+    assert in_a_process_of_its_own(FOREIGN, fmu) == ["finalizePythonInterpreter"] * 2  # a library an extraction
 
 
 def test_instances_of_one_fmu_share_no_state(plant_fmu: Path) -> None:

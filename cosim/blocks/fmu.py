@@ -18,6 +18,7 @@ from typing import Any
 
 from cosim.blocks.interface import Row, Signal
 from cosim.errors import FmuError, SimulationError
+from fmus.lifetime import let_go_at_exit
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 FATAL = 4
@@ -132,6 +133,7 @@ class FmuBlock:
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
             self._fmu = None
             raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+        let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
         self._component = self._fmu.component
         self._bare_functions()
         try:
