@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.refine import starts
-from cosim.refine.compare import BEYOND_NOISE, ChannelSummary, Comparison
+from cosim.refine.compare import ChannelSummary, Comparison
 from cosim.refine.drive import Drive, model_signals
 from cosim.refine.log import Log, read_log
 from cosim.refine.model_file import load_model
@@ -83,7 +83,7 @@ def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
     # ψ is known to some 0.3° from half a second of a gyro; hidden states at their defaults would make 5° and more
     assert psi(own).scores[2.0].rmse < math.radians(1.0)
     base = write_replay(tmp_path, log, plant_fmu, report=False)
-    assert psi(base).excess > 4.0 * BEYOND_NOISE
+    assert psi(base).excess > 4.0 * psi(base).floor.limit
     assert NOTHING not in verdict(base)
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from cosim.refine.against import delays, scales
 from cosim.refine.drive import Drive
 from cosim.refine.finding import Finding
+from cosim.refine.floor import EXACT, NOTHING, Floor, draws, floors
 from cosim.refine.gate import ORDER, refuse_faults
-from cosim.refine.log import Column, Log
+from cosim.refine.log import Log
 from cosim.refine.replay import HORIZONS, Replay, horizons, self_started
 from cosim.refine.residual import (
     FREE_RUN,
@@ -22,18 +21,11 @@ from cosim.refine.residual import (
     input_correlations,
     lags_of,
     noise_level,
-    pooled,
-    rmse,
     score,
     whiteness,
 )
-from cosim.refine.starts import StartParameter, start_parameters
+from cosim.refine.starts import start_parameters
 from cosim.report.text import plain, size
-
-FLOOR_DRAWS, FLOOR_SEED = 2, 1
-BEYOND_NOISE = 1.5  # times the floor, which two draws give to about 15 %
-ROUNDING = 1e-9  # of a channel's size
-EXACT = 1e-4  # of a channel's spread; a log without noise is matched to rounding, not to noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +33,8 @@ class ChannelSummary:
     """One measured channel against the model.
 
     horizon: of the windows that measure [s]
-    noise:   standard deviation of its measurement noise, `floor`: RMSE over the horizon that noise alone explains
-    astray:  the same of the model against itself, restarted from its own outputs without noise; 0 if by rounding only
+    noise:   standard deviation of its measurement noise
+    floor:   RMSE over the horizon that noise alone explains
     scores:  horizon → score; whiteness and inputs are of the residual over the shortest horizon
     """
 
@@ -50,8 +42,7 @@ class ChannelSummary:
     unit: str
     horizon: float
     noise: float
-    floor: float
-    astray: float
+    floor: Floor
     scores: Mapping[float, Score]
     whiteness: Whiteness
     inputs: tuple[InputCorrelation, ...]
@@ -64,20 +55,20 @@ class ChannelSummary:
     @property
     def lost(self) -> bool:
         """Windows are no measure: the model loses itself in them by more than noise explains."""
-        return self.astray > self.floor
+        return self.floor.astray > self.floor.rmse
 
     @property
     def excess(self) -> float:
         """RMSE over what noise explains; NaN where no window measures."""
         windowed = self.measure != FREE_RUN and not self.lost
-        return self.scores[self.horizon].rmse / self.floor if windowed and self.floor > 0.0 else math.nan
+        return self.scores[self.horizon].rmse / self.floor.rmse if windowed and self.floor.rmse > 0.0 else math.nan
 
     @property
     def matched(self) -> bool:
         """No larger than noise explains, or than rounding; or there is nothing to compare."""
         found = self.scores[self.measure]
         exact = found.rows == 0 or found.fit > 100.0 * (1.0 - EXACT)
-        return not self.lost and (exact or self.excess < BEYOND_NOISE)
+        return not self.lost and (exact or self.excess < self.floor.limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,72 +99,35 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
     against = [*scales(log, free.outputs), *delays(log, free.outputs)]
     refuse_faults(log, against)
     for horizon in spans:
-        if (found := self_started(drive, parameters, free, horizon)) is not None:
-            replays[horizon] = found
-    floor, astray = against_itself(drive, parameters, free, measure) if measure in replays else ({}, {})
-    channels = tuple(
-        _summary(log, replays, name, measure, floor.get(name, math.nan), astray.get(name, math.nan))
-        for name in log.outputs
-    )
+        if (windowed := self_started(drive, parameters, free, horizon)) is not None:
+            replays[horizon] = windowed
+    found = floors(drive, parameters, free, replays[measure]) if measure in replays else {}
+    channels = tuple(_summary(log, replays, name, measure, found.get(name, NOTHING)) for name in log.outputs)
     everything = sorted((*findings, *against, *_lost(channels)), key=lambda f: ORDER.index(f.severity))
     return Comparison(log, drive, replays, channels, tuple(everything))
 
 
 def steps_of(log: Log) -> int:
     """Steps a comparison makes, about."""
-    return log.rows * (1 + len(HORIZONS) + 1 + FLOOR_DRAWS)
-
-
-def against_itself(
-    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Channel → RMSE over the horizon that noise alone explains; that of the model restarted from its own outputs.
-
-    The model is replayed against its free run, seen through the noise and the holes of the log, and through the
-    holes only. What it misses even so is not the noise's: it keeps something that no output shows.
-    """
-    log = drive.log
-    alike = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
-
-    def predicted(seen: Mapping[str, Column]) -> Mapping[str, Column]:
-        found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)
-        return {} if found is None else found.outputs
-
-    restarted, errors = predicted(alike), []
-    for draw in range(FLOOR_DRAWS):
-        rng = np.random.default_rng([FLOOR_SEED, draw])
-        levels = {name: noise_level(values) for name, values in log.outputs.items()}
-        noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
-        noisy = predicted({n: values + noise[n] for n, values in alike.items()})
-        errors.append({n: alike[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in alike})
-    return pooled(errors), {n: _astray(values, restarted[n]) for n, values in alike.items()}
-
-
-def _astray(model: Column, restarted: Column) -> float:
-    error = model - restarted
-    seen = model[np.isfinite(error)]
-    least = max(EXACT * float(np.std(seen)), ROUNDING * float(np.max(np.abs(seen)))) if seen.size else math.inf
-    return found if (found := rmse(error)) > least else 0.0
+    return log.rows * (1 + len(HORIZONS) + 1 + draws(log, horizons(log)[-1]))
 
 
 def _lost(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
     for c in (c for c in channels if c.lost):
         yield Finding(
             "warning", "hidden_state", c.name,
-            f"is missed by {size(c.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted from "
-            "its own outputs: it keeps a state that no output shows, and only the free run measures it",
-            {"rmse": c.astray, "noise": c.floor},
+            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted "
+            "from its own outputs: it keeps a state that no output shows, and only the free run measures it",
+            {"rmse": c.floor.astray, "noise": c.floor.rmse},
         )  # fmt: skip
 
 
-def _summary(
-    log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: float, astray: float
-) -> ChannelSummary:
+def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: Floor) -> ChannelSummary:
     measured = log.outputs[name]
     scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
     residual = measured - replays[min(replays)].outputs[name]
     lags = lags_of(log.rows, log.step)
     return ChannelSummary(
-        name, log.units[name], horizon, noise_level(measured), floor, astray, scores,
+        name, log.units[name], horizon, noise_level(measured), floor, scores,
         whiteness(residual, lags), input_correlations(residual, log.inputs, lags),
     )  # fmt: skip

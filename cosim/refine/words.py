@@ -46,7 +46,7 @@ def verdict(comparison: Comparison) -> str:
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
     """Which channels windows do not measure, how that shows, and what the free run says of them."""
     names = _and([c.name for c in lost])
-    own = _and([f"{c.name} by {size(c.astray, c.unit)}" for c in lost])
+    own = _and([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
         f"The windows do not measure {names}: restarted from its own outputs this FMU misses {own}, "
         f"for it keeps a state that no output shows. Its free run misses {_sizes(lost, FREE_RUN)}."
