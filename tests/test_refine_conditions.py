@@ -88,13 +88,15 @@ def motor_study(folder: Path, voltage: float, start: float = 0.0) -> Path:
     return path
 
 
-def shaken(path: Path, level: Mapping[str, float]) -> None:
-    """Add white noise to columns of a log."""
+def shaken(path: Path, level: Mapping[str, float], every: int = 1) -> None:
+    """Add white noise to columns of a log, and leave only one in `every` of their readings."""
     with path.open() as stream:
         header, *rows = csv.reader(stream)
     table, rng = np.array(rows, dtype=float), np.random.default_rng(len(path.stem))
     for name, sigma in level.items():
-        table[:, [h.partition(" ")[0] for h in header].index(name)] += sigma * rng.standard_normal(len(table))
+        column = table[:, [h.partition(" ")[0] for h in header].index(name)]
+        column += sigma * rng.standard_normal(len(table))
+        column[np.arange(len(table)) % every != 0] = np.nan
     write_log(path, dict(zip(header, table.T, strict=True)))
 
 
@@ -128,7 +130,7 @@ def test_sensors_with_more_noise_than_the_model_says_are_believed(tmp_path: Path
     assert other_noise(r.problem, Hovercraft(), told) == ({}, ())  # a study that says so is not told again
 
 
-def test_noise_is_told_from_motion_and_not_of_a_slow_sensor(tmp_path: Path) -> None:
+def test_noise_is_told_from_motion_unless_the_sensor_is_slower_than_that(tmp_path: Path) -> None:
     path = study_of(tmp_path / "study", {})
     model = Hovercraft()
     log = read_log(path.parent / "e1.csv", model.inputs, model.outputs)
@@ -137,7 +139,18 @@ def test_noise_is_told_from_motion_and_not_of_a_slow_sensor(tmp_path: Path) -> N
     for name, sigma in found.items():
         assert sigma == pytest.approx(math.sqrt(SENSOR_VARIANCE[name]), rel=0.15)
     log.outputs["x_world"][np.arange(log.rows) % 5 != 0] = np.nan
+    assert sensor_noise(build_problem(model, [log]))["x_world"] == pytest.approx(1e-3, rel=0.25)  # of 400: 6 % is σ
+    log.outputs["x_world"][np.arange(log.rows) % 20 != 0] = np.nan  # half a metre may lie between two of these
     assert sensor_noise(build_problem(model, [log])).keys() == found.keys() - {"x_world"}
+
+
+def test_a_slow_position_with_more_noise_does_not_dilute_friction(tmp_path: Path) -> None:
+    path = study_of(tmp_path / "study", {"coulomb_friction": {"force": 0.05}})
+    for name in ("e1.csv", "e2.csv", "v1.csv"):
+        shaken(path.parent / name, {"x_world": 3e-3, "y_world": 3e-3}, every=5)
+    r = proven(path, tmp_path / "out")
+    assert named(r) == {"coulomb_friction"}
+    assert holds(r, "coulomb_friction", "force", 0.05)
 
 
 def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:

@@ -220,7 +220,9 @@ def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, math.nan)
     whole[place] = values  # what stands on the far side of a pause is no neighbour
-    off = np.abs(np.nan_to_num(surprise(whole)[place]))
+    seen = np.pad(np.isfinite(whole), 2)
+    beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
+    off = math.sqrt(70 / 36) * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
     off[_answering(log)] = 0.0
     low, high = np.nanpercentile(values, [1, 99])
     limit = max(SPIKE * noise_level(values) * math.sqrt(70 / 36), 0.05 * (high - low)) if np.any(off) else math.inf

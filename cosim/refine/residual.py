@@ -16,6 +16,7 @@ Column = NDArray[np.float64]
 FREE_RUN = math.inf  # as a horizon [s]
 NORMAL_95 = 1.959964  # two-sided 95 % of the standard normal
 LJUNG_BOX_LAGS = 20
+GAP = 1.5  # times the usual span of five readings, beyond which they are no neighbours
 COUNTS_FROM = 2.0  # times the noise floor, from which an error before has an excess that can fall
 STANDS_OUT = 2.0  # times the 95 % band: four standard errors, by chance once in 10⁴ lags
 
@@ -111,27 +112,40 @@ def score(measured: Column, model: Column) -> Score:
 def noise_level(values: Column) -> float:
     """Standard deviation of the white noise on a smooth signal, robust against steps and outliers; NaN below 5 values.
 
-    The cubic through two neighbours on each side predicts y_k as (−1, 4, 4, −1)/6; white noise of
-    variance σ² leaves 70/36·σ² of difference, a smooth signal its fourth derivative times h⁴/6.
+    A smooth signal leaves its fourth derivative times h⁴/6, which is told as noise.
     """
-    left = surprise(values)
-    if not np.isfinite(left).any():
-        left = surprise(values[np.isfinite(values)])  # a sensor slower than the log
-    return white_noise(left)
+    return white_noise(surprise(values))
 
 
 def white_noise(left: Column) -> float:
     """Standard deviation of the white noise that leaves these surprises, by their median; NaN without any."""
     left = left[np.isfinite(left)]
-    return float(1.4826 * np.median(np.abs(left)) / math.sqrt(70 / 36)) if left.size else math.nan
+    return float(1.4826 * np.median(np.abs(left))) if left.size else math.nan
 
 
 def surprise(values: Column) -> Column:
-    """y_k minus what its four neighbours say; NaN where one of them is missing."""
+    """What its four nearest neighbours do not say of a value, scaled to be as large as the noise; NaN where unknown.
+
+    The cubic through two on each side predicts y_k, between equal rows as (−1, 4, 4, −1)/6; white noise σ leaves
+    σ·√(1 + Σ w²) of difference. Neighbours of a sensor slower than the log are its own samples, not those
+    beyond a gap.
+    """
     left = np.full(values.size, np.nan)
-    if values.size >= 5:
-        around = 4.0 * (values[1:-3] + values[3:-1]) - values[:-4] - values[4:]
-        left[2:-2] = values[2:-2] - around / 6.0
+    rows = np.flatnonzero(np.isfinite(values))
+    if rows.size < 5:
+        return left
+    near = np.lib.stride_tricks.sliding_window_view(rows, 5)
+    span = near[:, 4] - near[:, 0]
+    near = near[span <= GAP * np.median(span)]
+    centre, others = near[:, 2], near[:, [0, 1, 3, 4]]
+    away = (others - centre[:, None]).astype(np.float64)
+    weights = np.ones_like(away)
+    for j in range(4):  # Lagrange's, at the centre
+        for i in range(4):
+            if i != j:
+                weights[:, j] *= away[:, i] / (away[:, i] - away[:, j])
+    said = np.sum(weights * values[others], axis=1)
+    left[centre] = (values[centre] - said) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
     return left
 
 

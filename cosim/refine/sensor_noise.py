@@ -17,21 +17,22 @@ from plant.model import Model
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
 TOO_QUIET = 0.1  # of the model's, below which it is no sensor's: an encoder between its steps, a filtered reading
 REST = 1.2  # times its noise, up to which the spread of a channel is no motion
-SMOOTH = 0.5  # of a channel's level, that the model's own motion may make of it from row to row
+SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it from row to row
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
     """Output → standard deviation of its noise in the logs [its unit], of the outputs in which noise can be told.
 
-    The level is that of what four neighbours do not say of a row, so of white noise and of fast motion alike. The
-    model's own run tells how much is motion; an output in which that is much, or that is not measured in every row,
-    is left out.
+    The level is that of what four neighbours do not say of a reading, so of white noise and of fast motion alike. The
+    model's own run tells how much is motion; an output in which that is much, as of a sensor slower than what it
+    measures, is left out.
     """
     found = {}
     runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.kernel.generated.outputs):
-        measured = white_noise(np.concatenate([surprise(log.y[:, j]) for log in problem.logs]))
-        motion = white_noise(np.concatenate([surprise(run[:, j]) for run in runs]))
+        columns = [log.y[:, j] for log in problem.logs]
+        alike = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
+        measured, motion = (white_noise(np.concatenate([surprise(y) for y in seen])) for seen in (columns, alike))
         if motion < SMOOTH * measured:
             found[name] = math.sqrt(measured**2 - motion**2)
     return found
