@@ -48,8 +48,8 @@ def _check(path: Path, model: Model) -> list[str]:
         if faults := check_fmu(path):
             raise InputError(faults)
         return []
-    if path.suffix == ".py":
-        only_model(path)
+    if path.suffix in (".py", ".py:"):
+        only_model(Path(str(path).removesuffix(":")))
         return []
     if path.suffix.startswith(".py:"):  # FILE.py:Class
         load_model(str(path), Path())

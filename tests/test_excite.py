@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -142,11 +142,19 @@ def hypothesis(parameters: dict[str, float], gain: float | None, *, fitted: bool
     return {"names": names, "parameters": parameters, "fitted": fitted, "log_likelihood_gain": gain}
 
 
-def refined(folder: Path, rivals: Sequence[str], ranking: list[dict[str, object]], hidden: Sequence[str] = ()) -> None:
+def refined(
+    folder: Path,
+    rivals: Sequence[str],
+    ranking: list[dict[str, object]],
+    hidden: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+) -> None:
     """A study of the hovercraft and what refine says of it."""
     (folder / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
     record = {"study": str(folder / "study.yaml"), "rivals": [*rivals], "candidates": ranking, "hidden": [*hidden]}
-    (folder / "refine.json").write_text(json.dumps(record | {"measured": ["psi", "ax"]}))
+    (folder / "refine.json").write_text(
+        json.dumps(record | {"measured": [*noise] if noise else ["psi", "ax"], "sensor_noise": noise or {}})
+    )
 
 
 def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path) -> None:
@@ -192,6 +200,19 @@ def test_after_logs_that_show_nothing_the_flight_still_tells_the_effects_apart(t
     found = excite(str(tmp_path), tmp_path / "out", duration=10.0, experiments=3)
     assert min(found.apart.values()) > 3.0
     assert not found.warning
+
+
+def test_the_flight_is_planned_with_the_noise_that_the_logs_showed(tmp_path: Path) -> None:
+    apart, pair = [], ("actuator_delay", "yaw_damping")
+    for gyroscope in (0.02, 0.1):
+        folder = tmp_path / str(gyroscope)
+        folder.mkdir()
+        refined(folder, pair, [], noise={"psi": 0.005, "psi_dot": gyroscope, "ax": 0.2})
+        found = excite(str(folder), folder / "out", duration=10.0, experiments=1)
+        apart.append(found.apart[pair])
+        flown = (folder / "out" / "excitation.yaml").read_text()
+        assert f"controller.psi_dot, noise: {{variance: {gyroscope**2:g}}}" in flown
+    assert apart[0] > 1.5 * apart[1]
 
 
 def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path: Path) -> None:

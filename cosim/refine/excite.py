@@ -221,7 +221,8 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     played = [q.name for q in model.inputs]
     if isinstance(rig, ClosedLoop):
         for name in rig.sensors:
-            variance = model.sensor_variance[name]
+            sigma = found.question.noise.get(name)
+            variance = model.sensor_variance[name] if sigma is None else sigma**2
             yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance:g}}}}}"
         yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in flight.references)
         yield from (f"  - {{from: controller.{name}, to: plant.{name}}}" for name in rig.commanded)

@@ -184,6 +184,7 @@ def only_model(path: Path) -> Model:
     module = _module(source.path, source)
     names = vars(module)
     own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # the others are imported
+    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class under two names is one
     if not own:
         raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
     if len(own) > 1:

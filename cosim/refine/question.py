@@ -77,6 +77,7 @@ class Refined(BaseModel):
     candidates: list[Ranked]
     hidden: list[str]
     measured: list[str]
+    sensor_noise: dict[str, float] = {}  # of an older one, the model's is taken
 
 
 def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), measured: Sequence[str] = ()) -> Question:
@@ -115,7 +116,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     rivals, pairs = _rivals(loaded, known, names)
     values = {**neutral_values(loaded.model), **loaded.values}
     fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
-    return Question(loaded, loaded, fitted, pairs, tuple(content.measured), given.noise, {})
+    return Question(loaded, loaded, fitted, pairs, tuple(content.measured), {**content.sensor_noise, **given.noise}, {})
 
 
 def _as_fitted(

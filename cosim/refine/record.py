@@ -138,6 +138,9 @@ class Record(_Entry):
     candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
     measured: list[str] = Field(description="outputs that some estimation log holds")
+    sensor_noise: Channels = Field(
+        description="standard deviation of the noise of each output in `measured`, as it was taken"
+    )
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
     horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")

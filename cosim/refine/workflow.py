@@ -92,7 +92,7 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
         spent = time.perf_counter() - began
-        record = _record(study, attribution, verdict, replayed, floors, spent).model_dump(mode="json")
+        record = _record(study, attribution, verdict, problem, replayed, floors, spent).model_dump(mode="json")
         with atomic_write(scratch / "refine.json") as stream:
             json.dump(record, stream, indent=2, ensure_ascii=False, allow_nan=False)
             stream.write("\n")
@@ -198,7 +198,9 @@ def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) 
     return {name: found[id(variant)] for name, variant in variants.items()}
 
 
-def _record(study: Study, a: Attribution, verdict: Verdict, replayed: Replayed, floors: Floors, spent: float) -> Record:
+def _record(
+    study: Study, a: Attribution, verdict: Verdict, problem: Problem, replayed: Replayed, floors: Floors, spent: float
+) -> Record:
     """What refine.json holds."""
     own = study.loaded.model.horizon
 
@@ -220,6 +222,7 @@ def _record(study: Study, a: Attribution, verdict: Verdict, replayed: Replayed, 
         candidates=ranking(a, verdict),
         hidden=list(a.hidden),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
+        sensor_noise=dict(zip(problem.kernel.generated.outputs, np.sqrt(problem.r).tolist(), strict=True)),
         warnings=list(study.warnings),
         residual=residual(verdict),
         horizon=own if math.isfinite(own) else "free run",
