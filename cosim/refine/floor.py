@@ -16,7 +16,7 @@ from cosim.refine.residual import noise_level, pooled, rmse
 from cosim.refine.starts import StartParameter
 
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
-BY_CHANCE = 1e-3  # of a right model, a channel
+BY_CHANCE = 1e-4  # of a right model, a channel
 AT_LEAST = 1.5  # times the floor, be it ever so sure: the levels of the noise are estimates
 ROUNDING = 1e-9  # of a channel's size
 EXACT = 1e-4  # of a channel's spread; a log without noise is matched to rounding, not to noise

@@ -142,7 +142,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
 
 
 def horizons(log: Log) -> tuple[float, ...]:
-    """HORIZONS [s], the measure last; longer where rows are slower than 20 ms, so that they span as many."""
+    """HORIZONS [s], the measure last; longer where rows are slower than 50 ms, so that they span as many."""
     return tuple(horizon * stretch(log) for horizon in HORIZONS)
 
 

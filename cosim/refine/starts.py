@@ -23,7 +23,7 @@ from cosim.refine.drive import Drive, as_columns, rows_of
 from cosim.refine.log import Column, Log, rate_of
 from cosim.refine.residual import noise_level
 
-ROWS = 0.02  # [s] from row to row, for which the times are made; see `stretch`
+SLOWEST = 0.05  # [s] from row to row, up to which the times below hold; see `stretch`
 PAST = 0.5  # [s] before a window
 FIRST = 1.0  # [s] after the start of the log, where there is no past
 REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
@@ -111,8 +111,8 @@ def _limits(variable: Any) -> tuple[float, float]:
 
 
 def stretch(log: Log) -> int:
-    """How many times longer than at 50 Hz everything lasts on a log of slower rows, so that it spans as many."""
-    return max(1, math.ceil(log.step / ROWS - 0.1))
+    """How many times longer everything lasts where rows are slower than 50 ms, so that it spans as many as at those."""
+    return max(1, math.ceil(log.step / SLOWEST - 0.1))
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
