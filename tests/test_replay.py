@@ -337,6 +337,32 @@ def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
     assert [c.name for c in comparison.channels if not c.matched] == []
 
 
+def test_where_nothing_was_measured_yet_no_window_is_held_against_the_model(tmp_path: Path, plant_fmu: Path) -> None:
+    flown = measured(fly(times(20.0), start=MOVING), noise=1.0)
+    for name in (*IMU, *POSITION):
+        flown[name][:500] = np.nan  # the recorder of the measurements starts at 10 s, that of the commands at 0
+    flown["y_world"][:-5] = np.nan
+    comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", flown), plant_fmu)
+    windows = comparison.replays[2.0].outputs
+    assert [int(np.flatnonzero(np.isfinite(windows[n]))[0]) for n in ("psi", "x_world")] == [601, 601]
+    told = verdict(comparison)
+    assert "this log shows nothing that the model lacks" in told
+    assert "y_world" not in told  # measured too shortly to be held against anything
+
+
+@pytest.mark.parametrize("force", [0.0, 0.08])
+def test_a_camera_of_two_hertz_is_enough_to_see_friction(force: float, tmp_path: Path, plant_fmu: Path) -> None:
+    """Its own noise is told beside the model: what the craft moves between two of its samples is none."""
+    craft = Hovercraft().with_values({"coulomb_friction.force": force})
+    flown = measured(fly(times(40.0), craft, MOVING), noise=1.0)
+    for name in POSITION:
+        flown[name][np.arange(flown[name].size) % 25 != 0] = np.nan
+    comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", flown), plant_fmu, report=False)
+    found = {c.name for c in comparison.channels if not c.matched}
+    assert found <= set(POSITION)
+    assert bool(found) == bool(force)
+
+
 def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> None:
     late = Hovercraft().with_values({"actuator_delay.time": 0.06})
     log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), late, MOVING), noise=1.0))

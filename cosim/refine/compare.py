@@ -20,7 +20,7 @@ from cosim.refine.residual import (
     Whiteness,
     input_correlations,
     lags_of,
-    noise_level,
+    noise_beside,
     score,
     whiteness,
 )
@@ -128,6 +128,6 @@ def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: floa
     residual = measured - replays[min(replays)].outputs[name]
     lags = lags_of(log.rows, log.step)
     return ChannelSummary(
-        name, log.units[name], horizon, noise_level(measured), floor, scores,
+        name, log.units[name], horizon, noise_beside(measured, replays[FREE_RUN].outputs[name]), floor, scores,
         whiteness(residual, lags), input_correlations(residual, log.inputs, lags),
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.refine.drive import Drive
 from cosim.refine.log import Column, Log
 from cosim.refine.replay import Replay, chains, self_started
-from cosim.refine.residual import noise_level, pooled, rmse
+from cosim.refine.residual import noise_beside, pooled, rmse
 from cosim.refine.starts import StartParameter
 
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
@@ -65,7 +65,7 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     """
     log, horizon = drive.log, measured.horizon
     alike = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
-    levels = {name: noise_level(values) for name, values in log.outputs.items()}
+    levels = {name: noise_beside(values, free.outputs[name]) for name, values in log.outputs.items()}
 
     def predicted(seen: Mapping[str, Column]) -> Mapping[str, Column]:
         found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)

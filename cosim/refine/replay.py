@@ -6,7 +6,7 @@ are: each starts at row k, at time t_k, from a state known by then, and runs for
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -121,12 +121,13 @@ def windows(
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
     """Consecutive windows that start from the measurements and, in what these do not show, from the window before.
 
-    The free run carries to the first of each chain. None where FMU or log do not allow windows.
+    The free run carries to the first of each chain. An output that is first measured later is predicted from then on:
+    before, nobody knew where it was. None where FMU or log do not allow windows.
     """
     log, found = drive.log, chains(drive.log, horizon)
     if not found or not parameters.keys() & log.outputs.keys():
         return None
-    table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log)
+    table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log, free.outputs)
     carried = table.copy()
     for chain in found:
         own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
@@ -138,7 +139,17 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
             if first >= chain.begin:
                 starts[first] = start
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]
+    for j, name in enumerate(drive.outputs):
+        if name in log.outputs:
+            table[: _known_from(log, name, list(starts)) + 1, j] = np.nan
     return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
+
+
+def _known_from(log: Log, name: str, starts: Sequence[int]) -> int:
+    """First window that an output had been measured before, for as long as is left out at the start of the log."""
+    seen = log.time[np.isfinite(log.outputs[name])]
+    begins = [k for k in starts if seen.size and log.time[k] >= seen[0] + SKIPPED * stretch(log) - 1e-6 * log.step]
+    return min(begins, default=log.rows)
 
 
 def horizons(log: Log) -> tuple[float, ...]:

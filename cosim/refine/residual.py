@@ -117,6 +117,11 @@ def noise_level(values: Column) -> float:
     return white_noise(surprise(values))
 
 
+def noise_beside(values: Column, model: Column) -> float:
+    """The same on a signal that a model follows: what the model moves too is no noise. The lesser of both counts."""
+    return float(np.fmin(noise_level(values), noise_level(values - model)))
+
+
 def white_noise(left: Column) -> float:
     """Standard deviation of the white noise that leaves these surprises, by their median; NaN without any."""
     left = left[np.isfinite(left)]

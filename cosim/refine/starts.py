@@ -21,7 +21,7 @@ from cosim.blocks.restartable import MEMORY, STATE, Memory, Own
 from cosim.errors import SimulationError
 from cosim.refine.drive import Drive, as_columns, rows_of
 from cosim.refine.log import Column, Log, rate_of
-from cosim.refine.residual import noise_level
+from cosim.refine.residual import noise_beside, noise_level
 
 SLOWEST = 0.05  # [s] from row to row, up to which the times below hold; see `stretch`
 PAST = 0.5  # [s] before a window
@@ -149,9 +149,9 @@ def window_start(
     return {parameters[name].name: parameters[name].value(state[name]) for name in names}
 
 
-def noise_levels(log: Log) -> dict[str, float]:
-    """Channel → its noise, by which it is weighted."""
-    return {name: sigma_of(values) for name, values in log.outputs.items()}
+def noise_levels(log: Log, model: Mapping[str, Column] | None = None) -> dict[str, float]:
+    """Channel → its noise, by which it is weighted; told better beside a run of the model."""
+    return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
 
 def readable(parameters: Mapping[str, StartParameter]) -> bool:
@@ -239,9 +239,9 @@ def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
     return near
 
 
-def sigma_of(values: Column) -> float:
+def sigma_of(values: Column, model: Column | None = None) -> float:
     """Noise of a channel; of one without noise, its rounding."""
-    level = noise_level(values)
+    level = noise_level(values) if model is None else noise_beside(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)
 

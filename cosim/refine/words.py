@@ -18,7 +18,8 @@ def horizon_name(horizon: float) -> str:
 
 def verdict(comparison: Comparison) -> str:
     """How far the model is off, whether noise explains that, and what the rest follows."""
-    channels, log = comparison.channels, comparison.log
+    log = comparison.log
+    channels = [c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels
     measure = channels[0].measure
     over = (
         f"a free run of {plain(float(log.time[-1] - log.time[0]))}\u00a0s"
