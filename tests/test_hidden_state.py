@@ -23,8 +23,8 @@ from cosim.refine.workflow import recipe_of
 from fmus.build import build, plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
+from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, fly, log_of, measured, times, write_log
-from tests.test_replay import cart_fmu
 
 REMEMBER = {
     "second order": {"actuator_second_order.natural_frequency": 12.0, "actuator_second_order.damping_ratio": 0.4},

@@ -19,9 +19,9 @@ from cosim.refine.model_source import Source
 from cosim.yaml_file import YamlFile
 from plant.hovercraft import Hovercraft
 from plant.model import Model
+from tests.table import TABLE
 
 ROOT = Path(__file__).parent.parent
-TABLE = (ROOT / "docs" / "own_model.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
 FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
 TOTAL = "total = command[0] - d * rate - k * angle"

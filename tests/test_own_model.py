@@ -16,7 +16,7 @@ from cosim.refine.question import inputs_to_limit
 from cosim.refine.workflow import refine
 from plant.hovercraft import Hovercraft
 from tests.logs import times, write_log
-from tests.test_model_file import TABLE
+from tests.table import TABLE
 
 INERTIA, DAMPING, STIFFNESS, RUBS = 0.02, 0.01, 0.5, 0.05
 

@@ -38,42 +38,7 @@ from cosim.refine.workflow import Refinement, refine
 from fmus.build import build, plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
-from tests.blind.truth import write
-from tests.blind.truth_study import Study
-
-FEW = "[coulomb_friction, quadratic_drag, table_tilt, servo_dead_band, gyro_bias, mass]"
-SECONDS = 12.0
-
-
-def study_of(folder: Path, truth: dict[str, Any], kind: str = "known", seed: int = 3, **conditions: bool) -> Path:
-    """Write a short study with few candidates."""
-    settings = {"disturbed": False, "position": True, "duty_varied": False} | conditions
-    path = write(Study(seed, kind, truth, **settings), folder, duration=SECONDS)
-    path.write_text(path.read_text() + f"candidates: {FEW}\n")
-    return path
-
-
-def refined(folder: Path, *arguments: Any, **conditions: Any) -> Refinement:
-    return proven(study_of(folder / "study", *arguments, **conditions), folder / "out")
-
-
-def proven(study: Path, folder: Path) -> Refinement:
-    """Refine a study; what is written fits the schema, whatever the verdict."""
-    r = refine(study, folder)
-    jsonschema.validate(json.loads((folder / "refine.json").read_text()), json.loads(SCHEMA.read_text()))
-    return r
-
-
-def named(r: Refinement) -> set[str]:
-    return {e["name"] for e in r.record["effects"]}
-
-
-def holds(r: Refinement, effect: str, parameter: str, truth: float) -> bool:
-    """The interval, widened to 99.99 %, holds the truth: five tests of 95 % would fail one time in four."""
-    entry = next(e for e in r.record["effects"] if e["name"] == effect)["parameters"][parameter]
-    low, high = entry["ci95"]
-    half = 2.0 * (high - low) / 2.0
-    return bool(abs(entry["value"] - truth) <= half)
+from tests.studies import FEW, holds, named, proven, refined, study_of
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from cosim.refine.sensor_noise import other_noise, sensor_noise
 from cosim.refine.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
-from tests.test_refine import holds, named, proven, study_of
+from tests.studies import holds, named, proven, study_of
 
 MOTOR = '''
 from dataclasses import dataclass
