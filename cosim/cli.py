@@ -133,18 +133,21 @@ def replay(
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     import tempfile
 
-    from cosim.refine.drive import model_signals
-    from cosim.refine.log import read_log
+    from cosim.refine.drive import log_of_fmu
     from cosim.refine.report.replay import write_replay
-    from cosim.refine.words import verdict
+    from cosim.refine.words import finding_line, verdict
     from fmus.build import build as build_fmu
     from fmus.build import plant_recipe
 
     with tempfile.TemporaryDirectory(prefix="cosim-replay-") as folder, progress_bar("replaying") as progress:
         fmu = plant or build_fmu(plant_recipe(), Path(folder) / "plant.fmu")
-        comparison = write_replay(out, read_log(log, *model_signals(fmu)), fmu, report=report, progress=progress)
+        read = log_of_fmu(log, fmu)
+        comparison = write_replay(out, read, fmu, report=report, passing=plant is None, progress=progress)
+    for finding in comparison.findings:
+        if finding.severity == "warning":
+            typer.echo(finding_line(finding), err=True)
     say(verdict(comparison))
-    say(f"residual: {out / 'residual.csv'}")
+    say(f"residual: {out / 'residual.csv'}" + (f", report: {out / 'report.html'}" if report else ""))
 
 
 @app.command()

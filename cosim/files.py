@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
@@ -24,14 +24,23 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
         draft.unlink(missing_ok=True)
 
 
-def check_writable(folder: Path, names: Sequence[str]) -> None:
-    """Make the folder and see that files of these names can be written there; InputError before any work is done."""
+def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
+    """Make the folder and see that files of these names can be written there; InputError before any work is done.
+
+    read: files that the work reads, which must not be what it writes.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError([Fault(folder, 0, 0, f"cannot be the folder for results: {error.strerror}")]) from None
     faults = [
         Fault(folder / n, 0, 0, "is a folder; a file is to be written there") for n in names if (folder / n).is_dir()
+    ]
+    written = [path for n in names if (path := folder / n).is_file()]
+    faults += [
+        Fault(path, 0, 0, "is read, and results would be written over it; give another folder as --out")
+        for path in dict.fromkeys(read)
+        if path.is_file() and any(path.samefile(other) for other in written)
     ]
     if not os.access(folder, os.W_OK):
         faults.append(Fault(folder, 0, 0, "cannot be written"))

@@ -51,7 +51,7 @@ def run(
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
-    check_writable(folder, ("results.csv", "manifest.json", "report.html"))
+    check_writable(folder, ("results.csv", "manifest.json", "report.html"), file.files)
     loaded = time.perf_counter()
     steps = file.scenario.steps
     failure: SimulationError | None = None

@@ -64,6 +64,12 @@ class ScenarioFile:
         """A file named in the scenario, relative to the scenario's own folder."""
         return (self.path.parent / name).resolve()
 
+    @property
+    def files(self) -> list[Path]:
+        """FMUs and recordings that its components name."""
+        named = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
+        return [self.resolve(name) for name in named if name]
+
     def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
         """A fault at a place of the scenario."""
         return self.yaml.fault(location, message, exit_code=exit_code)

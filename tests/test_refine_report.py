@@ -366,7 +366,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     verdict = judge(Attribution(base, (), base, (), 0.0, (1.0, 50.0, 90.0)), (), Hovercraft(), ["psi_dot", "vx", "vy"])
     assert verdict.residual["equation"] == "vy"
     assert [q["inflated"] for q in verdict.residual["process_noise"].values()] == [False, True, True]
-    assert verdict.sentence == "A disturbance acts on vy; it depends on nothing that is measured."
+    assert verdict.sentence == "A disturbance acts on vy; it depends on none of the signals tried."
 
 
 def test_a_claim_that_leaves_the_error_where_it_was_is_withdrawn(cart: Refinement) -> None:

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from cosim.cli import app
 from cosim.errors import InputError, SimulationError
 from cosim.refine import drive as drive_module
 from cosim.refine import starts
-from cosim.refine.drive import Drive, StoppedReplay, model_signals
+from cosim.refine.drive import Drive, StoppedReplay, log_of_fmu, model_signals
 from cosim.refine.log import Log, read_log
 from cosim.refine.replay import Replay, chains, replay, replay_windows, window_rows
 from cosim.refine.report.replay import write_replay
@@ -212,6 +214,37 @@ def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
     assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
     assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
     assert "position" in verdict(comparison)
+    assert [c.name for c in comparison.channels if not c.explained] == []
+
+
+def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:
+    """An FMU without start parameters has no windows; a wrong one is told from a right one all the same."""
+    fmu, time = cart_fmu(tmp_path, starts=0), times(12.0)
+    force, position, velocity = np.sin(3.0 * time), np.zeros(time.size), 0.0
+    for k in range(time.size - 1):
+        position[k + 1] = position[k] + 0.02 * velocity
+        velocity += 0.02 * (force[k] - velocity) / 2.2  # a tenth heavier than the FMU has it
+    noisy = position + 1e-3 * np.random.default_rng(1).standard_normal(time.size)
+    columns = {"time": time, "force": force, "position": noisy}
+    log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
+    told = verdict(write_replay(tmp_path / "out", log, fmu, report=False))
+    assert "nothing that the model lacks" not in told
+    assert "position fits to" in told
+
+
+def test_a_model_that_stands_still_as_the_craft_does_misses_nothing(tmp_path: Path, plant_fmu: Path) -> None:
+    still = measured(fly(times(12.0), share=0.0))
+    comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", still), plant_fmu, report=False)
+    assert "–" not in verdict(comparison)
+
+
+def test_an_answer_that_is_wrong_in_kind_is_told_though_it_is_small(tmp_path: Path, plant_fmu: Path) -> None:
+    """A wrong mass shows in the accelerometer, below its noise, but in step with the tilts."""
+    heavy = Hovercraft().with_values({"mass": 1.2})
+    log = log_of(tmp_path / "imu.csv", measured(fly(times(60.0), heavy, MOVING), IMU, noise=1.0))
+    comparison = write_replay(tmp_path, log, plant_fmu, report=False)
+    assert next(c for c in comparison.channels if c.name == "ax").matched
+    assert "in size, but not in kind. The residual of ax follows tilt" in verdict(comparison)
 
 
 def test_a_log_of_the_imu_alone_is_enough(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
@@ -271,7 +304,7 @@ def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
     there = (flown["time"] < 9.0) | (flown["time"] > 12.0)
     log = log_of(tmp_path / "a.csv", {name: values[there] for name, values in flown.items()})
     assert [[round(float(log.time[k]), 2) for k in c.rows] for c in chains(log, 2.0)] == [
-        [2.0, 4.0, 6.0, 8.0], [12.02, 12.52, 13.02, 13.52, 14.02, 16.02, 18.02],
+        [1.0, 1.5, 2.0, 4.0, 6.0, 8.0], [12.02, 12.52, 13.02, 13.52, 14.02, 16.02, 18.02],
     ]  # fmt: skip
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)
     assert min(comparison.replays[2.0].starts.keys() - {100, 200, 300}) == chains(log, 2.0)[1].begin
@@ -394,6 +427,34 @@ def test_a_replay_says_where_it_did_not_predict(log: Log, plant_fmu: Path) -> No
     found: Replay = replay_windows(log, plant_fmu, {100: {}}, 1.0)
     assert np.isnan(found.errors(log)["psi"][[0, 100, 151]]).all()
     assert np.isfinite(found.errors(log)["psi"][101:151]).all()
+
+
+def test_a_log_is_not_written_over(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    path = tmp_path / "results.csv"
+    path.write_bytes(log.path.read_bytes())
+    with pytest.raises(InputError, match="is read, and results would be written over it") as refused:
+        write_replay(tmp_path, log_of_fmu(path, plant_fmu), plant_fmu)
+    assert refused.value.exit_code == 2
+    assert path.read_bytes() == log.path.read_bytes()
+
+
+def test_a_log_and_an_fmu_that_both_fail_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "plant.fmu").write_bytes(b"PK")
+    with pytest.raises(InputError) as refused:
+        log_of_fmu(tmp_path / "none.csv", tmp_path / "plant.fmu")
+    assert [(f.file.name, f.exit_code) for f in refused.value.faults] == [("none.csv", 2), ("plant.fmu", 3)]
+    assert refused.value.exit_code == 2
+
+
+def test_the_command_line_prints_what_is_doubtful_and_how_to_repeat(log: Log, tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    short.write_text("".join(log.path.read_text().splitlines(keepends=True)[:300]))
+    called = CliRunner().invoke(app, ["replay", str(short), "--out", str(tmp_path / "out")])
+    assert "warning: the log lasts 5.96\u00a0s" in called.stderr
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert (
+        f"<code>cosim replay {short}</code>" in page
+    )  # its own plant is built anew, not sought in a folder that is gone
 
 
 def test_a_folder_that_cannot_hold_results_is_told_before_the_replay(tmp_path: Path, plant_fmu: Path) -> None:

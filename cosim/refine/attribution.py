@@ -243,16 +243,21 @@ class Attributor:
         """Away from neutral by Wald's test of all its parameters together, and none of them at a limit."""
         neutral = self.problem.values
         away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
-        pinned = any(h.fit.values[f.name] in (f.low, f.high) and d != 0.0 for f, d in zip(c.free, away, strict=True))
+        pinned = any(self._at_limit(h, f) for f in c.free)
         return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > least**2)
 
     def _extend(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
         """Add candidates while one gains enough; pairs of the best few singles compete with the first extension."""
         promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > self.claim]
         top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
-        while len(best.candidates) < MOST_EFFECTS and (any(self.noisy(best.fit)) or self.strained(best.fit)):
-            sets = [(*best.candidates, c) for c in self.candidates if c.name not in best.names]
-            if len(best.candidates) == 1:
+        while len(best.candidates) < MOST_EFFECTS:
+            # what is wrong with a sensor too leaves no process noise: it is looked for where all else is settled
+            settled = not (any(self.noisy(best.fit)) or self.strained(best.fit))
+            if settled and not best.candidates:
+                return best
+            beside = [c for c in self.candidates if c.name not in best.names and (c.kind == "sensor" or not settled)]
+            sets = [(*best.candidates, c) for c in beside]
+            if len(best.candidates) == 1 and not settled:
                 sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
             # under a coloured disturbance a small second effect is soon imagined: it must be worth some of the first
             gain = self.claim + SHARE * (base.score - best.score)
@@ -280,7 +285,7 @@ class Attributor:
     def _reason(self, h: Hypothesis, best: Hypothesis, base: Hypothesis) -> str:
         gained, behind = base.score - h.score, h.score - best.score
         than = " and ".join(best.names) or "the base model"
-        if best is not base and behind < RIVAL and len(h.candidates) <= len(best.candidates):
+        if best is not base and abs(behind) < RIVAL and len(h.candidates) <= len(best.candidates):
             return f"a rival: explains as well as {than}, within {RIVAL:.0f}"
         if gained < self.claim:
             return (
@@ -299,6 +304,6 @@ class Attributor:
         return f"explains less than {than} by {behind:.1f}"
 
     def _at_limit(self, h: Hypothesis, f: Free) -> bool:
-        """Moved, and as far as it may."""
+        """Moved, and as far as it may; to neutral is where an effect that the model has too much of belongs."""
         value = h.fit.values[f.name]
-        return value in (f.low, f.high) and value != self.problem.values[f.name]
+        return value in (f.low, f.high) and value not in (self.problem.values[f.name], f.neutral)

@@ -81,7 +81,7 @@ def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float
 
 
 def _free(p: Parameter, name: str) -> Free:
-    return Free(name, *p.bounds, p.typical or 0.3 * abs(float(p.default)) or 0.1)
+    return Free(name, *p.bounds, p.typical or 0.3 * abs(float(p.default)) or 0.1, neutral=p.neutral)
 
 
 def _start(p: Parameter, value: float) -> float:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import Memory, Own, RestartableFmu
-from cosim.errors import Fault, InputError, SimulationError
-from cosim.refine.log import Column, Log, SignalLike
+from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.refine.log import Column, Log, SignalLike, read_log
 from cosim.refine.units import factor
 from cosim.yaml_file import did_you_mean
 
@@ -29,6 +29,18 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
     """Real inputs and outputs of an FMU: what a log of it holds."""
     block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
     return block.inputs, block.outputs
+
+
+def log_of_fmu(path: Path, fmu: Path) -> Log:
+    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault."""
+    try:
+        signals = model_signals(fmu)
+    except FmuError as error:
+        if path.is_file():
+            raise
+        faulty = Fault(fmu, 0, 0, str(error).removeprefix(f"{fmu} "), error.exit_code)
+        raise InputError([Fault(path, 0, 0, "no such file"), faulty]) from None
+    return read_log(path, *signals)
 
 
 class StoppedReplay(SimulationError):

@@ -17,7 +17,7 @@ from cosim.files import atomic_write, check_writable
 from cosim.refine.flights import ClosedLoop, Flight, OpenLoop, Rig
 from cosim.refine.kernel import Array
 from cosim.refine.problem import build_problem
-from cosim.refine.question import Question, ask
+from cosim.refine.question import Question, ask, refinement_folder
 from cosim.refine.separation import Pair, Separation
 from cosim.refine.signals import draw_signals
 from cosim.report.text import counted
@@ -121,7 +121,8 @@ def excite(
     question = ask(text, against, limits, measured)
     model = question.loaded.model
     flies = isinstance(model, Hovercraft)
-    check_writable(folder, ("excitation.csv", "excitation.yaml", "plant.fmu", *(CLOSED_FILES if flies else ())))
+    written = ("excitation.csv", "excitation.yaml", "plant.fmu", *(CLOSED_FILES if flies else ()))
+    check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
     time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
     rig: Rig = (ClosedLoop if flies else OpenLoop)(model, question.limits, float(time[-1]))
     found = _choose(question, rig, time, seed, experiments, tell)

@@ -44,13 +44,17 @@ class Kernel(Protocol):
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that a fit may move: limits, the size by which it is measured, and a prior where there is one."""
+    """A parameter that a fit may move: limits, the size by which it is measured, and a prior where there is one.
+
+    neutral: where its effect does nothing; None of a base parameter
+    """
 
     name: str
     low: float
     high: float
     size: float
     prior: tuple[float, float] | None = None  # mean, standard deviation
+    neutral: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from cosim.refine.drive import Drive
 from cosim.refine.log import Column, Log
-from cosim.refine.replay import Replay, chains, self_started
-from cosim.refine.residual import noise_beside, pooled, rmse
+from cosim.refine.replay import Replay, chains, free_run, self_started
+from cosim.refine.residual import FREE_RUN, noise_beside, pooled, rmse
 from cosim.refine.starts import StartParameter
 
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
@@ -33,9 +33,6 @@ class Floor(NamedTuple):
     astray: float
 
 
-NOTHING = Floor(math.nan, math.nan, 0.0)
-
-
 @dataclass(frozen=True)
 class _Windows:
     """First row of each window that counts, to tell them apart."""
@@ -53,12 +50,13 @@ class _Windows:
 
 def draws(log: Log, horizon: float) -> int:
     """How often the log is drawn: few windows scatter."""
-    count = sum(sum(row >= c.begin for row in c.rows[:-1]) for c in chains(log, horizon))
+    runs = [] if horizon == FREE_RUN else chains(log, horizon)
+    count = sum(sum(row >= c.begin for row in c.rows[:-1]) for c in runs)
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
 
 
 def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay) -> dict[str, Floor]:
-    """Channel → floor over the horizon of `measured`, the windows that are to be judged.
+    """Channel → floor over the horizon of `measured`, the windows or the free run that are to be judged.
 
     The model is replayed against its free run, seen through the noise and the holes of the log, and through the
     holes only. What it misses even so is not the noise's: it keeps something that no output shows.
@@ -68,6 +66,9 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     levels = {name: noise_beside(values, free.outputs[name]) for name, values in log.outputs.items()}
 
     def predicted(seen: Mapping[str, Column]) -> Mapping[str, Column]:
+        if horizon == FREE_RUN:  # where no start is measured, it is what it was
+            told = parameters.keys() & seen.keys()
+            return free_run(drive.on(replace(log, outputs=seen))).outputs if told else free.outputs
         found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)
         return {} if found is None else found.outputs
 
@@ -79,7 +80,8 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
         errors.append({n: alike[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in alike})
     found, apart = pooled(errors), _Windows(np.array(sorted(measured.starts), dtype=np.float64))
     squares = {n: np.concatenate([apart.mean_squares(e[n]) for e in errors]) for n in alike}
-    return {n: Floor(found[n], _limit(squares[n], count), _astray(v, restarted[n])) for n, v in alike.items()}
+    astray = {n: 0.0 if horizon == FREE_RUN else _astray(v, restarted[n]) for n, v in alike.items()}
+    return {n: Floor(found[n], _limit(squares[n], count), astray[n]) for n in alike}
 
 
 def _limit(squares: Column, count: int) -> float:

@@ -14,6 +14,7 @@ from plant.hovercraft import INPUTS
 from plant.model import Model
 from plant.namespaces import SCALAR
 
+STILL = 1e-9  # [unit of the signal], below which its changes are rounding
 DEGREES = 180.0 / math.pi
 PAUSE = 0.2  # [s] without a reading
 BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
@@ -78,7 +79,7 @@ def frames(log: Log, rates: Mapping[str, str] | None = None) -> Iterator[Finding
 def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterator[Finding]:
     """Fit Δy = s·∫ẏ dt + b·T over blocks: s is 1 and b is 0 where units, signs and sensors agree."""
     change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
-    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) == 0.0:
+    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
     design = np.column_stack((integral, length))

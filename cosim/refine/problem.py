@@ -125,14 +125,17 @@ def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:
     return [q.name for q in model.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
 
 
-def coarsened(problem: Problem) -> Problem:
-    """The problem with the fewest substeps that give the base model's likelihood as the model's own number does."""
-    log_q = problem.noise.plain
-    exact = problem.scored(problem.values, log_q).nll
+def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
+    """The problem with the fewest substeps that give a model's likelihood as the model's own number does.
+
+    values: where that model is not the base model; an effect that is awake may need finer steps
+    """
+    log_q, values = problem.noise.plain, {**problem.values, **(values or {})}
+    exact = problem.scored(values, log_q).nll
     most = max(log.substeps for log in problem.logs)
     for n in (2**k for k in range(10) if 2**k < most):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.scored(problem.values, log_q).nll - exact) < SAME:
+        if abs(coarse.scored(values, log_q).nll - exact) < SAME:
             return coarse
     return problem
 

@@ -83,8 +83,8 @@ class Refined(BaseModel):
 def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), measured: Sequence[str] = ()) -> Question:
     """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
     path = Path(text)
-    if path.is_dir() or path.suffix == ".json":
-        path = path / "refine.json" if path.is_dir() else path
+    if folder := refinement_folder(text):
+        path = folder / "refine.json" if path.is_dir() else path
         question = _of_refinement(path, against)
     else:
         question = _of_model(path, load_model(text, Path()), against)
@@ -98,6 +98,12 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
     if faults:
         raise InputError([Fault(path, 0, 0, fault) for fault in faults])
     return replace(question, limits=allowed, measured=seen)
+
+
+def refinement_folder(text: str) -> Path | None:
+    """Where a refinement lies, if that is what the text names: its folder, or its refine.json."""
+    path = Path(text)
+    return path if path.is_dir() else path.parent if path.suffix == ".json" else None
 
 
 def _of_refinement(path: Path, against: Sequence[str]) -> Question:

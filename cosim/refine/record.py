@@ -207,10 +207,10 @@ def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:
 
 
 def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
+    if verdict.claimed is not None and h.names == verdict.claimed.names:
+        return "claimed"
     if h.names != a.best.names:
         return a.reasons[h.names]
-    if verdict.claimed is not None:
-        return "claimed"
     return "nearest, but disputed" if verdict.name == "unexplained" else "fits best, but the logs excite too little"
 
 

@@ -21,6 +21,7 @@ from cosim.refine.gate import stretches
 from cosim.refine.log import Column, Log
 from cosim.refine.residual import FREE_RUN
 from cosim.refine.starts import (
+    FIRST,
     PAST,
     StartParameter,
     first_start,
@@ -165,7 +166,9 @@ def chains(log: Log, horizon: float) -> list[Chain]:
     found, skipped, first = [], SKIPPED * stretch(log), 0
     for part in stretches(log):
         if rows := window_rows(part, horizon, skipped):
-            settle = [k for k in window_rows(part, PAST * stretch(log), 0.0) if k < rows[0]] if first else []
+            settle = [
+                k for k in window_rows(part, PAST * stretch(log), 0.0 if first else FIRST * stretch(log)) if k < rows[0]
+            ]
             edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
             found.append(Chain(tuple(first + k for k in edges), first + rows[0]))
         first += part.rows

@@ -68,6 +68,15 @@ class Study:
     logs: tuple[Log, ...]
     warnings: tuple[str, ...] = ()
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What it reads: itself, its model and its logs."""
+        names = (
+            self.content.model.rpartition(":")[0] or self.content.model,
+            *(n for _, n in _entries(self.content.logs)),
+        )
+        return self.path, *(self.path.parent / name for name in names)
+
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
         model = self.loaded.model

@@ -9,11 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.refine.candidates import Candidate
+from cosim.refine.attribution import RIVAL, SIGNIFICANT_IN_NOISE
+from cosim.refine.candidates import Candidate, Kind
 from cosim.refine.hypotheses import Attribution, Hypothesis
-from cosim.refine.residual import excess_left
+from cosim.refine.residual import COUNTS_FROM, excess_left
 from cosim.refine.unnamed import NOTICED, Unnamed
-from cosim.report.text import percent
+from cosim.report.text import percent, plain
 from plant.model import Model
 from plant.quantities import parameters_of
 
@@ -22,6 +23,7 @@ REMAINS = 0.02  # of what a claim gains, from which such a term disputes it wher
 DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
 LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
 MENDS = 1 / 6  # of the excess error, which a claim leaves at most on the channel that it mends best
+LITTLE = 0.05  # of what is missing, below which a term is no account of it
 BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
 CI95 = 1.96
 NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
@@ -67,19 +69,30 @@ def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequ
             return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
     left = unnamed[0] if unnamed and unnamed[0].most > DISPUTES else None
     sentence = _claim(a.best, a.best.candidates, model) + _left(left, a.base.score - a.best.score)
-    return Verdict(_found(a.best.candidates), a.best, (), "", residual, sentence)
+    return Verdict(_found(a.best.candidates, model), a.best, (), "", residual, sentence)
 
 
 def proven(verdict: Verdict, error: Mapping[str, Mapping[str, float]], floor: Mapping[str, float]) -> Verdict:
     """The verdict, its claim withdrawn where replays are no better for it: `error` before, recalibrated and after.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it. An error of a sensor alone
-    leaves the replay as it is.
+    leaves the replay as it is: that must be down to the noise without it.
     """
-    if verdict.claimed is None or verdict.claimed.of_sensors:
+    if verdict.claimed is None:
         return verdict
     kinds = {c.kind for c in verdict.claimed.candidates}
     before, after = error["before"], error["after"]
+    missed = _missed(after, floor)
+    if verdict.claimed.of_sensors:
+        if not missed:
+            return verdict
+        worst = max(missed, key=lambda n: missed[n])
+        told = f"With it, replays still miss {worst} by {plain(missed[worst], 2)} times what noise makes."
+        found = _unexplained(verdict.residual, verdict.claimed.names, "No hypothesis explains what the model misses.")
+        names = verdict.claimed.names
+        return replace(
+            verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=f"{found} {told}"
+        )
     left = [x for n, f in floor.items() if not math.isnan(x := excess_left(before[n], after[n], f))]
     if "effect" in kinds and floor and all(after[n] >= error["recalibrated"][n] for n in floor):
         told = "Replays with it are nearer on no channel than those of the model recalibrated without it."
@@ -87,14 +100,75 @@ def proven(verdict: Verdict, error: Mapping[str, Mapping[str, float]], floor: Ma
         told = f"With it, {percent(min(left))} of the excess error stays."
     else:
         return verdict
-    names = verdict.claimed.names
+    return _withdrawn(verdict, told)
+
+
+def _withdrawn(verdict: Verdict, told: str) -> Verdict:
+    """The verdict without its claim, which is nearest; and why."""
+    names = verdict.claimed.names if verdict.claimed else ()
     found = _unexplained(verdict.residual, names, "No hypothesis explains what the model misses.")
     return replace(verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=f"{found} {told}")
 
 
-def _found(candidates: Sequence[Candidate]) -> Name:
+def standing(
+    verdict: Verdict, a: Attribution, model: Model, error: Mapping[str, Mapping[str, float]], floor: Mapping[str, float]
+) -> Verdict:
+    """`no_effect`, taken back where the model explains the logs recalibrated, but not as it stands.
+
+    Base parameters are held near the data sheet, and one that is a few percent off gains no more than that costs.
+    """
+    missed = _missed(error["before"], floor)
+    if verdict.name != "no_effect" or not missed:
+        return verdict
+    plainly = [h for h in a.tried if len(h.candidates) == 1 and _plainly_off(h, model)]
+    if plainly:
+        best, *others = sorted(plainly, key=lambda h: h.score)
+        rivals = [h for h in others if h.score - best.score < RIVAL]
+        if not rivals:
+            sentence = _claim(best, best.candidates, model)
+            return replace(verdict, name="parameter_error", claimed=best, sentence=sentence)
+        names = tuple(n for h in (best, *rivals) for n in h.names)
+        experiment = _experiment(model, names)
+        sentence = _cannot_tell(names, experiment, "")
+        return replace(verdict, name="ambiguous", claimed=best, rivals=names, experiment=experiment, sentence=sentence)
+    worst = max(missed, key=lambda n: missed[n])
+    moved = ", ".join(
+        f"{f.name} {plain(f.prior[0])} → {plain(a.base.fit.values[f.name])}"
+        for f in a.base.fit.free
+        if f.prior and abs(a.base.fit.values[f.name] - f.prior[0]) > 2 * f.prior[1]
+    )
+    return replace(
+        verdict,
+        name="unexplained",
+        sentence=f"The model as it stands misses {worst} by {plain(missed[worst], 2)} times what noise makes"
+        + (f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else "")
+        + ". No candidate accounts for that.",
+    )
+
+
+def _plainly_off(h: Hypothesis, model: Model) -> bool:
+    """A base parameter, fitted, far from what the model says and within its limits."""
+    (candidate,) = h.candidates
+    if candidate.kind != "parameter" or h.fit.iterations == 0:
+        return False
+    (f,) = candidate.free
+    value, sigma = h.fit.values[f.name], h.fit.sigma(f.name)
+    return value not in (f.low, f.high) and abs(value - float(getattr(model, f.name))) > SIGNIFICANT_IN_NOISE * sigma
+
+
+def _missed(error: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
+    """Channels on which replays miss clearly more than noise makes, and how many times that."""
+    return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}
+
+
+def _kind(c: Candidate, model: Model) -> Kind:
+    """The kind of a candidate; an effect that the model has already is one more parameter of it."""
+    return "parameter" if c.name in {e.name for e in model.awake} else c.kind
+
+
+def _found(candidates: Sequence[Candidate], model: Model) -> Name:
     """What one says was found, by its kind."""
-    kinds = {c.kind for c in candidates}
+    kinds = {_kind(c, model) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
@@ -167,9 +241,11 @@ def _unexplained(
     if residual["signals"]:
         # a term may promise likelihood where noise, not its own share, fills what is missing
         share = f", and that takes away {percent(residual['share'])} of what is missing" if residual["share"] else ""
+        if residual["share"] and residual["share"] < LITTLE:
+            share = f", but no single term for that takes away even {percent(LITTLE)} of what is missing"
         text = f"Something outside the catalogue acts on {where}; it {_follows(residual['signals'][0])}{share}."
     elif where:
-        text = f"A disturbance acts on {where}; it depends on nothing that is measured."
+        text = f"A disturbance acts on {where}; it depends on none of the signals tried."
     else:
         text = otherwise
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
@@ -187,7 +263,13 @@ def _claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> s
     for c in candidates:
         moved = [(n, best.fit.values[n], CI95 * best.fit.sigma(n), shown(units[n])) for n in c.parameters]
         values = ", ".join(f"{n.rpartition('.')[2]} = {v:.4g} ± {ci:.2g} {unit}".rstrip() for n, v, ci, unit in moved)
-        said[c.kind].append(f"{c.name} ({values})")
+        gone = all(
+            abs(best.fit.values[f.name] - f.neutral) <= CI95 * best.fit.sigma(f.name)
+            for f in c.free
+            if f.neutral is not None
+        )
+        note = "; the logs show none" if _kind(c, model) != c.kind and gone else ""
+        said[_kind(c, model)].append(f"{c.name} ({values}{note})")
     openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
     text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in said.items() if names)
     return f"{text[0].upper()}{text[1:]}."

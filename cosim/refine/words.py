@@ -31,6 +31,8 @@ def verdict(comparison: Comparison) -> str:
     beyond = sorted((c for c in channels if not (c.matched or c.lost)), key=lambda c: -c.excess)
     if lost and not beyond:
         return f"{lead}. {_no_measure(lost)}"
+    if following := [c for c in channels if c.matched and not c.explained and not beyond]:
+        return f"{lead}, which noise could explain in size, but not in kind. {_cause(comparison, following)}"
     if not beyond:
         return f"{lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
     if measure == FREE_RUN:
@@ -67,7 +69,10 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
         return f"{first.whole}."
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
-        return "No command stands out in the residual: a disturbance, a sensor, or commands too regular to tell."
+        return (
+            "No command stands out in the residual: an effect that depends on the motion, a disturbance or a sensor; "
+            "`cosim refine` tells them apart."
+        )
     channel, found = max(pairs, key=lambda pair: pair[1].strength)
     rho = plain(float(found.rho[found.peak]), 2)
     why = "" if found.ahead else ", or the loop answers a disturbance"

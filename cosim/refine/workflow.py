@@ -30,7 +30,7 @@ from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, k
 from cosim.refine.sensor_noise import other_noise
 from cosim.refine.study import Study, read_study
 from cosim.refine.unnamed import unnamed_terms
-from cosim.refine.verdict import Verdict, judge, proven
+from cosim.refine.verdict import Verdict, judge, proven, standing
 from plant.quantities import parameters_of
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     tell = progress or (lambda stage, share: None)
     tell("reading the logs", 0.0)
     study = read_study(path)
-    check_writable(folder, (*RESULTS, "report.html"))
+    check_writable(folder, (*RESULTS, "report.html"), study.files)
     model = study.loaded.model
     study, problem, noise = _posed(study)
     trial = candidates(model, problem.values, varied_inputs(model, study.logs))
@@ -75,9 +75,16 @@ def refine(path: Path, folder: Path, progress: Progress | None = None) -> Refine
     nameless = build_problem(model, study.logs, unnamed=True, noise=noise, sensors=study.loaded.values)
     generated = problem.kernel.generated
     forced = [generated.states[generated.stochastic[k]] for k in generated.noisy]
-    verdict = judge(attribution, unnamed_terms(coarsened(nameless), attribution.best.fit), model, forced)
+    verdict = judge(
+        attribution,
+        unnamed_terms(coarsened(nameless, attribution.best.fit.values), attribution.best.fit),
+        model,
+        forced,
+    )
     tell("replaying with the claim and without", 0.0)
     verdict = _proven(study, attribution, verdict, problem)
+    if study.content.candidates is not None:
+        verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     refined = refined_model(study.loaded, verdict.claimed)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
@@ -113,14 +120,24 @@ def _posed(study: Study) -> tuple[Study, Problem, dict[str, float]]:
 
 
 def _proven(study: Study, a: Attribution, verdict: Verdict, problem: Problem) -> Verdict:
-    """The verdict, its claim held against what it does to the error of replays of the estimation logs."""
+    """The verdict, its claim or that nothing is missing held against the error of replays of the estimation logs."""
     if verdict.claimed is None:
-        return verdict
-    no_fmu = Path()  # the kernel replays them here, before there is anything to build
+        if verdict.name != "no_effect":
+            return verdict
+        verdict = standing(verdict, a, study.loaded.model, *_replay_errors(study, a, verdict, problem))
+        if verdict.claimed is None:
+            return verdict
+    return proven(verdict, *_replay_errors(study, a, verdict, problem))
+
+
+def _replay_errors(
+    study: Study, a: Attribution, verdict: Verdict, problem: Problem
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
+    no_fmu = Path()
     variants = _variants(study, a, verdict, refined_model(study.loaded, verdict.claimed), no_fmu, no_fmu)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    rng = np.random.default_rng(FLOOR_SEED)
-    return proven(verdict, error, noise_floor(variants["after"], problem, study.logs, rng))
+    return error, noise_floor(variants["after"], problem, study.logs, np.random.default_rng(FLOOR_SEED))
 
 
 def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:

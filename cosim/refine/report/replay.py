@@ -44,10 +44,12 @@ def write_replay(
     start: Mapping[str, Any] | None = None,
     rate: float | None = None,
     report: bool = True,
+    passing: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
+    passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is told as a warning only.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
@@ -55,7 +57,7 @@ def write_replay(
     with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
         findings = gate(log, rate or drive.rate, strict=rate is not None)
         refuse_faults(log, findings)
-        check_writable(folder, ("results.csv", "residual.csv", "report.html"))
+        check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
         for name in ("report.html", "residual.csv"):  # they would tell of other results
             (folder / name).unlink(missing_ok=True)
         try:
@@ -68,7 +70,7 @@ def write_replay(
     residuals(comparison).write_csv(folder / "residual.csv")
     if report:
         with atomic_write(folder / "report.html") as stream:
-            stream.write(render(TEMPLATE, context(comparison)))
+            stream.write(render(TEMPLATE, context(comparison, passing=passing)))
     return comparison
 
 
@@ -108,7 +110,7 @@ class TableRow:
     follows: str
 
 
-def context(comparison: Comparison) -> Mapping[str, Any]:
+def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
     """Everything the template names."""
     log, drive = comparison.log, comparison.drive
     series, x = Series(sample_rows(log.rows, POINTS)), time_axis(log.time)
@@ -125,7 +127,7 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
         "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
         "drive the model, what it says stands beside what was measured.",
         "outcome": words.verdict(comparison),
-        "tone": "good" if all(c.matched for c in comparison.channels) else "plain",
+        "tone": "good" if all(c.explained for c in comparison.channels) else "plain",
         "badges": _badges(comparison),
         "tiles": [_tile(c) for c in comparison.channels[:6]],
         "horizons": [words.horizon_name(h) for h in horizons],
@@ -145,7 +147,7 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
         "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
-        "repeat": shlex.join(["cosim", "replay", str(log.path), "--plant", str(drive.fmu)]),
+        "repeat": shlex.join(["cosim", "replay", str(log.path), *([] if passing else ["--plant", str(drive.fmu)])]),
         "data": to_json(log.time, series, []),
         "version": __version__,
     }
@@ -153,9 +155,9 @@ def context(comparison: Comparison) -> Mapping[str, Any]:
 
 def _badges(comparison: Comparison) -> list[Badge]:
     log = comparison.log
-    matched, warnings = sum(c.matched for c in comparison.channels), _warnings(comparison.findings)
+    explained, warnings = sum(c.explained for c in comparison.channels), _warnings(comparison.findings)
     badges = [
-        Badge(f"{matched} of {counted(len(comparison.channels), 'channel')} explained"),
+        Badge(f"{explained} of {counted(len(comparison.channels), 'channel')} explained"),
         Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
         Badge(counted(log.rows, "row")),
     ]
