@@ -195,7 +195,7 @@ def excite(
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
-    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the flight [s].")] = 40.0,
+    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the flight, in seconds.")] = 40.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
 ) -> None:
     """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that flies it."""

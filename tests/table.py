@@ -1,6 +1,33 @@
-"""The model of docs/own_model.md, as a reader would copy it."""
+"""The model of docs/own_model.md, as a reader would copy it, and logs of such a table that rubs."""
 
+from __future__ import annotations
+
+import math
 from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from tests.logs import times, write_log
 
 DOCS = Path(__file__).parent.parent / "docs"
 TABLE = (DOCS / "own_model.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+INERTIA, DAMPING, STIFFNESS, RUBS = 0.02, 0.01, 0.5, 0.05
+
+
+def table_log(path: Path, seed: int) -> None:
+    """A rotary table under a held torque, by another integrator and other code than the page's."""
+    rng, time = np.random.default_rng(seed), times(20.0)
+    waves = zip((0.3, 0.2, 0.15), (1.1, 3.7, 6.3), rng.uniform(0, 6, 3), strict=True)
+    torque = np.sum([a * np.sin(w * time + p) for a, w, p in waves], axis=0)
+    states = [np.zeros(2)]
+    for u in torque[:-1]:
+
+        def rates(_: float, x: np.ndarray, u: float = u) -> list[float]:
+            moment = u - DAMPING * x[1] - STIFFNESS * x[0] - RUBS * math.tanh(x[1] / 0.05)
+            return [x[1], moment / INERTIA]
+
+        states.append(solve_ivp(rates, (0.0, 0.02), states[-1], rtol=1e-8, atol=1e-10).y[:, -1])
+    angle, rate = np.array(states).T
+    noise = rng.standard_normal((2, time.size))
+    write_log(path, {"time": time, "torque": torque, "angle": angle + 1e-3 * noise[0], "rate": rate + 1e-2 * noise[1]})

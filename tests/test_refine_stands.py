@@ -1,0 +1,144 @@
+"""What a verdict must stand: replays of the model as it is, effects it has too much of, sensors beside effects, and
+that nothing which is read is written over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.refine.candidates import Candidate
+from cosim.refine.excite import excite
+from cosim.refine.fit import Fit
+from cosim.refine.hypotheses import Hypothesis
+from cosim.refine.log import read_log
+from cosim.refine.model_file import load_model
+from cosim.refine.problem import build_problem, coarsened
+from cosim.refine.verdict import Verdict, proven
+from cosim.refine.workflow import refine
+from cosim.run import run
+from plant.hovercraft import Hovercraft
+from tests.studies import holds, named, study_of
+from tests.studies import proven as flown
+from tests.table import TABLE, table_log
+
+
+def with_candidates(study: Path, candidates: str) -> Path:
+    """The study, with these candidates only."""
+    study.write_text(study.read_text().partition("candidates:")[0] + f"candidates: [{candidates}]\n")
+    return study
+
+
+def with_model(study: Path, parameters: str) -> Path:
+    """The study, of a model.yaml with these parameters."""
+    (study.parent / "model.yaml").write_text(f"schema_version: 1\nmodel: hovercraft\nparameters: {{{parameters}}}\n")
+    study.write_text(study.read_text().replace("model: base", "model: model.yaml"))
+    assert "model: model.yaml" in study.read_text()
+    return study
+
+
+def test_a_mass_of_four_percent_more_is_no_nothing(tmp_path: Path) -> None:
+    """The prior of the base parameters takes it up; the model as it stands is off by several times the noise."""
+    truth = 1.04 * Hovercraft().mass
+    r = flown(study_of(tmp_path / "study", {"mass": {"value": truth}}), tmp_path / "out")
+    assert (r.record["verdict"], named(r)) == ("parameter_error", {"mass"})
+    assert holds(r, "mass", "value", truth)
+    assert [c["names"] for c in r.record["candidates"] if c["why"] == "claimed"] == [["mass"]]
+
+
+def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_for_it(tmp_path: Path) -> None:
+    study = study_of(tmp_path / "study", {"mass": {"value": 1.1 * Hovercraft().mass}})
+    r = flown(with_candidates(study, "coriolis, gyro_bias"), tmp_path / "out")
+    assert r.record["verdict"] == "unexplained"
+    assert "The model as it stands misses" in r.record["sentence"]
+    assert "mass 0.705 → 0.77" in r.record["sentence"]
+    assert r.record["sentence"].endswith("(Tried: only what the study names as candidates.)")
+
+
+def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -> None:
+    study = with_model(study_of(tmp_path / "study", {}), "coulomb_friction.force: 0.05, yaw_damping.coefficient: 0.006")
+    study = with_candidates(study, "coulomb_friction, yaw_damping, table_tilt")
+    r = flown(study, tmp_path / "out")
+    assert (r.record["verdict"], named(r)) == ("parameter_error", {"coulomb_friction", "yaw_damping"})
+    assert r.record["sentence"].startswith("The model has a wrong ")
+    assert r.record["sentence"].count("; the logs show none)") == 2
+
+
+def test_a_biased_sensor_is_found_beside_an_effect(tmp_path: Path) -> None:
+    truth = {"table_tilt": {"x": 0.006, "y": -0.003}, "accelerometer_bias": {"value": 0.12}}
+    study = with_candidates(
+        study_of(tmp_path / "study", truth), "table_tilt, coulomb_friction, accelerometer_bias, gyro_bias"
+    )
+    r = flown(study, tmp_path / "out")
+    assert named(r) == {"table_tilt", "accelerometer_bias"}
+    assert holds(r, "accelerometer_bias", "value", 0.12)
+
+
+def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
+    blamed = Hypothesis(
+        (Candidate("accelerometer_scale", "sensor", (), ()),),
+        Fit({}, np.zeros(0), (), (0.0,), 0.0, np.zeros((0, 0)), 1, True),
+        0.0,
+    )
+    residual: dict[str, Any] = {"equation": None, "signals": [], "share": None}
+    claim = Verdict("sensor_error", blamed, (), "", residual, "The sensors have …")
+    floor = {"ax": 0.2, "x": 1.0}
+
+    def held(x: float) -> Verdict:
+        error = {"ax": 0.2, "x": x}
+        return proven(claim, dict.fromkeys(("before", "recalibrated", "after"), error), floor)
+
+    assert held(1.2) is claim
+    withdrawn = held(8.0)
+    assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, ("accelerometer_scale",))
+    assert withdrawn.sentence.endswith("With it, replays still miss x by 8.0 times what noise makes.")
+
+
+def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) -> None:
+    title = '    title = "Rotary table"\n'
+    (tmp_path / "table.py").write_text(TABLE.replace(title, f"{title}    substep = 0.0003125\n"), encoding="utf-8")
+    model = load_model(f"{tmp_path / 'table.py'}:Table", Path()).model
+    assert model.substep == 0.0003125
+    table_log(tmp_path / "a.csv", 0)
+    problem = build_problem(model, [read_log(tmp_path / "a.csv", model.inputs, model.outputs)])
+    asleep, awake = (coarsened(problem, values).logs[0].substeps for values in ({}, {"dry_friction.level": 0.5}))
+    assert asleep < awake
+
+
+# -- what is read is not written over ---------------------------------------------------------
+
+OVER = "is read, and results would be written over it; give another folder as --out"
+
+
+def test_a_study_does_not_write_over_its_model(tmp_path: Path) -> None:
+    study = with_model(study_of(tmp_path, {}), "mass: 0.72")
+    before = (tmp_path / "model.yaml").read_bytes()
+    with pytest.raises(InputError, match=OVER):
+        refine(study, tmp_path)
+    assert (tmp_path / "model.yaml").read_bytes() == before
+
+
+def test_a_run_does_not_write_over_what_it_plays(project: Path) -> None:
+    (project / "results.csv").write_text("time,force\n0,0\n1,1\n")
+    (project / "played.yaml").write_text(
+        "name: played\nduration: 1\nstep: 0.02\ncomponents:\n"
+        "  plant: {fmu: build/plant.fmu}\n  told: {block: playback, file: results.csv}\n"
+        "connections:\n  - {from: told.force, to: plant.tilt_right}\n"
+    )
+    before = (project / "results.csv").read_bytes()
+    with pytest.raises(InputError, match=OVER):
+        run(project / "played.yaml", project, report=False)
+    assert (project / "results.csv").read_bytes() == before
+
+
+def test_an_experiment_is_not_put_over_the_refined_fmu(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
+    record = f'{{"study": "{tmp_path}/study.yaml", "rivals": [], "candidates": [], "hidden": [], "measured": ["psi"]}}'
+    (tmp_path / "refine.json").write_text(record)
+    (tmp_path / "plant.fmu").write_bytes(b"refined")
+    with pytest.raises(InputError, match=OVER):
+        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"])
+    assert (tmp_path / "plant.fmu").read_bytes() == b"refined"
