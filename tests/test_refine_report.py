@@ -351,6 +351,17 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     assert alone.sentence.startswith("These logs cannot tell dry from push; ")
 
 
+def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
+    judged = Judged(cart)
+    best = judged.single("dry")
+    moving = replace(best, fit=replace(best.fit, converged=False))
+    settled = judged(best=best, rivals=()).sentence
+    assert judged(best=moving, rivals=()).sentence.startswith(
+        f"{settled.partition('. ')[0].rstrip('.')}. The fit was still"
+    )
+    assert "still moving" not in settled
+
+
 def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refinement) -> None:
     judged, base = Judged(cart), cart.attribution.base
     verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))

@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.refine.attribution import RIVAL, SIGNIFICANT_IN_NOISE
 from cosim.refine.candidates import Candidate, Kind
+from cosim.refine.fit import Free
 from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.residual import COUNTS_FROM, excess_left
 from cosim.refine.unnamed import NOTICED, Unnamed
@@ -261,8 +262,7 @@ def _claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> s
     units |= {p.name: p.unit for p in model.parameters}
     said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
-        moved = [(n, best.fit.values[n], CI95 * best.fit.sigma(n), shown(units[n])) for n in c.parameters]
-        values = ", ".join(f"{n.rpartition('.')[2]} = {v:.4g} ± {ci:.2g} {unit}".rstrip() for n, v, ci, unit in moved)
+        values = ", ".join(_told(best, f, shown(units[f.name])) for f in c.free)
         gone = all(
             abs(best.fit.values[f.name] - f.neutral) <= CI95 * best.fit.sigma(f.name)
             for f in c.free
@@ -272,7 +272,18 @@ def _claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> s
         said[_kind(c, model)].append(f"{c.name} ({values}{note})")
     openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
     text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in said.items() if names)
-    return f"{text[0].upper()}{text[1:]}."
+    moving = (
+        "" if best.fit.converged else " The fit was still moving when it was ended: these intervals are too narrow."
+    )
+    return f"{text[0].upper()}{text[1:]}.{moving}"
+
+
+def _told(best: Hypothesis, f: Free, unit: str) -> str:
+    """A parameter with its interval, where that is narrower than its bounds are apart."""
+    name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], CI95 * best.fit.sigma(f.name)
+    if half > f.high - f.low:
+        return f"{name} not told by these logs"
+    return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
 
 
 def shown(unit: str) -> str:
