@@ -24,6 +24,7 @@ from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.measure import Variant
 from cosim.refine.model_file import BASE, LoadedModel
 from cosim.refine.problem import build_problem
+from cosim.refine.proof import proven
 from cosim.refine.record import SCHEMA, ranking, schema
 from cosim.refine.replay import Replay
 from cosim.refine.report.errors import second_sentence
@@ -37,7 +38,7 @@ from cosim.refine.residual import excess_left
 from cosim.refine.screen import ScoreTest
 from cosim.refine.study import LogLists, Study, StudyFile
 from cosim.refine.unnamed import Unnamed, unnamed_terms
-from cosim.refine.verdict import Verdict, judge, proven
+from cosim.refine.verdict import Verdict, judge
 from cosim.refine.workflow import Refinement, refine
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper

@@ -17,7 +17,8 @@ from cosim.refine.hypotheses import Hypothesis
 from cosim.refine.log import read_log
 from cosim.refine.model_file import load_model
 from cosim.refine.problem import build_problem, coarsened
-from cosim.refine.verdict import Verdict, proven
+from cosim.refine.proof import proven
+from cosim.refine.verdict import Verdict
 from cosim.refine.workflow import refine
 from cosim.run import run
 from plant.hovercraft import Hovercraft

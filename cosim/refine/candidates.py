@@ -88,3 +88,8 @@ def _start(p: Parameter, value: float) -> float:
     """One-sided parameters start at a size that is seen, two-sided ones at neutral, between the signs."""
     one_sided = p.neutral is not None and p.neutral == p.bounds[0]
     return p.typical if one_sided and p.typical else value
+
+
+def kind_within(c: Candidate, model: Model) -> Kind:
+    """The kind of a candidate; an effect that the model has already is one more parameter of it."""
+    return "parameter" if c.name in {e.name for e in model.awake} else c.kind

@@ -12,7 +12,8 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.refine.hypotheses import Attribution, Hypothesis
 from cosim.refine.residual import FREE_RUN
-from cosim.refine.verdict import CI95, Name, Verdict
+from cosim.refine.sentences import CI95
+from cosim.refine.verdict import Name, Verdict
 from cosim.version import __version__
 from plant.model import Model
 from plant.quantities import parameters_of

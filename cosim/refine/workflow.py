@@ -26,11 +26,12 @@ from cosim.refine.log import Log
 from cosim.refine.measure import Evidence, Variant, noise_floor, predicted_errors, replays, rmse
 from cosim.refine.model_file import HOVERCRAFT, LoadedModel, write_model
 from cosim.refine.problem import build_problem, coarsened, varied_inputs
+from cosim.refine.proof import proven, standing
 from cosim.refine.record import OTHER_HORIZONS, Errors, Part, Record, effects, known, ranking, residual
 from cosim.refine.sensor_noise import other_noise
 from cosim.refine.study import Study, read_study
 from cosim.refine.unnamed import unnamed_terms
-from cosim.refine.verdict import Verdict, judge, proven, standing
+from cosim.refine.verdict import Verdict, judge
 from plant.quantities import parameters_of
 
 if TYPE_CHECKING:

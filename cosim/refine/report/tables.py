@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.refine.candidates import Candidate
 from cosim.refine.fit import Free
-from cosim.refine.verdict import CI95
+from cosim.refine.sentences import CI95
 from cosim.refine.workflow import Refinement
 from cosim.report.panels import display
 from cosim.report.text import plain
