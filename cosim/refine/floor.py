@@ -1,10 +1,10 @@
-"""What noise alone explains of a replay in windows: the model against itself, seen as the log sees the craft."""
+"""What noise alone explains of a replay: the model against itself, seen as the log sees the craft."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,21 +31,6 @@ class Floor(NamedTuple):
     rmse: float
     limit: float
     astray: float
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """First row of each window that counts, to tell them apart."""
-
-    starts: Column
-
-    def mean_squares(self, error: Column) -> Column:
-        """Mean square of the error in each window where it is known."""
-        seen = np.isfinite(error)
-        place = np.searchsorted(self.starts, np.flatnonzero(seen), side="left")
-        counts = np.bincount(place, minlength=self.starts.size + 1)
-        sums = np.bincount(place, error[seen] ** 2, minlength=counts.size)
-        return np.asarray(sums[counts > 0] / counts[counts > 0])
 
 
 def draws(log: Log, horizon: float) -> int:
@@ -78,10 +63,19 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
         noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
         noisy = predicted({n: values + noise[n] for n, values in alike.items()})
         errors.append({n: alike[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in alike})
-    found, apart = pooled(errors), _Windows(np.array(sorted(measured.starts), dtype=np.float64))
-    squares = {n: np.concatenate([apart.mean_squares(e[n]) for e in errors]) for n in alike}
+    found, starts = pooled(errors), sorted(measured.starts)
+    squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in alike}
     astray = {n: 0.0 if horizon == FREE_RUN else _astray(v, restarted[n]) for n, v in alike.items()}
     return {n: Floor(found[n], _limit(squares[n], count), astray[n]) for n in alike}
+
+
+def _mean_squares(error: Column, starts: Sequence[int]) -> Column:
+    """Mean square of the error in each window where it is known, from the first rows of all."""
+    seen = np.isfinite(error)
+    window = np.searchsorted(starts, np.flatnonzero(seen), side="left")
+    counts = np.bincount(window, minlength=len(starts) + 1)
+    sums = np.bincount(window, error[seen] ** 2, minlength=counts.size)
+    return np.asarray(sums[counts > 0] / counts[counts > 0])
 
 
 def _limit(squares: Column, count: int) -> float:
