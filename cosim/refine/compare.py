@@ -27,7 +27,7 @@ from cosim.refine.residual import (
 from cosim.refine.starts import start_parameters
 from cosim.report.text import plain, size
 
-FOLLOWS = 2.5  # times the 95 % band: a right model's residual never followed a command so in 120 logs of five channels
+FOLLOWS = 2.5  # times the 95 % band, five standard errors: no chance, though errors of the start are slow
 
 
 @dataclass(frozen=True, eq=False)

@@ -222,10 +222,11 @@ def _spikes(log: Log, name: str, values: Column) -> Iterator[Finding]:
     whole[place] = values  # what stands on the far side of a pause is no neighbour
     seen = np.pad(np.isfinite(whole), 2)
     beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
-    off = math.sqrt(70 / 36) * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
+    scale = math.sqrt(70 / 36)  # of what four equal neighbours do not say, to the noise
+    off = scale * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
     off[_answering(log)] = 0.0
     low, high = np.nanpercentile(values, [1, 99])
-    limit = max(SPIKE * noise_level(values) * math.sqrt(70 / 36), 0.05 * (high - low)) if np.any(off) else math.inf
+    limit = max(SPIKE * noise_level(values) * scale, 0.05 * (high - low)) if np.any(off) else math.inf
     around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
     spikes = np.flatnonzero((off > limit) & (off >= around))
     if spikes.size:
