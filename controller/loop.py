@@ -16,7 +16,12 @@ from controller.lqr import feedback
 class Loop:
     """The controller at run time. Order at a sample: predict with the last command, update with (ψ, ψ̇, a_x), feed back.
 
-    At the start there is no update: u₀ = sat(−K·(x̂₀ − x_ref)), P = 0.
+        x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
+        K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
+        u = sat(−K_lqr·(x̂ − x_ref), ±tilt_max),   x_ref = (x_ref, 0, psi_ref, 0, 0)  (6.1)
+
+    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. At the start there is no update: u₀ = sat(−K·(x̂₀ − x_ref)),
+    P = 0. x is not observable with these sensors: the filter must be told where it starts.
     """
 
     def __init__(self, settings: Settings, x_hat: Sequence[float], x_ref: float, psi_ref: float) -> None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from controller.design_model import Matrix, ModelNumbers, design_model
-from controller.gains import Settings
 from plant.hovercraft import Hovercraft
-from plant.linearize import LinearModel, linearize
 from plant.model import Values
 from plant.namespaces import SCALAR
+from plant.symbolic.linearize import LinearModel, linearize
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
@@ -88,9 +85,3 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
     if max(np.real(poles)) > -STABLE:
         raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
     return np.asarray(K, dtype=float)
-
-
-def with_gain(settings: Settings, K: Matrix) -> Settings:
-    """Settings with the gain put in."""
-    entries: dict[str, Any] = {f"k_{i + 1}_{j + 1}": float(K[i, j]) for i in range(2) for j in range(5)}
-    return replace(settings, **entries)

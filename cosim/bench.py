@@ -16,10 +16,11 @@ import numpy as np
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.blocks.noise import gaussian, stream
-from cosim.master import PROGRESS_EVERY, simulate
-from cosim.scenario_file import ScenarioFile
-from cosim.system import System, build_system
-from fmus.build import build, controller_recipe, plant_recipe
+from cosim.simulation.master import PROGRESS_EVERY, simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import System, build_system
+from fmus.build import build
+from fmus.recipes import controller_recipe, plant_recipe
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.integrate import Stepper
 

@@ -60,8 +60,8 @@ def run(
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
-    from cosim.criteria import sentence
-    from cosim.run import run as run_scenario
+    from cosim.simulation.criteria import sentence
+    from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
@@ -85,25 +85,10 @@ def build(
     ] = None,
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
-    from fmus.build import HEAVY, controller_recipe, plant_recipe
-    from fmus.build import build as build_fmu
+    from cosim.models.fmus import build as build_fmus
 
-    if model is None:
-        recipes = {
-            "plant.fmu": plant_recipe(),
-            "controller.fmu": controller_recipe(),
-            "plant-heavy.fmu": plant_recipe(HEAVY),
-        }
-    else:
-        from cosim.refine.model_file import HOVERCRAFT, load_model
-        from cosim.refine.workflow import recipe_of
-
-        loaded = load_model(model, Path())
-        recipes = {"plant.fmu": recipe_of(loaded)}
-        if loaded.source == HOVERCRAFT:
-            recipes["controller.fmu"] = controller_recipe()
-    for name, recipe in recipes.items():
-        say(f"built {build_fmu(recipe, out / name)}")
+    for path in build_fmus(out, model):
+        say(f"built {path}")
 
 
 @app.command()
@@ -114,7 +99,7 @@ def check(
     ] = "base",
 ) -> None:
     """Say what is wrong with files, all faults at once."""
-    from cosim.check import check_files
+    from cosim.checks import check_files
 
     for line in check_files(files, model):
         say(line)
@@ -131,21 +116,14 @@ def replay(
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
-    import tempfile
+    from cosim.residuals.words import verdict
+    from cosim.residuals.workflow import replay as replay_log
 
-    from cosim.refine.drive import log_of_fmu
-    from cosim.refine.report.replay import write_replay
-    from cosim.refine.words import finding_line, verdict
-    from fmus.build import build as build_fmu
-    from fmus.build import plant_recipe
-
-    with tempfile.TemporaryDirectory(prefix="cosim-replay-") as folder, progress_bar("replaying") as progress:
-        fmu = plant or build_fmu(plant_recipe(), Path(folder) / "plant.fmu")
-        read = log_of_fmu(log, fmu)
-        comparison = write_replay(out, read, fmu, report=report, passing=plant is None, progress=progress)
+    with progress_bar("replaying") as progress:
+        comparison = replay_log(log, out, plant, report=report, progress=progress)
     for finding in comparison.findings:
         if finding.severity == "warning":
-            typer.echo(finding_line(finding), err=True)
+            typer.echo(finding.line, err=True)
     say(verdict(comparison))
     say(f"residual: {out / 'residual.csv'}" + (f", report: {out / 'report.html'}" if report else ""))
 
@@ -159,21 +137,17 @@ def refine(
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cosim.refine.report.errors import second_sentence
-    from cosim.refine.workflow import refine as refine_study
+    from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.workflow import refine as refine_study
 
     with stages() as progress:
-        result = refine_study(study, out, progress)
-        if report:
-            from cosim.refine.report.page import write_refine_report
-
-            write_refine_report(out / "report.html", result)
+        result = refine_study(study, out, progress, report=report)
     for warning in result.study.warnings:
         typer.echo(f"warning: {warning}", err=True)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous":
-        from cosim.refine.question import inputs_to_limit
+        from cosim.experiment.question import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
         say(f"a flight that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
@@ -199,7 +173,7 @@ def excite(
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
 ) -> None:
     """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that flies it."""
-    from cosim.refine.excite import excite as choose
+    from cosim.experiment.excite import excite as choose
 
     with stages() as progress:
         found = choose(

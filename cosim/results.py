@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.arrays import Array
 from cosim.files import atomic_write
 
 CHUNK = 1000  # rows
@@ -27,12 +27,12 @@ class Results:
     units:   name → unit, "" where the variable has none
     """
 
-    time: NDArray[np.float64]
+    time: Array
     columns: tuple[str, ...]
-    values: NDArray[np.float64]
+    values: Array
     units: Mapping[str, str] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
         return self.values[:, self.columns.index(name)]
 
     def __contains__(self, name: str) -> bool:

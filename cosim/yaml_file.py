@@ -5,14 +5,18 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from cosim.errors import Fault, InputError
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
 Location = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -78,12 +82,12 @@ class YamlFile:
         """A fault at a place of this file."""
         return Fault(self.path, *self.place(location, key), message, exit_code)
 
-    def validate(self, model: type[M], data: Any = None) -> M:
-        """The document as a pydantic model; InputError with every fault."""
+    def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
+        """The document, or what stands `at` a place of it, as a pydantic model; InputError with every fault."""
         try:
             return model.model_validate(plain(self.root) if data is None else data)
         except ValidationError as error:
-            raise InputError([self._pydantic_fault(model, e) for e in error.errors()]) from None
+            raise InputError([self._pydantic_fault(model, e, at) for e in error.errors()]) from None
 
     def partly(self, model: type[M]) -> tuple[M | None, list[Fault]]:
         """The document without its faulty parts, so that the rest can be checked too, and their faults.
@@ -105,12 +109,13 @@ class YamlFile:
         except ValidationError:
             return None, faults
 
-    def _pydantic_fault(self, model: type[BaseModel], error: Any) -> Fault:
-        location: Location = tuple(p for p in error["loc"] if not _is_tag(p))
+    def _pydantic_fault(self, model: type[BaseModel], error: Any, at: Location = ()) -> Fault:
+        within: Location = tuple(p for p in error["loc"] if not _is_tag(p))
+        location = (*at, *within)
         name = ".".join(map(str, location))
         kind, given = error["type"], error.get("input")
         if kind == "extra_forbidden":
-            known = _known_keys(model, location[:-1])
+            known = _known_keys(model, within[:-1])
             message = f'unknown key "{location[-1]}"{did_you_mean(str(location[-1]), known)}'
             return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
         if kind == "missing":
@@ -171,3 +176,9 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
         if found := _inner_model(inner):
             return found
     return None
+
+
+class Part(BaseModel):
+    """A part of a scenario: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

@@ -7,27 +7,26 @@ package named by their content: two FMUs never see each other's modules, nor the
 from __future__ import annotations
 
 import hashlib
-import inspect
 import re
 import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 from fmus import __version__
 from fmus.description import Description, complete
-from fmus.documentation import GUID_PLACEHOLDER, write_documentation
+from fmus.documentation import GUID_PLACEHOLDER, model_text, write_documentation
 from plant.model import Model
+from plant.traits import Traits
 
 ROOT = Path(__file__).resolve().parent.parent
 # What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
-RUNTIME = ("__init__", "lifetime", "ports", "slave")
+RUNTIME = ("__init__", "lifetime", "ports", "slave", "state")
 ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
-# Modules that need more than the FMU's host has.
-BUILD_TIME = ("linearize", "symbols", "synthesis")
+# What needs more than the FMU's host has.
+BUILD_TIME = ("plant/symbolic", "plant/traits.py", "controller/synthesis.py", "controller/designer.py")
 OWN = "own_model"  # what the file of a model of one's own is called within its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
@@ -37,33 +36,13 @@ ASSETS = Path(__file__).resolve().parent / "assets"
 class Recipe:
     """What makes one FMU: its slave class, the packages it carries, and what its description says."""
 
-    slave: str  # "module:Class" within `fmus`
+    slave: tuple[str, str]  # module within `fmus`, and its class
     packages: tuple[str, ...]
     about: Description
     text: str  # documentation: what it is and how to use it, HTML
     values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
+    modules: tuple[str, ...] = ()  # of `fmus` that the slave's module needs
     own: tuple[Path, str] | None = None  # file and class of a model of one's own
-
-
-# A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
-HEAVY = {
-    "mass": 0.8,
-    "izz": 0.0116,
-    "actuator_second_order.natural_frequency": 16.0,
-    "actuator_second_order.damping_ratio": 0.5,
-}
-
-
-def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """The plant, with other defaults where `values` says so (a refined model)."""
-    from fmus.documentation import PLANT_TEXT
-    from plant.hovercraft import Hovercraft
-
-    about = _about(
-        Hovercraft().with_values(values or {}),
-        "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
-    )
-    return Recipe("plant_fmu:HovercraftPlant", ("plant",), about, PLANT_TEXT, tuple(sorted((values or {}).items())))
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -71,23 +50,20 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
 
     The FMU carries the file; what it imports beside `plant` and the standard library its host must have.
     """
-    about = _about(model.with_values(values or {}), model.title)
-    text = f"<p>{escape(inspect.getdoc(model) or '')}</p><pre>{escape(inspect.getdoc(model.equations) or '')}</pre>"
-    terms = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
-    return Recipe(
-        "plant_fmu:ModelSlave",
-        ("plant",),
-        about,
-        f"{text}<p>Effects, dormant at their start values:</p><ul>{terms}</ul>" if terms else text,
-        tuple(sorted((values or {}).items())),
-        (file, type(model).__name__),
-    )
+    own = (file, type(model).__name__)
+    about = about_model(model.with_values(values or {}), model.title)
+    return Recipe(("model_fmu", "ModelSlave"), ("plant",), about, model_text(model), ordered(values), own=own)
 
 
-def _about(model: Model, text: str) -> Description:
+def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
+    """Parameter values in an order that does not hang on how they were written."""
+    return tuple(sorted((values or {}).items()))
+
+
+def about_model(model: Model, text: str) -> Description:
     """What the description of a model's FMU says."""
-    from fmus.dependencies import direct_dependencies, initial_dependencies
     from fmus.ports import model_ports
+    from plant.symbolic.dependencies import direct_dependencies, initial_dependencies
 
     return Description(
         text,
@@ -97,26 +73,8 @@ def _about(model: Model, text: str) -> Description:
         step=model.rate,
         stop=10.0,
         variable_step=True,
+        traits=Traits.of(model),
     )
-
-
-def controller_recipe() -> Recipe:
-    """The controller."""
-    from controller.gains import Settings
-    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, controller_ports
-    from fmus.documentation import CONTROLLER_TEXT
-
-    settings = Settings()
-    about = Description(
-        "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation",
-        controller_ports(settings),
-        DEPENDENCIES,
-        INITIAL_DEPENDENCIES,
-        step=settings.sample_time,
-        stop=10.0,
-        variable_step=False,
-    )
-    return Recipe("controller_fmu:HovercraftController", ("plant", "controller"), about, CONTROLLER_TEXT)
 
 
 def build(recipe: Recipe, path: Path) -> Path:
@@ -148,7 +106,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))
-    module, class_name = recipe.slave.split(":")
+    module, class_name = recipe.slave
     identity: tuple[object, ...] = (recipe.slave, recipe.values)
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
@@ -179,7 +137,7 @@ def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
     """The file pythonfmu loads: the slave class, with other defaults where the recipe has them."""
     lines = [
         f"from {package}.fmus.lifetime import keep",
-        f"from {package}.fmus.{module} import {recipe.slave.split(':')[1]} as Base",
+        f"from {package}.fmus.{module} import {recipe.slave[1]} as Base",
     ]
     if recipe.values or recipe.own:
         lines.append(f"from {package}.fmus.ports import model_ports")
@@ -198,13 +156,13 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
     yield "__init__.py", b""
     if recipe.own:
         yield f"{OWN}.py", recipe.own[0].read_bytes()
-    module = recipe.slave.split(":")[0]
-    for name in sorted((*RUNTIME, module)):
+    for name in sorted({*RUNTIME, recipe.slave[0], *recipe.modules}):
         yield f"fmus/{name}.py", (ROOT / "fmus" / f"{name}.py").read_bytes()
     for package in recipe.packages:
         for file in sorted((ROOT / package).rglob("*.py")):
-            if file.stem not in BUILD_TIME:
-                yield file.relative_to(ROOT).as_posix(), file.read_bytes()
+            path = file.relative_to(ROOT)
+            if not any(path.is_relative_to(part) for part in BUILD_TIME):
+                yield path.as_posix(), file.read_bytes()
 
 
 def _members(archive: Path) -> Iterator[tuple[str, bytes]]:

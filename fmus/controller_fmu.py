@@ -80,7 +80,10 @@ INITIAL_DEPENDENCIES: dict[str, tuple[str, ...]] = {
 
 
 class HovercraftController(Slave):
-    """Sampled controller: a communication step is one sample."""
+    """Sampled controller: a communication step is one sample, and one other than `sample_time` is refused.
+
+    Needs numpy, scipy and filterpy in the Python that hosts it. The filter starts at `*_hat_start`.
+    """
 
     ports = controller_ports(Settings())
 

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
+from fmus.annotation import annotation
 from fmus.ports import Port
 from fmus.units import DISPLAY, unit_definitions
+from plant.traits import Traits
 
 AUTHOR, LICENCE = "The cosim authors", "MIT"
 
@@ -24,6 +26,7 @@ class Description:
     step: float
     stop: float
     variable_step: bool
+    traits: Traits | None = None
 
 
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
@@ -48,7 +51,9 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     experiment = Element(
         "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
     )
-    root.insert(list(root).index(_child(root, "ModelVariables")), experiment)
+    more = [] if about.traits is None else [annotation(about.traits)]
+    for element in (experiment, *more):
+        root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):
         _complete_variable(variable, port)
     root.remove(_child(root, "ModelStructure"))

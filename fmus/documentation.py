@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from html import escape
 from pathlib import Path
 
 from fmus.description import AUTHOR, LICENCE, Description
 from fmus.ports import Port
+from plant.model import Model
 
 GUID_PLACEHOLDER = "{guid}"
 STYLE = """
@@ -18,42 +20,21 @@ th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #d8dee
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 """
 
-PLANT_TEXT = """
-<p>A craft on an air table, carried by the table and by two propellers that tilt about the lateral axis. The
-duty sets the thrust of each, the tilt turns it forward. An unconnected plant hovers.</p>
-<pre>
-right/left i, commands δ_i [%] and α_i,cmd [rad]
-τ·dT_i/dt = T_OGE(δ_i) − T_i        T_OGE(δ) = max(0, a + b·δ)·g/1000          (4.20, 4.29)
-τ·dα_i/dt = α_i,cmd − α_i
-Γ(z) = 1/(1 − (R/(4·max(z, R/2)))^k)      z_R/L = z ± L·sin φ                  (4.23, 4.28)
-F_ix = T_i·Γ(z_i)·sin α_i,   F_iz = T_i·Γ(z_i)·cos α_i
-m·dvx/dt = F_Rx + F_Lx − c·vx,            m·dvy/dt = −(F_Rz + F_Lz)·sin φ − c·vy
-Izz·d²ψ/dt² = L·(F_Rx − F_Lx),            Ixx·d²φ/dt² = L·(F_Rz − F_Lz) − k_t·φ − d_t·dφ/dt
-dX/dt = vx·cos ψ + vy·sin ψ,              dY/dt = vx·sin ψ − vy·cos ψ
-ax = (F_Rx + F_Lx − c·vx)/m
-</pre>
-<p>Axes: x forward, y to the right, ψ positive to the left seen from above, φ positive with the right side up;
-world X forward and Y left at ψ = 0. Equation numbers: J. Jorquera Grau, "Testing Bench Design and Tilting
-Propeller System Identification for the Development and Control of a Thrust-vectoring Hovercraft", SDSM&amp;T, 2012.
-Integration: RK4 in equal substeps of at most 5 ms, inputs held.</p>
-<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their start value
-an effect is dormant and costs nothing.</p>
-"""
+NEEDS = "<p>Integration: RK4 in equal substeps of at most {substep:g} ms, inputs held.</p>"
+SWITCHES = """<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their
+start value an effect is dormant and costs nothing.</p>"""
 
-CONTROLLER_TEXT = """
-<p>Kalman filter on (ψ, dψ/dt, a_x) and state feedback with saturation, one sample a communication step.</p>
-<pre>
-x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
-K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
-u = sat(−K_lqr·(x̂ − x_ref), ±tilt_max),   x_ref = (x_ref, 0, psi_ref, 0, 0)  (6.1)
-</pre>
-<p>State (x, vx, ψ, dψ/dt, a), a the thrust acceleration. The filter starts at <code>*_hat_start</code> with P = 0.
-x is not observable with these sensors: the filter must be told where it starts. <code>estimator</code>:
-<code>appendix_f</code> as in the thesis, acceleration without memory; <code>lagged</code> with the lag of eqs E.3/E.4;
-<code>consistent</code> in which the accelerometer reads total acceleration, a − (c/m)·vx.</p>
-<p>Needs numpy, scipy and filterpy in the Python that hosts it. A communication step other than
-<code>sample_time</code> is refused.</p>
-"""
+
+def documented(*owners: object) -> str:
+    """Docstrings as HTML: the words of each as a paragraph, its equations as they stand."""
+    return "".join(f"<pre>{escape(inspect.getdoc(owner) or '')}</pre>" for owner in owners)
+
+
+def model_text(model: Model) -> str:
+    """What a model is, by its own docstrings: equations, effects, integration."""
+    effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
+    listed = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
+    return documented(type(model), model.equations) + NEEDS.format(substep=1000 * model.substep) + listed
 
 
 def write_documentation(folder: Path, about: Description, text: str, version: str, licence: Path) -> None:

@@ -6,7 +6,6 @@ Discard that most hosts swallow. A guard therefore raises.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -14,6 +13,7 @@ from typing import Any, ClassVar
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real, String
 
 from fmus.ports import Kind, Port, Value
+from fmus.state import to_bytes
 
 INSTANTIATED, INITIALIZATION, STEP = "instantiated", "initialization", "step"
 TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
@@ -166,7 +166,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     @staticmethod
     def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
-        return json.dumps(state).encode()  # repr of a float reads back bit for bit
+        return to_bytes(state)
 
     # -- within -------------------------------------------------------------------------------
 

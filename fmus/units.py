@@ -8,6 +8,19 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
+LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
+FORCE = {"kg": 1, "m": 1, "s": -2}
+PRESSURE = {"kg": 1, "m": -1, "s": -2}
+VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
+RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
+DEGREE = 180.0 / math.pi
+# display unit, and display value per value
+DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
+# superscripts; the signs for ohm and micro that look like the Greek letters
+ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
+TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
+STANDARD_GRAVITY = 9.80665  # [m/s²]
+
 
 class Unit(NamedTuple):
     """Exponents of SI base units, and value in SI = factor·value."""
@@ -26,13 +39,6 @@ def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[
     sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
 
-
-LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
-FORCE = {"kg": 1, "m": 1, "s": -2}
-PRESSURE = {"kg": 1, "m": -1, "s": -2}
-VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
-RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
-DEGREE = 180.0 / math.pi
 
 # The order within a dimension is that in which sizes are offered to who has written none of them.
 SYMBOLS: dict[str, Unit] = {
@@ -64,11 +70,6 @@ SYMBOLS: dict[str, Unit] = {
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
-# display unit, and display value per value
-DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
-# superscripts; the signs for ohm and micro that look like the Greek letters
-ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
-TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
 
 
 def parse(text: str) -> Unit | None:
@@ -104,3 +105,25 @@ def unit_definitions(names: set[str]) -> Element:
             display, factor = DISPLAY[name]
             SubElement(node, "DisplayUnit", name=display, factor=repr(factor))
     return root
+
+
+def factor(written: str, wanted: str) -> float | None:
+    """What a value in the unit `written` is multiplied by to be in `wanted`; None where that makes no sense."""
+    if not written or not wanted or written == wanted:
+        return 1.0
+    here, there = parse(written), parse(wanted)
+    if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
+        return STANDARD_GRAVITY / there.factor  # of an accelerometer, never gram
+    if here is None or there is None or here.exponents != there.exponents:
+        return None
+    return here.factor / there.factor
+
+
+def alternatives(wanted: str) -> list[str]:
+    """Units that can stand in place of `wanted`: itself, and its first part in other sizes (`mm/s2` for `m/s2`)."""
+    head = re.match(r"[A-Za-z%°µΩ]+", wanted)
+    found = [wanted]
+    if head and head[0] in SYMBOLS:
+        exponents = SYMBOLS[head[0]].exponents
+        found += [s + wanted[head.end() :] for s, u in SYMBOLS.items() if u.exponents == exponents and s != head[0]]
+    return [unit for unit in (*found, "g") if unit == wanted or factor(unit, wanted) is not None]

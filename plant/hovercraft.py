@@ -6,6 +6,7 @@ Identification for the Development and Control of a Thrust-vectoring Hovercraft"
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from plant.effects import CATALOGUE
@@ -13,10 +14,12 @@ from plant.effects.sensors import SENSORS
 from plant.effects.terms import HovercraftEffect, Motion
 from plant.model import Equations, Model, Number, Values, overrides
 from plant.namespaces import SCALAR, Namespace
+from plant.planar import PlanarFrame, world_velocity
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
 from plant.quantities import Quantity, parameter
-from plant.rigid_body import thrust_vector, world_velocity
+from plant.rigid_body import thrust_vector
 
+QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad], as far as a propeller tilts
 DUTY_FITTED = (6.0, 7.0)  # [%], eq 4.20
 DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
 
@@ -39,8 +42,8 @@ STATES = (
 INPUTS = (
     Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL),
     Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL),
-    Quantity("tilt_right", "rad", "tilt command of the right propeller, positive forward"),
-    Quantity("tilt_left", "rad", "tilt command of the left propeller, positive forward"),
+    Quantity("tilt_right", "rad", "tilt command of the right propeller, positive forward", bounds=QUARTER_TURN),
+    Quantity("tilt_left", "rad", "tilt command of the left propeller, positive forward", bounds=QUARTER_TURN),
 )
 OUTPUTS = (
     *STATES[:5],
@@ -50,8 +53,8 @@ OUTPUTS = (
     Quantity("ax", "m/s2", "what the accelerometer reads forward: contact force / mass"),
     Quantity("thrust_right", "N", "right thrust with ground effect"),
     Quantity("thrust_left", "N", "left thrust with ground effect"),
-    Quantity("tilt_right_actual", "rad", "right propeller tilt"),
-    Quantity("tilt_left_actual", "rad", "left propeller tilt"),
+    Quantity("tilt_right_actual", "rad", "right propeller tilt", bounds=QUARTER_TURN),
+    Quantity("tilt_left_actual", "rad", "left propeller tilt", bounds=QUARTER_TURN),
 )
 # Measured with the sensors at rest, eq 5.46; positions are those of a 1 mm tracking system.
 SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
@@ -59,6 +62,14 @@ SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.f
 )
 # A craft is let go by hand: where nothing measures them, speeds at the start are known to 0.2 m/s and 0.1 rad/s.
 START_VARIANCE = {q.name: {"m/s": 0.2, "rad/s": 0.1}.get(q.unit, 1.0) ** 2 for q in STATES}
+MEASURED = ("psi", "psi_dot", "ax", "x_world", "y_world")  # an IMU, and a camera
+# An air table of 2 m by 2 m; the thrust line was fitted on 6-7 % of duty; the tilts are limited as in App. G.
+EXCURSION = {
+    **dict.fromkeys(("duty_right", "duty_left"), 0.2),
+    **dict.fromkeys(("tilt_right", "tilt_left"), math.radians(12)),
+    **dict.fromkeys(("x_world", "y_world"), 0.8),
+}
+PLANAR = PlanarFrame(x="x_world", y="y_world", heading="psi", forward="vx", right="vy")
 TOLD_APART_BY = {
     frozenset(
         {"thrust_asymmetry", "com_offset"}
@@ -88,6 +99,7 @@ class Hovercraft(Model):
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
     told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
+    measured, excursion, planar = MEASURED, EXCURSION, PLANAR
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")

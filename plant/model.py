@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from plant.namespaces import SCALAR, Namespace
+from plant.planar import PlanarFrame
 from plant.quantities import Parameter, Quantity, parameters_of
 
 # A number is a float, an array or a symbol, whichever the namespace handed in works on.
@@ -111,6 +112,9 @@ class Model(Parametric):
     drawn_against: ClassVar[
         Mapping[str, tuple[str, ...]]
     ] = {}  # effect or parameter → signals its form says to look at
+    measured: ClassVar[tuple[str, ...]] = ()  # outputs that are usually logged; without, those of `sensor_variance`
+    excursion: ClassVar[Mapping[str, float]] = {}  # signal → how far from its start an experiment may take it
+    planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
     horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log

@@ -11,12 +11,18 @@ INFINITY = math.inf
 
 @dataclass(frozen=True)
 class Quantity:
-    """A state, input, output or remembered value: name, SI unit, meaning, start value."""
+    """A state, input, output or remembered value: name, SI unit, meaning, start value, and what values it can have."""
 
     name: str
     unit: str
     doc: str
     start: float = 0.0
+    bounds: tuple[float, float] = (-INFINITY, INFINITY)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it has a limit on one side at least."""
+        return any(map(math.isfinite, self.bounds))
 
 
 @dataclass(frozen=True)

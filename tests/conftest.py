@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build import Recipe, build, controller_recipe, plant_recipe
+from fmus.build import Recipe, build
+from fmus.recipes import controller_recipe, plant_recipe
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.refine.log import Log, read_log
+from cosim.logs.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 from plant.integrate import Moment, Stepper
 

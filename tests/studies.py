@@ -8,8 +8,9 @@ from typing import Any
 
 import jsonschema
 
-from cosim.refine.record import SCHEMA
-from cosim.refine.workflow import Refinement, refine
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.record import SCHEMA
+from cosim.refinement.workflow import refine
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
 

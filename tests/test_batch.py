@@ -13,7 +13,7 @@ from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.namespaces import SCALAR, SymbolNamespace, arrays
 from plant.quantities import parameters_of
-from plant.symbols import symbolic
+from plant.symbolic.symbols import symbolic
 from tests.independent import HOLD, excitation, flown
 
 COUNT = 6

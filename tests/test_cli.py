@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.check import check_files
+from cosim.checks import check_files
 from cosim.errors import InputError
-from cosim.refine.study import read_study
+from cosim.refinement.study import read_study
 from tests.conftest import ROOT
 from tests.logs import times, write_log
 

@@ -12,10 +12,11 @@ import pytest
 from controller.design_model import design_model
 from controller.gains import Settings
 from controller.synthesis import lqr_gain, numbers_of
-from cosim.design import designed_values
-from cosim.run import run
-from cosim.scenario_file import ScenarioFile
-from fmus.build import build, plant_recipe
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 
 CRAFT = Hovercraft()
@@ -92,7 +93,7 @@ def test_a_design_is_cached_by_the_content_of_its_model(project: Path) -> None:
     [
         (None, "no such file"),
         ("parameters: {mass: -1, izzz: 2}\n", 'no parameter "izzz"; did you mean "izz"?'),
-        ("model: DRIVE:Drive\nparameters: {}\n", "is no hovercraft"),
+        ("model: DRIVE:Drive\nparameters: {}\n", "no controller is designed for it here"),
     ],
 )
 def test_a_model_that_cannot_be_designed_for_is_a_fault_of_the_scenario(

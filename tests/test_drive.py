@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.refine.model_file import load_model
-from cosim.refine.workflow import recipe_of, refine
+from cosim.models.file import load_model
+from cosim.refinement.workflow import refine
 from fmus.build import build, model_recipe
 from plant.integrate import Stepper
 from plant.namespaces import SCALAR
@@ -141,7 +141,7 @@ def test_an_fmu_carries_the_file_of_its_model_under_a_name_no_other_content_has(
     for name in ("one.fmu", "again.fmu", "other.fmu"):
         if name == "other.fmu":
             file.write_text(file.read_text().replace("mass: float = parameter(95.0", "mass: float = parameter(96.0"))
-        fmus.append(build(recipe_of(load_model("drive.py:Drive", tmp_path)), tmp_path / name))
+        fmus.append(build(load_model("drive.py:Drive", tmp_path).recipe(), tmp_path / name))
     one, again, other = map(packages, fmus)
     assert len(one) == len(other) == 1
     assert one == again != other
@@ -156,7 +156,7 @@ def test_an_fmu_carries_the_file_of_its_model_under_a_name_no_other_content_has(
 def test_the_model_of_the_documents_becomes_an_fmu_and_a_spring_pulls_it_back(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "own_model.md").read_text(encoding="utf-8")
     (tmp_path / "table.py").write_text(text.split("```python\n")[1].split("```")[0], encoding="utf-8")
-    fmu_path = build(recipe_of(load_model("table.py:Table", tmp_path)), tmp_path / "table.fmu")
+    fmu_path = build(load_model("table.py:Table", tmp_path).recipe(), tmp_path / "table.fmu")
     with Instance(fmu_path) as fmu:
         fmu.initialize({"angle_start": 0.1})
         outputs = fmu.step(0.0, 0.02)

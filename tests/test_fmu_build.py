@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 import fmus.build
-from fmus.build import build, controller_recipe, plant_recipe
+from fmus.build import build
+from fmus.recipes import controller_recipe, plant_recipe
 from tests.hosts_fmpy import Instance, description_of
 
 ROOT = fmus.build.ROOT
@@ -53,7 +54,8 @@ class Later(packer.datetime.datetime):
 packer.datetime = type("datetime", (), {"datetime": Later, "timezone": packer.datetime.timezone})
 then = time.gmtime(2.2e9)
 time.localtime, time.time = (lambda *_: then), (lambda: 2.2e9)
-from fmus.build import build, controller_recipe, plant_recipe
+from fmus.build import build
+from fmus.recipes import controller_recipe, plant_recipe
 build(plant_recipe(), Path(sys.argv[1]))
 build(controller_recipe(), Path(sys.argv[2]))
 """

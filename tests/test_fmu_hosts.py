@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.design import designed_values
-from cosim.master import simulate
-from cosim.scenario import FmuComponent
-from cosim.scenario_file import ScenarioFile
-from cosim.system import build_system
+from cosim.simulation.design import designed_values
+from cosim.simulation.master import simulate
+from cosim.simulation.scenario import FmuComponent
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
 from tests.hosts_fmpy import Instance
 
 ROOT = Path(__file__).resolve().parent.parent

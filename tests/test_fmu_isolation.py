@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 import fmus.build
-from fmus.build import build, plant_recipe
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from tests.hosts_fmpy import Instance
 from tests.misbehaving import misbehaving_fmu
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from fmus.build import build, plant_recipe
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from tests.hosts_fmpy import Instance
 
 STEP = 0.02  # [s]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.check import check_files
+from cosim.checks import check_files
 from cosim.errors import InputError
-from cosim.refine.against import delay, delays
-from cosim.refine.finding import Finding
-from cosim.refine.frames import rates_of
-from cosim.refine.gate import gate, gate_faults
-from cosim.refine.log import Log, read_log
+from cosim.logs.finding import Finding
+from cosim.logs.gate import gate, gate_faults
+from cosim.logs.log import Log, read_log
+from cosim.residuals.against import delay, delays, scales
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
 from plant.model import Equations, Model
 from plant.namespaces import Namespace
 from plant.quantities import Quantity
+from plant.traits import Traits
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
@@ -37,12 +37,19 @@ def columns(flight: Flight, **changed: Array) -> Columns:
     return measured(flight, noise=1.0) | changed
 
 
+CRAFT = Traits.of(Hovercraft())
+
+
 def serious(log: Log, rate: float | None = STEP) -> list[tuple[str, str, str]]:
-    return [(f.severity, f.kind, f.channel) for f in gate(log, rate) if f.severity != "note"]
+    return [(f.severity, f.kind, f.channel) for f in gate(log, rate, traits=CRAFT) if f.severity != "note"]
+
+
+def against(log: Log, model: Mapping[str, Array]) -> list[Finding]:
+    return [*scales(log, model), *delays(log, model)]
 
 
 def one(log: Log, kind: str) -> Finding:
-    (found,) = (f for f in gate(log, STEP) if f.kind == kind)
+    (found,) = (f for f in gate(log, STEP, traits=CRAFT) if f.kind == kind)
     return found
 
 
@@ -115,16 +122,16 @@ def test_another_unit_is_told_by_a_replay(tmp_path: Path, flight: Flight, name: 
     c = measured(flight)  # heading and rate both in degrees agree with one another: only the model tells
     changed = {"psi": factor * c["psi"]} if name == "psi_dot" else {}
     log = log_of(tmp_path / "a.csv", c | changed | {name: factor * c[name]})
-    told = [f for f in gate(log, STEP, flight.outputs) if f.kind == "unit" and f.channel == name]
+    told = [f for f in against(log, flight.outputs) if f.kind == "unit" and f.channel == name]
     assert [f.severity for f in told] == ["fault"]
     assert cure in told[0].sentence
 
 
 def test_an_accelerometer_mounted_backwards_moves_against_the_model(tmp_path: Path, flight: Flight) -> None:
     log = log_of(tmp_path / "a.csv", columns(flight, ax=-flight.outputs["ax"]))
-    assert ("warning", "sign", "ax") in [(f.severity, f.kind, f.channel) for f in gate(log, STEP, flight.outputs)]
+    assert ("warning", "sign", "ax") in [(f.severity, f.kind, f.channel) for f in against(log, flight.outputs)]
     sound = log_of(tmp_path / "b.csv", columns(flight))
-    assert not any(f.kind in ("unit", "sign", "delay") for f in gate(sound, STEP, flight.outputs))
+    assert not any(f.kind in ("unit", "sign", "delay") for f in against(sound, flight.outputs))
 
 
 def test_jumps_of_a_turn_are_told_though_they_are_undone(tmp_path: Path, flight: Flight) -> None:
@@ -138,7 +145,7 @@ def test_jumps_of_a_turn_are_told_though_they_are_undone(tmp_path: Path, flight:
 
 def test_a_fault_of_the_gate_is_a_fault_of_the_file(tmp_path: Path, flight: Flight) -> None:
     log = log_of(tmp_path / "a.csv", columns(flight, psi_dot=-columns(flight)["psi_dot"]))
-    (fault,) = gate_faults(log, gate(log, STEP))
+    (fault,) = gate_faults(log, gate(log, STEP, traits=CRAFT))
     assert str(fault).startswith(f"{log.path}:1:7: psi_dot: has the opposite sign")  # the seventh column
     assert fault.exit_code == 2
 
@@ -289,8 +296,8 @@ def turned(folder: Path, ratio: float, **changed: Array) -> Log:
 @pytest.mark.parametrize("ratio", [50.0, -1.0, 180.0 / math.pi])
 def test_a_gear_between_an_angle_and_a_rate_is_no_fault(tmp_path: Path, ratio: float) -> None:
     log, model = turned(tmp_path, ratio), geared(ratio)
-    assert rates_of(model) == {}
-    assert [f for f in gate(log, STEP, rates=rates_of(model)) if f.severity != "note"] == []
+    assert Traits.of(model).rates == {}
+    assert [f for f in gate(log, STEP, traits=Traits.of(model)) if f.severity != "note"] == []
     assert {f.severity for f in gate(log, STEP) if f.channel in ("angle", "rate")} <= {"warning", "note"}  # by names
 
 
@@ -299,13 +306,13 @@ def test_a_rate_that_the_equations_say_is_one_is_held_against_its_angle(
     tmp_path: Path, factor: float, kind: str
 ) -> None:
     log, model = turned(tmp_path, 1.0, rate=factor * np.cos(times(20.0))), geared(1.0)
-    assert rates_of(model) == {"angle": "rate"}
-    told = [(f.severity, f.kind, f.channel) for f in gate(log, STEP, rates=rates_of(model)) if f.severity != "note"]
+    assert Traits.of(model).rates == {"angle": "rate"}
+    told = [(f.severity, f.kind, f.channel) for f in gate(log, STEP, traits=Traits.of(model)) if f.severity != "note"]
     assert told == [("fault", kind, "rate")]
 
 
 def test_the_craft_has_its_rates_by_its_equations() -> None:
-    assert rates_of(Hovercraft()) == {"x": "vx", "y": "vy", "psi": "psi_dot", "phi": "phi_dot"}
+    assert Traits.of(Hovercraft()).rates == {"x": "vx", "y": "vy", "psi": "psi_dot", "phi": "phi_dot"}
 
 
 def test_the_answer_to_a_step_is_no_outlier(tmp_path: Path) -> None:
@@ -343,5 +350,5 @@ def test_a_fault_stands_at_the_line_of_the_header(tmp_path: Path, flight: Flight
     path = write_log(tmp_path / "a.csv", columns(flight, psi_dot=-columns(flight)["psi_dot"]))
     path.write_text("\n\n" + path.read_text())
     log = read_log(path, INPUTS, OUTPUTS)
-    (fault,) = gate_faults(log, gate(log, STEP))
+    (fault,) = gate_faults(log, gate(log, STEP, traits=CRAFT))
     assert (fault.line, fault.column) == (3, 7)

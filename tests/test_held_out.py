@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.refine.attribution import Attributor
-from cosim.refine.candidates import candidates
-from cosim.refine.log import Log
-from cosim.refine.problem import build_problem
+from cosim.logs.log import Log
+from cosim.refinement.attribution import Attributor
+from cosim.refinement.candidates import candidates
+from cosim.refinement.problem import build_problem
 from plant.hovercraft import OUTPUTS, Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times

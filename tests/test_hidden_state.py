@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.refine import starts
-from cosim.refine.compare import ChannelSummary, Comparison
-from cosim.refine.drive import Drive, model_signals
-from cosim.refine.log import Log, read_log
-from cosim.refine.model_file import load_model
-from cosim.refine.replay import free_run, horizons, self_started
-from cosim.refine.report.replay import write_replay
-from cosim.refine.starts import start_parameters
-from cosim.refine.words import verdict
-from cosim.refine.workflow import recipe_of
-from fmus.build import build, plant_recipe
+from cosim.logs.log import Log, read_log
+from cosim.models.file import load_model
+from cosim.residuals import starts
+from cosim.residuals.compare import ChannelSummary, Comparison
+from cosim.residuals.drive import Drive, model_signals
+from cosim.residuals.starts import start_parameters
+from cosim.residuals.windows import free_run, horizons, self_started
+from cosim.residuals.words import verdict
+from cosim.residuals.workflow import write_replay
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.cart import cart_fmu
@@ -106,7 +106,7 @@ def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = REMEMBER["second order"]
-    monkeypatch.setattr(starts, "OURS", "another tool")
+    monkeypatch.setattr(starts, "_placed", lambda drive, found: found)  # as of another tool
     fmu = build(plant_recipe(values), tmp_path / "own.fmu")
     comparison = write_replay(tmp_path, craft_log(tmp_path, values), fmu)
     told = verdict(comparison)
@@ -153,7 +153,7 @@ def test_windows_span_as_many_rows_as_at_20_hz(
 def test_an_oven_that_loses_more_is_told_from_one_that_does_not(tmp_path: Path) -> None:
     (tmp_path / "oven.py").write_text(OVEN, encoding="utf-8")
     oven = load_model("oven.py:Oven", tmp_path)
-    fmu = build(recipe_of(oven), tmp_path / "oven.fmu")
+    fmu = build(oven.recipe(), tmp_path / "oven.fmu")
     time = times(500.0, 1.0)
     power = 60.0 + 40.0 * np.sign(np.sin(time / 30.0))
     for loss in (0.8, 1.2):

@@ -5,27 +5,30 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cosim.arrays import Array
 from cosim.errors import InputError
-from cosim.refine import backend
-from cosim.refine.backend import kernel
-from cosim.refine.candidates import neutral_values
-from cosim.refine.compiled import CompiledKernel, compiler
-from cosim.refine.generate import Generated, generate
-from cosim.refine.jit import JitKernel
-from cosim.refine.kernel import Array, Data, Filtered, Simulated, cached
-from cosim.refine.languages import C, Python
-from cosim.refine.model_file import own_model
-from cosim.refine.problem import as_data, start_state
+from cosim.kernel import backend
+from cosim.kernel.backend import kernel
+from cosim.kernel.compiled import CompiledKernel
+from cosim.kernel.generate import generate
+from cosim.kernel.interface import Data, Filtered, Layout, Simulated
+from cosim.kernel.jit import JitKernel
+from cosim.models.file import own_model
+from cosim.refinement.candidates import neutral_values
+from cosim.refinement.problem import as_data, start_state
+from fmus.native.cache import cached
+from fmus.native.compiler import compiler
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.model import Model
+from plant.symbolic.languages import C, Python
 from tests.conftest import ROOT
 from tests.logs import IMU, fly, log_of, measured, times
 
@@ -54,17 +57,17 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     return as_data(Hovercraft(), log_of(tmp_path_factory.mktemp("log") / "a.csv", columns), IMU)
 
 
-def parameters(model: Model, g: Generated, **changes: float) -> Array:
-    values = dict.fromkeys(g.parameters, 0.0) | neutral_values(model) | changes
-    return np.array([values[name] for name in g.parameters])
+def parameters(model: Model, layout: Layout, **changes: float) -> Array:
+    values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | changes
+    return np.array([values[name] for name in layout.parameters])
 
 
 def filtered(k: CompiledKernel | JitKernel, data: Data, p: Array) -> Filtered:
     """Filter from a start of some uncertainty, with some noise."""
-    g = k.generated
-    q = np.zeros(len(g.stochastic))
-    q[list(g.noisy)] = 1e-3
-    x0 = start_state(Hovercraft(), data, g.outputs, g.states)
+    layout = k.layout
+    q = np.zeros(len(layout.stochastic))
+    q[list(layout.noisy)] = 1e-3
+    x0 = start_state(Hovercraft(), data, layout.outputs, layout.states)
     return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
 
 
@@ -93,7 +96,7 @@ class RadioCraft(Hovercraft):
 def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     def errors(model: Model, **changes: float) -> Array:
         k = kernel(model, IMU)
-        return filtered(k, seen, parameters(model, k.generated, **changes)).errors
+        return filtered(k, seen, parameters(model, k.layout, **changes)).errors
 
     late = errors(RadioCraft(), **{"late_radio.time": 0.053})
     np.testing.assert_allclose(late, errors(Hovercraft(), **{"actuator_delay.time": 0.053}), rtol=0, atol=SAME)
@@ -104,8 +107,8 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
 def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data) -> None:
     model = Hovercraft()
     compiled = CompiledKernel(generate(model, IMU, C(), unnamed=True))
-    assert replace(compiled.generated, source="") == replace(jitted.generated, source="")
-    p = parameters(model, jitted.generated, **AWAKE)
+    assert compiled.layout == jitted.layout
+    p = parameters(model, jitted.layout, **AWAKE)
     run = filtered(compiled, seen, p)
     assert_same(run, filtered(jitted, seen, p))
     assert np.array_equal(np.isnan(run.errors), np.isnan(seen.y))
@@ -120,7 +123,7 @@ def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data) -> None:
 
 
 def test_a_run_that_diverges_has_infinite_errors_from_there_on(jitted: JitKernel, seen: Data) -> None:
-    p = parameters(Hovercraft(), jitted.generated, **{"unnamed.vx.vx³": 1e6})
+    p = parameters(Hovercraft(), jitted.layout, **{"unnamed.vx.vx³": 1e6})
     run = filtered(jitted, seen, p)
     lost = int(np.flatnonzero(np.isinf(run.errors).all(axis=1))[0])
     assert lost > 0
@@ -153,7 +156,7 @@ def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
     assert isinstance(k, JitKernel)
     torque = 0.1 * np.sin(2.0 * times(2.0))[:, None]
     data = Data(0.02, 0.0, torque, np.full_like(torque, np.nan), 4)
-    run = k.simulate(data, parameters(table, k.generated, **{"dry_friction.level": 0.05}), np.zeros(2), np.zeros(0))
+    run = k.simulate(data, parameters(table, k.layout, **{"dry_friction.level": 0.05}), np.zeros(2), np.zeros(0))
     stepper = Stepper(table.with_values({"dry_friction.level": 0.05}))
     moment = stepper.start()
     for state, u in zip(run.states, torque.tolist(), strict=True):
@@ -171,7 +174,7 @@ def test_another_process_takes_the_kernel_from_the_cache(table: Model) -> None:
     folder = cached("", "").parent
     before = files(folder)
     call = (
-        "import sys, pickle; from cosim.refine.jit import JitKernel; k = JitKernel(pickle.load(sys.stdin.buffer));"
+        "import sys, pickle; from cosim.kernel.jit import JitKernel; k = JitKernel(pickle.load(sys.stdin.buffer));"
         "print(sum(k._module.filter.stats.cache_hits.values()), sum(k._module.simulate.stats.cache_hits.values()))"
     )
     run = subprocess.run([sys.executable, "-c", call], input=pickle.dumps(g), capture_output=True, check=True)
@@ -209,7 +212,7 @@ def test_a_damaged_cache_is_made_anew(
         file.unlink() if file.suffix == ".so" else None  # the one loaded above is mapped
         file.write_bytes(b"damaged")
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    assert np.isfinite(make(g).simulate(data, parameters(table, g), np.zeros(2), np.zeros(0)).states).all()
+    assert np.isfinite(make(g).simulate(data, parameters(table, g.layout), np.zeros(2), np.zeros(0)).states).all()
 
 
 def cut(file: Path) -> None:
@@ -217,8 +220,8 @@ def cut(file: Path) -> None:
 
 
 SIMULATE = (
-    "import sys, pickle, numpy as np; from cosim.refine.compiled import CompiledKernel; from cosim.refine.kernel import"
-    " Data; g, p = pickle.load(sys.stdin.buffer); d = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4);"
+    "import sys, pickle, numpy as np; from cosim.kernel.compiled import CompiledKernel; from cosim.kernel.interface"
+    " import Data; g, p = pickle.load(sys.stdin.buffer); d = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4);"
     "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(2), np.zeros(0)).states).all())"
 )
 
@@ -229,7 +232,7 @@ def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytes
     g = generate(table, ("angle",), C())
 
     def simulated() -> bytes:  # in a process of its own, which a damaged library may end
-        given = pickle.dumps((g, parameters(table, g)))
+        given = pickle.dumps((g, parameters(table, g.layout)))
         return subprocess.run([sys.executable, "-c", SIMULATE], input=given, capture_output=True, check=True).stdout
 
     assert simulated() == b"True\n"
@@ -254,5 +257,5 @@ def test_what_numba_keeps_may_be_cut(
     for file in chosen:
         cut(file)
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    states = JitKernel(g).simulate(data, parameters(table, g), np.zeros(2), np.zeros(0)).states
+    states = JitKernel(g).simulate(data, parameters(table, g.layout), np.zeros(2), np.zeros(0)).states
     assert np.isfinite(states).all()

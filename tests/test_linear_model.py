@@ -16,8 +16,8 @@ from plant.effects.body import ComOffset, Coriolis, TableTilt
 from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
 from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
 from plant.hovercraft import Hovercraft
-from plant.linearize import LinearModel, linearize
 from plant.namespaces import SCALAR
+from plant.symbolic.linearize import LinearModel, linearize
 
 Matrix = NDArray[np.float64]
 THESIS = Settings()

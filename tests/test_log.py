@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
-from cosim.refine import log as log_module
-from cosim.refine.drive import model_signals
-from cosim.refine.log import Log, rate_of, read_log
-from cosim.refine.units import alternatives, factor
+from cosim.logs import log as log_module
+from cosim.logs.log import Log, read_log
+from cosim.residuals.drive import model_signals
+from fmus.units import alternatives, factor
 from plant.hovercraft import INPUTS, OUTPUTS
+from plant.traits import rate_of
 from tests.logs import MOVING, fly, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"

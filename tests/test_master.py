@@ -13,11 +13,11 @@ import pytest
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.errors import InputError, SimulationError
-from cosim.master import StoppedRun, simulate
 from cosim.results import Results, read_csv
-from cosim.run import run
-from cosim.scenario_file import ScenarioFile
-from cosim.system import build_system
+from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.misbehaving import misbehaving_fmu

@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.blocks.fmu import read_description
-from cosim.check import check_files, check_fmu
+from cosim.checks import check_files, check_fmu
 from cosim.cli import app
 from cosim.errors import Fault, InputError
-from cosim.refine.model_check import checked
-from cosim.refine.model_file import load_model, own_model, read_model
-from cosim.refine.model_source import Source
+from cosim.models.declared import checked
+from cosim.models.file import load_model, own_model, read_model
+from cosim.models.source import Source
 from cosim.yaml_file import YamlFile
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -26,7 +26,7 @@ FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
 TOTAL = "total = command[0] - d * rate - k * angle"
 SENSOR = """
-from plant.effects.sensors import SensorError
+from plant.sensors import SensorError
 
 @dataclass(frozen=True, kw_only=True)
 class Bent(SensorError):

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import metrics
 from cosim.blocks.noise import gaussian, stream
-from cosim.blocks.sources import playback, profile_function
-from cosim.design import designed_values
+from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.blocks.sources import playback
 from cosim.errors import InputError
-from cosim.master import simulate
-from cosim.scenario import Change, Profile
-from cosim.scenario_file import ScenarioFile
-from cosim.system import build_system
+from cosim.simulation import metrics
+from cosim.simulation.design import designed_values
+from cosim.simulation.master import simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
 
 
 def test_noise_has_the_variance_and_bias_it_is_given() -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.check import check_files
-from cosim.refine.model_file import read_model
-from cosim.refine.question import inputs_to_limit
-from cosim.refine.workflow import refine
+from cosim.checks import check_files
+from cosim.experiment.question import inputs_to_limit
+from cosim.models.file import read_model
+from cosim.refinement.workflow import refine
 from plant.hovercraft import Hovercraft
 from tests.table import RUBS, TABLE, table_log
 

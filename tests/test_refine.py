@@ -19,23 +19,25 @@ import numpy as np
 import pytest
 
 from cosim.blocks.fmu import read_description
-from cosim.check import check_files
+from cosim.checks import check_files
 from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
-from cosim.refine import measure, workflow
-from cosim.refine.candidates import neutral_values
-from cosim.refine.drive import Drive, StoppedReplay
-from cosim.refine.log import read_log
-from cosim.refine.model_file import load_model, read_model
-from cosim.refine.problem import build_problem
-from cosim.refine.record import SCHEMA, schema
-from cosim.refine.replay import Replay, windows
-from cosim.refine.report.page import write_refine_report
-from cosim.refine.residual import FREE_RUN
-from cosim.refine.study import read_study
-from cosim.refine.verdict import Name
-from cosim.refine.workflow import Refinement, refine
-from fmus.build import build, plant_recipe
+from cosim.logs.log import read_log
+from cosim.models.file import load_model, read_model
+from cosim.refinement import measure, workflow
+from cosim.refinement.candidates import neutral_values
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.problem import build_problem
+from cosim.refinement.record import SCHEMA, schema
+from cosim.refinement.report.page import write_refine_report
+from cosim.refinement.study import read_study
+from cosim.refinement.verdict import Name
+from cosim.refinement.workflow import refine
+from cosim.residuals.drive import Drive, StoppedReplay
+from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.windows import Replay, windows
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.studies import FEW, holds, named, proven, refined, study_of
@@ -101,7 +103,7 @@ def test_the_schema_that_ships_is_that_of_the_record() -> None:
 
     shipped = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(shipped)
-    assert keys(shipped) == keys(schema()), "python -m cosim.refine.record > cosim/refine/refine.schema.json"
+    assert keys(shipped) == keys(schema()), "python -m cosim.refinement.record > cosim/refinement/refine.schema.json"
     assert list(shipped["properties"]) == list(schema()["properties"])
     assert shipped["properties"]["verdict"]["enum"] == list(get_args(Name))
 
@@ -209,7 +211,7 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
     craft = Hovercraft()
     log = read_log(path.parent / "e1.csv", craft.inputs, craft.outputs)
     problem = build_problem(craft, [log])
-    generated, data = problem.kernel.generated, problem.logs[0]
+    generated, data = problem.kernel.layout, problem.logs[0]
     values = neutral_values(craft) | {
         "actuator_delay.time": 0.053, "servo_backlash.width": 0.02, "servo_dead_band.width": 0.01,
         "tilt_offset.right": 0.01, "coulomb_friction.force": 0.05, "servo_rate_limit.rate": 0.8,
@@ -297,7 +299,7 @@ def test_each_log_may_measure_something_else(tmp_path: Path) -> None:
     without(path.with_name("e2.csv"), "ax")
     without(path.with_name("v1.csv"), "psi_dot")
     r = proven(path, tmp_path / "out")
-    assert r.problem.kernel.generated.outputs == ("x_world", "y_world", "psi", "psi_dot", "ax")
+    assert r.problem.kernel.layout.outputs == ("x_world", "y_world", "psi", "psi_dot", "ax")
     assert named(r) == {"coulomb_friction"}
     write_refine_report(tmp_path / "out" / "report.html", r)
 
@@ -318,7 +320,7 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     whole = read_log(path.with_name("e1.csv"), craft.inputs, craft.outputs)
     late = {name: np.where(np.arange(whole.rows) < 75, np.nan, whole.outputs[name] + 3.0) for name in ("x_world",)}
     problem = build_problem(craft, [replace(whole, outputs=dict(whole.outputs) | late)])
-    place = problem.kernel.generated.states.index("x_world")
+    place = problem.kernel.layout.states.index("x_world")
     assert problem.x0[0][place] == 0.0
     assert problem.P0[0, 0] == 1.0
     run = problem.run(problem.values, problem.noise.plain, 0, states=True)

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.refine.excite import excite
-from cosim.refine.fit import inverse
-from cosim.refine.log import read_log
-from cosim.refine.problem import build_problem
-from cosim.refine.sensor_noise import other_noise, sensor_noise
-from cosim.refine.study import read_study
+from cosim.experiment.excite import excite
+from cosim.logs.log import read_log
+from cosim.refinement.fit import inverse
+from cosim.refinement.problem import build_problem
+from cosim.refinement.sensor_noise import other_noise, sensor_noise
+from cosim.refinement.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
 from tests.studies import holds, named, proven, study_of

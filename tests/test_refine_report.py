@@ -17,29 +17,30 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.cli import app
-from cosim.refine.attribution import Attributor
-from cosim.refine.candidates import candidates
-from cosim.refine.fit import Fit
-from cosim.refine.hypotheses import Attribution, Hypothesis
-from cosim.refine.measure import Variant
-from cosim.refine.model_file import BASE, LoadedModel
-from cosim.refine.problem import build_problem
-from cosim.refine.proof import proven
-from cosim.refine.record import SCHEMA, ranking, schema
-from cosim.refine.replay import Replay
-from cosim.refine.report.errors import second_sentence
-from cosim.refine.report.innovations import innovations
-from cosim.refine.report.page import context, write_refine_report
-from cosim.refine.report.panels import runs
-from cosim.refine.report.signals import bins, explained
-from cosim.refine.report.tables import pretty
-from cosim.refine.report.terms import Shown, shown
-from cosim.refine.residual import excess_left
-from cosim.refine.screen import ScoreTest
-from cosim.refine.study import LogLists, Study, StudyFile
-from cosim.refine.unnamed import Unnamed, unnamed_terms
-from cosim.refine.verdict import Verdict, judge
-from cosim.refine.workflow import Refinement, refine
+from cosim.models.file import BASE, LoadedModel
+from cosim.refinement.attribution import Attributor
+from cosim.refinement.candidates import candidates
+from cosim.refinement.fit import Fit
+from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.problem import build_problem
+from cosim.refinement.proof import proven
+from cosim.refinement.record import SCHEMA, ranking, schema
+from cosim.refinement.report.dependence import bins, explained
+from cosim.refinement.report.errors import second_sentence
+from cosim.refinement.report.innovations import innovations
+from cosim.refinement.report.page import context, write_refine_report
+from cosim.refinement.report.plots import runs
+from cosim.refinement.report.terms import Shown, shown
+from cosim.refinement.screen import ScoreTest
+from cosim.refinement.study import LogLists, Study, StudyFile
+from cosim.refinement.unnamed import Unnamed, unnamed_terms
+from cosim.refinement.variants import Variant
+from cosim.refinement.verdict import Verdict, judge
+from cosim.refinement.workflow import refine
+from cosim.residuals.statistics import excess_left
+from cosim.residuals.windows import Replay
+from cosim.text import pretty
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log

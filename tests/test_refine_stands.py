@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
-from cosim.refine.candidates import Candidate
-from cosim.refine.excite import excite
-from cosim.refine.fit import Fit
-from cosim.refine.hypotheses import Hypothesis
-from cosim.refine.log import read_log
-from cosim.refine.model_file import load_model
-from cosim.refine.problem import build_problem, coarsened
-from cosim.refine.proof import proven
-from cosim.refine.verdict import Verdict
-from cosim.refine.workflow import refine
-from cosim.run import run
+from cosim.experiment.excite import excite
+from cosim.logs.log import read_log
+from cosim.models.file import load_model
+from cosim.refinement.candidates import Candidate
+from cosim.refinement.fit import Fit
+from cosim.refinement.hypotheses import Hypothesis
+from cosim.refinement.problem import build_problem, coarsened
+from cosim.refinement.proof import proven
+from cosim.refinement.verdict import Verdict
+from cosim.refinement.workflow import refine
+from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
 from tests.studies import holds, named, study_of
 from tests.studies import proven as flown

@@ -14,18 +14,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.report import write_figures, write_report
-from cosim.report.judgement import belief, reference_steps, responses, saturation
-from cosim.report.panels import other_panels, state_panels
-from cosim.report.roles import Run, Signal, find_crafts
+from cosim.arrays import Array
 from cosim.report.svg import make_axis, thin
-from cosim.report.topview import pose, reference_track, true_track
 from cosim.results import Results
+from cosim.simulation.report import write_figures, write_report
+from cosim.simulation.report.craft.judgement import belief, reference_steps, responses, saturation
+from cosim.simulation.report.craft.lines import state_panels
+from cosim.simulation.report.craft.roles import find_crafts
+from cosim.simulation.report.craft.topview import pose, reference_track, true_track
+from cosim.simulation.report.page import signal_panels
+from cosim.simulation.report.recorded import Run
 
 PLANT = """x y x_world y_world psi phi vx vy psi_dot phi_dot ax thrust_right thrust_left tilt_right_actual
     tilt_left_actual duty_right duty_left tilt_right tilt_left"""
 CONTROLLER = """psi psi_dot ax x_ref psi_ref duty_right duty_left tilt_right tilt_left x_hat vx_hat psi_hat
     psi_dot_hat a_hat x_sigma psi_sigma"""
+UNITS = {
+    **dict.fromkeys(("x", "x_hat", "x_sigma", "x_ref"), "m"),
+    **dict.fromkeys(("psi", "psi_hat", "psi_ref"), "rad"),
+}
 BELIEFS = ("controller.x_hat", "controller.psi_hat", "controller.x_sigma", "controller.x_ref")
 HOSTILE = "</script><script>alert(1)</script>"
 
@@ -34,7 +41,7 @@ def craft_run(
     seconds: float = 30.0, off: float = 0.0, noise: float = 0.0, plant: str = "plant", control: str = "controller"
 ) -> Results:
     """A craft that drives 1 m forward from t = 1 s along world X; it ends `off` [m] short, unseen by its estimator."""
-    t: Signal = np.arange(round(seconds / 0.02) + 1).astype(np.float64) * 0.02
+    t: Array = np.arange(round(seconds / 0.02) + 1).astype(np.float64) * 0.02
     rng = np.random.default_rng(1)
     way = np.where(t < 1, 0.0, 1 - np.exp(-2 * (t - 1)))
     columns = {f"{plant}.{name}": np.zeros(t.size) for name in PLANT.split()}
@@ -45,7 +52,8 @@ def craft_run(
     columns[f"{control}.x_hat"] = way
     columns[f"{control}.x_sigma"] = 0.05 * np.sqrt(t)
     columns[f"{control}.x_ref"] = np.where(t < 1, 0.0, 1.0)
-    return Results(t, tuple(columns), np.column_stack(list(columns.values())))
+    units = {name: UNITS.get(name.partition(".")[2], "") for name in columns}
+    return Results(t, tuple(columns), np.column_stack(list(columns.values())), units)
 
 
 def manifest(**changes: Any) -> dict[str, Any]:
@@ -277,7 +285,7 @@ def test_without_a_craft_every_signal_is_plotted(tmp_path: Path) -> None:
     results = Results(np.arange(3.0), columns, np.ones((3, 10)), units)
     text = page(tmp_path, results, {})
     assert all(text.count(f"</svg>{name}") == 1 for name in columns)
-    panels = other_panels(Run(results, {}), lambda column: False)
+    panels = signal_panels(Run(results, {}))
     assert [(panel.unit, len(panel.traces)) for panel in panels] == [("m", 6), ("m", 3), ("N", 1)]
 
 

@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.refine.residual import (
-    fit_percent,
-    input_correlations,
-    noise_level,
-    pooled,
-    rmse,
-    score,
-    surprise,
-    whiteness,
-)
+from cosim.logs.noise import noise_level, surprise
+from cosim.residuals.statistics import fit_percent, input_correlations, pooled, rmse, score, whiteness
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.results import read_csv
-from cosim.run import run
+from cosim.simulation.workflow import run
 from cosim.version import __version__
 
 ROOT = Path(__file__).parent.parent
@@ -157,7 +157,8 @@ def test_build_makes_every_fmu_the_scenarios_name(tmp_path: Path) -> None:
 
 
 def test_swapping_the_plant_keeps_the_scenario_running(project: Path) -> None:
-    from fmus.build import HEAVY, build, plant_recipe
+    from fmus.build import build
+    from fmus.recipes import HEAVY, plant_recipe
 
     build(plant_recipe(HEAVY), project / "build" / "plant-heavy.fmu")
     outcome = run(project / "scenarios" / "swap.yaml", project / "o", report=False)

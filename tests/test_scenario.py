@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.design import designed_values
 from cosim.errors import InputError
-from cosim.scenario_file import ScenarioFile
-from cosim.system import build_system
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import InputError
-from cosim.refine import log as log_module
-from cosim.refine.study import read_study
+from cosim.logs import log as log_module
+from cosim.refinement.study import read_study
 from tests.logs import MOVING, fly, measured, times, write_log
 
 

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from cosim.refine.units import alternatives, factor
-from fmus.units import SYMBOLS, parse, unit_definitions
+from fmus.units import SYMBOLS, alternatives, factor, parse, unit_definitions
 
 BASE = {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}  # FMI 2.0, 2.2.2
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
-
-Own = list[Any]  # what decides the future of an FMU of ours, as JSON: time, state, memory of each shaping effect
-STATE, MEMORY = 1, 2  # parts of that
-Memory = Mapping[tuple[int, int], Any]  # part and place in that → what stands there
+from fmus.state import Memory, Own, own_of, with_memory
 
 
 class RestartableFmu(FmuBlock):
@@ -33,26 +29,23 @@ class RestartableFmu(FmuBlock):
             self._fmu.enterInitializationMode()
 
     def own(self) -> Own:
-        """The state of an FMU of ours; of another ValueError, KeyError or TypeError, whatever its bytes come to."""
-        t, state, memory = self._state()["own"]
-        return [float(t), [*state], [*memory]]
+        """What decides its future, of an FMU of ours; of another ValueError, KeyError or TypeError."""
+        return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:
         """Put this into the state of an FMU of ours: start values know but a constant past."""
-        state = self._state()
-        for (part, place), value in memory.items():
-            state["own"][part][place] = value
+        state = with_memory(self._state(), memory)
         with self._failing():
-            after = self._fmu.deSerializeFMUstate(json.dumps(state).encode())
+            after = self._fmu.deSerializeFMUstate(state)
             self._fmu.setFMUstate(after)
             self._fmu.freeFMUstate(after)
 
-    def _state(self) -> Any:
+    def _state(self) -> bytes:
         with self._failing():
             held = self._fmu.getFMUstate()
-            state = self._fmu.serializeFMUstate(held)
+            state: bytes = self._fmu.serializeFMUstate(held)
             self._fmu.freeFMUstate(held)
-        return json.loads(state)
+        return state
 
     @contextmanager
     def _failing(self) -> Iterator[None]:

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cosim.blocks.interface import Row, Signal
+from cosim.blocks.profile import Profile, profile_function
 from cosim.errors import Fault, InputError
-from cosim.scenario import Profile
 
 TO_SI = {"deg": ("rad", math.pi / 180.0), "deg/s": ("rad/s", math.pi / 180.0)}
 
@@ -58,30 +58,6 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
         unit, factor = TO_SI.get(profile.unit, (profile.unit, 1.0))
         signals[signal] = (unit, profile_function(profile, factor))
     return Source(name, signals)
-
-
-def profile_function(profile: Profile, factor: float = 1.0) -> Callable[[float], float]:
-    """Value at a time: the last step, or the point reached on the last ramp (a new change interrupts a ramp)."""
-    times = [change.at for change in profile.changes]
-    begins = [profile.start]
-    for before, change in zip(profile.changes, profile.changes[1:], strict=False):
-        begins.append(_reached(begins[-1], before.to, before.rate, change.at - before.at))
-
-    def value(t: float) -> float:
-        # a time that is a step's time but for rounding belongs to the step
-        k = bisect.bisect_right(times, t + 1e-9) - 1
-        if k < 0:
-            return factor * profile.start
-        change = profile.changes[k]
-        return factor * _reached(begins[k], change.to, change.rate, t - change.at)
-
-    return value
-
-
-def _reached(begin: float, to: float, rate: float | None, elapsed: float) -> float:
-    if rate is None or abs(to - begin) <= rate * elapsed:
-        return to
-    return begin + math.copysign(rate * max(0.0, elapsed), to - begin)
 
 
 def playback(name: str, path: Path) -> Source:

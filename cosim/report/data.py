@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cosim.report.panels import DEGREES, Panel
-from cosim.report.roles import SIDES, Craft, Signal
-from cosim.report.svg import Rows
-from cosim.report.topview import estimated_track, horizontal_thrust, newtons_per_decimetre, true_track
+from cosim.arrays import Array, Rows
+from cosim.report.panels import Panel
 
 SHOWN_DECIMALS = {"m": 3, "m/s": 3, "°": 2, "°/s": 1, "N": 3, "%": 2}
 Numbers = list[float | None]
@@ -24,14 +23,14 @@ def sample_rows(count: int, limit: int) -> Rows:
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
-def decimals(values: Signal) -> int:
+def decimals(values: Array) -> int:
     """Decimals that keep four digits of the largest value."""
     good = values[np.isfinite(values)]
     largest = float(np.max(np.abs(good))) if good.size else 0.0
     return 3 if largest == 0 else min(9, max(0, 3 - math.floor(math.log10(largest))))
 
 
-def rounded(values: Signal, digits: int) -> Numbers:
+def rounded(values: Array, digits: int) -> Numbers:
     """Plain numbers; what cannot be drawn becomes null, whole numbers lose their `.0`."""
     numbers: Numbers = []
     for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
@@ -60,28 +59,8 @@ class Series:
         return keys
 
 
-def poses(craft: Craft, rows: Rows) -> dict[str, Any]:
-    """What moves in the picture: millimetres and degrees of craft and ghost, arrows and tilts."""
-    entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
-    for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
-        if track is not None:
-            for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
-                entry[f"{prefix}{key}"] = rounded(line[rows], digits)
-    for side in SIDES:
-        force, tilt = horizontal_thrust(craft, side), craft.tilt(side)
-        if force is not None and tilt is not None:
-            entry[f"force_{side}"] = rounded(force[rows], 4)
-            entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)
-    return entry
-
-
-def to_json(time: Signal, series: Series, crafts: Sequence[Craft]) -> str:
-    """Everything the script needs; `<`, `>` and `&` are escaped so that no text can end the script element."""
-    rows = series.rows
-    data = {
-        "t": rounded(time[rows], 6),
-        "series": series.entries,
-        "crafts": [poses(craft, rows) for craft in crafts],
-    }
+def to_json(time: Array, series: Series, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element."""
+    data = {"t": rounded(time[series.rows], 6), "series": series.entries, **more}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

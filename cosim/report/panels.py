@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
+from cosim.arrays import Array
 
-from cosim.report.roles import SIDES, Craft, Run, Signal
-
-DEGREES = 180 / math.pi
-DISPLAY = {
-    "rad": ("°", DEGREES),
-    "rad/s": ("°/s", DEGREES),
-    "rad/s2": ("°/s²", DEGREES),
-    "rad.s": ("° s", DEGREES),
-    "m/s2": ("m/s²", 1.0),
-    "N.m": ("N m", 1.0),
-}
 OTHERS_PER_PANEL = 6
 
 
@@ -27,7 +15,7 @@ class Trace:
     """One line: its values in the panel's unit; `held` from one sample to the next where it is a command."""
 
     label: str
-    values: Signal
+    values: Array
     style: str
     held: bool = False
 
@@ -37,8 +25,8 @@ class Band:
     """A region of two standard deviations about a line."""
 
     label: str
-    lower: Signal
-    upper: Signal
+    lower: Array
+    upper: Array
 
 
 @dataclass(frozen=True)
@@ -54,91 +42,6 @@ class Panel:
     symbol: str = ""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A state that is steered and estimated: names of its variables, unit as displayed."""
-
-    name: str
-    title: str
-    symbol: str
-    unit: str
-    factor: float = 1.0
-
-
-QUANTITIES = (
-    Quantity("x", "Distance along the craft's axis", "x", "m"),
-    Quantity("psi", "Heading, positive to the left", "ψ", "°", DEGREES),
-    Quantity("vx", "Forward speed", "v", "m/s"),
-    Quantity("psi_dot", "Yaw rate, positive to the left", "ψ̇", "°/s", DEGREES),
-)
-
-
-def display(unit: str) -> tuple[str, float]:
-    """Unit as shown, and what to multiply by; angles are shown in degrees."""
-    return DISPLAY.get(unit, (unit, 1.0))
-
-
-def state_panels(craft: Craft) -> list[Panel]:
-    """True states against their references and estimates with ±2σ."""
-    panels = (_state_panel(craft, quantity) for quantity in QUANTITIES)
-    return [panel for panel in panels if panel is not None]
-
-
-def _state_panel(craft: Craft, quantity: Quantity) -> Panel | None:
-    true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
-    sigma, reference = craft.estimate(f"{quantity.name}_sigma"), craft.reference(quantity.name)
-    if true is None:
-        return None
-    lines = [("reference", reference, "reference", True), ("estimate", estimate, "estimate", False)]
-    lines.append(("craft", true, "true", False))
-    traces = [
-        Trace(label, line * quantity.factor, style, held) for label, line, style, held in lines if line is not None
-    ]
-    band = _band(estimate, sigma, quantity.factor, "estimate ±2σ")
-    return Panel(quantity.title, quantity.unit, traces, band, symbol=quantity.symbol)
-
-
-def error_panels(craft: Craft) -> list[Panel]:
-    """Estimate minus truth, against what the estimator claims: ±2σ about zero."""
-    panels = []
-    for quantity in QUANTITIES:
-        true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
-        if true is None or estimate is None:
-            continue
-        zero = np.zeros(true.size)
-        band = _band(zero, craft.estimate(f"{quantity.name}_sigma"), quantity.factor, "±2σ claimed")
-        trace = Trace("estimate − craft", (estimate - true) * quantity.factor, "error")
-        panels.append(Panel(f"Error of {quantity.symbol}", quantity.unit, [trace], band))
-    return panels
-
-
-def _band(centre: Signal | None, sigma: Signal | None, factor: float, label: str) -> Band | None:
-    if centre is None or sigma is None:
-        return None
-    return Band(label, (centre - 2 * sigma) * factor, (centre + 2 * sigma) * factor)
-
-
-def tilt_panels(craft: Craft) -> list[Panel]:
-    """Tilt commands with their limits, and the tilt that followed."""
-    panels = []
-    for side in SIDES:
-        command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
-        lines = [("command", command, side, True), ("actual", actual, "actual", False)]
-        traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
-        limit = craft.tilt_limit
-        limits = () if limit is None else (-limit * DEGREES, limit * DEGREES)
-        label = "" if limit is None else f"limit ±{limit * DEGREES:.4g}°"
-        if traces:
-            panels.append(Panel(f"Tilt, {side} propeller", "°", traces, None, limits, label))
-    return panels
-
-
-def other_panels(run: Run, shown: Callable[[str], bool]) -> list[Panel]:
-    """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
-    left = [column for column in run.results.columns if not shown(column)]
-    return [_other_panel(run, unit, columns) for unit, columns in by_unit(left, run.unit)]
-
-
 def by_unit(names: Iterable[str], unit: Callable[[str], str]) -> list[tuple[str, list[str]]]:
     """Each unit, in the order the units come, with names that share a panel; many of one unit take several."""
     groups: dict[str, list[str]] = {}
@@ -149,24 +52,3 @@ def by_unit(names: Iterable[str], unit: Callable[[str], str]) -> list[tuple[str,
         for shared, chosen in groups.items()
         for first in range(0, len(chosen), OTHERS_PER_PANEL)
     ]
-
-
-def _other_panel(run: Run, unit: str, columns: Sequence[str]) -> Panel:
-    shown_unit, factor = display(unit)
-    traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
-    components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
-    return Panel(", ".join(components), shown_unit or "no unit", traces)
-
-
-def shown_columns(crafts: Sequence[Craft]) -> set[str]:
-    """Columns the sections about a craft already show."""
-    shown: set[str] = set()
-    for craft in crafts:
-        for quantity in QUANTITIES:
-            shown.add(f"{craft.name}.{quantity.name}")
-            shown.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
-            shown.add(craft.reference_column(quantity.name) or "")
-        for side in SIDES:
-            shown.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
-            shown.add(f"{craft.estimator}.tilt_{side}")
-    return shown

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.arrays import Array, Rows
 from cosim.report.panels import Panel, Trace
-from cosim.report.roles import Signal
 
 WIDTH, HEIGHT = 4000, 1000
-Rows = NDArray[np.intp]
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
 
@@ -38,7 +37,7 @@ class Axis:
     high: float
     ticks: tuple[Tick, ...]
 
-    def whole(self, values: Signal, size: int) -> Whole:
+    def whole(self, values: Array, size: int) -> Whole:
         """Values as whole numbers 0 … size along the axis."""
         share = (values - self.low) / (self.high - self.low)
         return np.rint(np.clip(share, -9, 10) * size).astype(np.int64)
@@ -71,7 +70,7 @@ class Plot:
     summary: str
 
 
-def extent(signals: Sequence[Signal]) -> tuple[float, float] | None:
+def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
     """Least and largest finite value."""
     kept = [values[np.isfinite(values)] for values in signals]
     kept = [values for values in kept if values.size]
@@ -106,7 +105,7 @@ def tick_label(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}".replace("-", "\u2212")
 
 
-def thin(values: Signal, limit: int) -> Rows:
+def thin(values: Array, limit: int) -> Rows:
     """At most about `limit` rows that keep every peak: least and largest of each bucket, and every gap."""
     count = values.size
     if count <= limit:
@@ -148,7 +147,7 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
     return "".join(path)
 
 
-def curve_path(x: Axis, y: Axis, time: Signal, trace: Trace, limit: int) -> str:
+def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
     """The line of a trace, broken where its samples cannot be drawn."""
     rows = thin(trace.values, limit)
     kept = trace.values[rows]
@@ -157,7 +156,7 @@ def curve_path(x: Axis, y: Axis, time: Signal, trace: Trace, limit: int) -> str:
     return "".join(polyline(u[part], v[part], trace.held) for part in runs(np.isfinite(kept)))
 
 
-def band_path(x: Axis, y: Axis, time: Signal, lower: Signal, upper: Signal, limit: int) -> str:
+def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: int) -> str:
     """The region between two lines as closed paths."""
     rows = np.unique(np.linspace(0, time.size - 1, min(limit, time.size)).astype(np.intp))
     low, high = lower[rows], upper[rows]
@@ -179,14 +178,14 @@ def value_axis(panel: Panel) -> Axis:
     return make_axis(low - margin, high + margin, 5, panel.unit == "°")
 
 
-def time_axis(time: Signal) -> Axis:
+def time_axis(time: Array) -> Axis:
     """The axis all plots of a run share."""
     low, high = extent([time]) or (0.0, 1.0)
     return make_axis(low, high if high > low else low + 1.0, 6)
 
 
 def make_plot(
-    panel: Panel, time: Signal, x: Axis, keys: Sequence[str] = (), limit: int = 1000, over: str = "time in s"
+    panel: Panel, time: Array, x: Axis, keys: Sequence[str] = (), limit: int = 1000, over: str = "time in s"
 ) -> Plot:
     """Draw a panel; `keys` name the series a script may read the values of each curve from, `over` what x is."""
     y = value_axis(panel)

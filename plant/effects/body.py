@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from plant.effects.terms import HovercraftEffect, Motion, Pair, Wrench
 from plant.model import Number
 from plant.namespaces import Namespace
+from plant.planar import local_vector
 from plant.quantities import parameter
-from plant.rigid_body import local_vector
 
 
 @dataclass(frozen=True, kw_only=True)

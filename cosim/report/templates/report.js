@@ -1,4 +1,4 @@
-// Moves the craft, the cursors and the read-outs together. The page is complete without it.
+// Moves the cursors and the read-outs together, and tells the moment to whoever draws more. The page is complete without it.
 (() => {
   "use strict";
   const data = JSON.parse(document.getElementById("run-data").textContent);
@@ -40,55 +40,6 @@
     }
   }
 
-  // The same arrow the server draws: along the craft's axis, forward up, in millimetres.
-  function arrow(reach) {
-    if (!(Math.abs(reach) >= 8)) return "";
-    const tip = -reach, barb = tip + Math.sign(reach) * Math.min(34, Math.abs(reach));
-    return `M0 0V${tip.toFixed(0)}M-20 ${barb.toFixed(0)}L0 ${tip.toFixed(0)}L20 ${barb.toFixed(0)}`;
-  }
-
-  // Rows without a pose break the trail, as they break the path the server drew.
-  function trailPieces(entry) {
-    let open = false;
-    return entry.u.map((u, row) => {
-      if (u == null || entry.v[row] == null) { open = false; return ""; }
-      const piece = `${open ? "L" : "M"}${u} ${entry.v[row]}`;
-      open = true;
-      return piece;
-    });
-  }
-
-  const bodies = data.crafts.map((entry, index) => ({
-    entry,
-    craft: one(`[data-craft="${index}"]`),
-    ghost: one(`[data-ghost="${index}"]`),
-    trail: one(`[data-trail="${index}"]`),
-    dials: one(`[data-dials="${index}"]`),
-    pieces: trailPieces(entry),
-  }));
-
-  function place(element, entry, prefix, row, share) {
-    const [u, v, a] = ["u", "v", "a"].map((name) => between(entry[prefix + name], row, share, 0));
-    if (u == null || v == null || a == null) return null;
-    element.setAttribute("transform", `translate(${u.toFixed(1)} ${v.toFixed(1)}) rotate(${a.toFixed(2)})`);
-    return [u, v];
-  }
-
-  function drawBody(body, row, share) {
-    const { entry } = body;
-    const at = place(body.craft, entry, "", row, share);
-    if (body.ghost && entry.gu) place(body.ghost, entry, "g", row, share);
-    body.trail.setAttribute("d", body.pieces.slice(0, row + 1).join("") + (at && body.pieces[row] ? `L${at[0].toFixed(0)} ${at[1].toFixed(0)}` : ""));
-    for (const side of ["right", "left"]) {
-      if (!entry["tilt_" + side]) continue;
-      const force = between(entry["force_" + side], row, share, 0), tilt = between(entry["tilt_" + side], row, share, 0);
-      one(`[data-arrow="${side}"]`, body.craft).setAttribute("d", force == null ? "" : arrow(force * entry.scale));
-      if (tilt == null || !body.dials) continue;
-      one(`[data-tilt="${side}"]`, body.dials).setAttribute("transform", `rotate(${tilt.toFixed(2)})`);
-      one(`[data-tilt-text="${side}"]`, body.dials).textContent = fixed(tilt, 1) + "°";
-    }
-  }
-
   let now = last, playing = false, stamp = 0;
   // The plots' axis is exactly the run, so one share of the width serves them all.
   function show(t) {
@@ -96,7 +47,7 @@
     const [row, share] = locate(now), along = (now - first) / span;
     document.documentElement.style.setProperty("--cursor", (100 * along).toFixed(3) + "%");
     readOut(row, share);
-    for (const body of bodies) drawBody(body, row, share);
+    document.dispatchEvent(new CustomEvent("moment", { detail: { data, row, share, between, fixed } }));
     if (!play) return;
     scrub.value = 1000 * along;
     scrub.setAttribute("aria-valuetext", now.toFixed(2) + " seconds");

@@ -1,0 +1,9 @@
+"""The one type of all numbers that come in rows and columns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]  # of any shape; a docstring says which
+Rows = NDArray[np.intp]  # places in one

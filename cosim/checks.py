@@ -1,0 +1,97 @@
+"""`cosim check`: every fault of every file."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from cosim.blocks.fmu import read_description
+from cosim.errors import Fault, FmuError, InputError
+from cosim.logs.gate import gate, refuse_faults
+from cosim.logs.log import read_log
+from cosim.models.file import load_model, only_model, read_model
+from cosim.refinement.study import read_study
+from cosim.registry import BASE
+from cosim.simulation.design import designed_values
+from cosim.simulation.manifest import check_pinned
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+from cosim.yaml_file import YamlFile
+from plant.model import Model
+from plant.traits import Traits
+
+
+def check_files(files: Sequence[Path], model: str = BASE) -> list[str]:
+    """Check each file by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
+
+    What is to be known and no fault, a line each; InputError with all faults of all files.
+    """
+    faults: list[Fault] = []
+    said: list[str] = []
+    for path in files:
+        try:
+            said += [f"{path}: {line}" for line in _check(path, model)]
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return said
+
+
+def _check(path: Path, model: str) -> list[str]:
+    """What is to be known of a file, a line each; InputError with its faults."""
+    if path.exists() and not path.is_file():
+        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
+    if path.suffix == ".fmu" or zipfile.is_zipfile(path):
+        if faults := check_fmu(path):
+            raise InputError(faults)
+        return []
+    if path.suffix in (".py", ".py:"):
+        only_model(Path(str(path).removesuffix(":")))
+        return []
+    if path.suffix.startswith(".py:"):  # FILE.py:Class
+        load_model(str(path), Path())
+        return []
+    if path.suffix == ".csv":
+        return log_findings(path, load_model(model, Path()).model)
+    keys = YamlFile(path).root.keys()
+    if keys >= {"verdict", "candidates"}:
+        raise InputError([Fault(path, 1, 1, "is an answer of `cosim refine`; check the study or model.yaml beside it")])
+    if keys & {"components", "scenario"}:
+        check_scenario(path)
+    elif "logs" not in keys and keys & {"parameters", "sensors"}:
+        read_model(path)
+    elif keys & {"logs", "model", "candidates"}:
+        return [f"warning: {text}" for text in read_study(path).warnings]
+    else:
+        check_scenario(path)
+    return []
+
+
+def log_findings(path: Path, model: Model) -> list[str]:
+    """What the gate says of a log, a line each; InputError with its faults."""
+    log = read_log(path, model.inputs, model.outputs)
+    findings = gate(log, model.rate, traits=Traits.of(model))
+    refuse_faults(log, findings)
+    return [f.line for f in findings]
+
+
+def check_fmu(path: Path) -> list[Fault]:
+    """Faults FMPy's validation finds in an FMU."""
+    if not path.is_file():
+        return [Fault(path, 0, 0, "no such file")]
+    try:
+        read_description(path)
+    except FmuError as error:
+        return [Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]
+    from fmpy.validation import validate_fmu
+
+    return [Fault(path, 0, 0, problem, FmuError.exit_code) for problem in validate_fmu(str(path))]
+
+
+def check_scenario(path: Path) -> None:
+    """Read a scenario or manifest as a run would; InputError with its faults, those of its FMUs included."""
+    file = ScenarioFile(path)
+    check_pinned(file)
+    build_system(file, designed_values(file))

@@ -1,0 +1,1 @@
+"""Experiments: the input that drives rival hypotheses apart, within limits."""

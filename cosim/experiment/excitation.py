@@ -1,0 +1,52 @@
+"""Families of excitation: multisines, chirps, steps and ramps, with rests between, drawn by a random generator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.experiment.flights import Axis
+
+TONES = 12
+MOST_PARTS = 6  # of a flight, in each of which an axis moves or rests
+MOVES = 0.75  # how likely an axis moves in a part
+SHARE = (0.3, 1.0)  # of its amplitude an axis takes
+KINDS = ("multisine", "chirp", "steps", "ramps")
+
+
+def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) -> dict[str, Array]:
+    """One experiment: for each axis a kind, a size, and the parts of the flight in which it moves."""
+    parts = int(rng.integers(1, MOST_PARTS + 1))
+    part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
+    signals = {}
+    for axis in axes:
+        kind = str(rng.choice(KINDS))
+        size = axis.amplitude * rng.uniform(*SHARE)
+        moves = rng.random(parts) < MOVES
+        signals[axis.name] = size * _wave(rng, kind, axis, time) * moves[part]
+    return signals
+
+
+def _wave(rng: np.random.Generator, kind: str, axis: Axis, time: Array) -> Array:
+    """A signal of a kind within ±1."""
+    if kind == "multisine":
+        frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
+        phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
+        wave = np.sin(2.0 * math.pi * np.outer(time, frequency) + phase).sum(axis=1)
+        return np.asarray(wave / np.abs(wave).max())
+    if kind == "chirp":
+        from scipy.signal import chirp
+
+        swept = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
+        return np.asarray(swept if rng.random() < 0.5 else swept[::-1])
+    # levels held, or passed on straight lines, for anything from half a period of the fastest to half of the slowest
+    knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
+    while knots[-1] < time[-1]:
+        knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))
+    levels = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, len(knots) - 1)])
+    if kind == "ramps":
+        return np.asarray(np.interp(time, knots, levels))
+    return np.asarray(levels[np.searchsorted(knots, time, side="right") - 1])

@@ -1,0 +1,209 @@
+"""`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that flies it.
+
+Experiments are drawn by a seed, flown without noise, and kept within limits. Written is the one that tells most pairs
+of rivals apart, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim import registry
+from cosim.arrays import Array
+from cosim.errors import Fault, InputError
+from cosim.experiment.excitation import draw_signals
+from cosim.experiment.flights import Flight, OpenLoop, Rig
+from cosim.experiment.question import Question, ask, refinement_folder
+from cosim.experiment.separation import Pair, Separation
+from cosim.files import atomic_write, check_writable
+from cosim.refinement.problem import build_problem
+from cosim.table import write_columns
+from cosim.text import counted
+
+EXPERIMENTS = 48
+DURATION = 40.0  # [s]
+FEW = 4  # rivals, of which each is flown before an experiment is preferred; of more, when it is chosen
+SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
+TOLD_APART = 3.0  # standard deviations between rivals, from which a log decides
+UNSEEN = 1.0  # standard deviations up to which noise hides the difference
+CURE = "try a wider --limit, a longer --duration or more outputs --measured"
+LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """An experiment, flown by the model and by its rivals.
+
+    apart, usual: how far it, and what is usually flown, drive each pair apart [standard deviations]
+    """
+
+    question: Question
+    rig: Rig
+    flight: Flight
+    rivals: Mapping[str, Flight]
+    apart: Mapping[Pair, float]
+    usual: Mapping[Pair, float]
+
+    @property
+    def score(self) -> tuple[int, float]:
+        """Merit of its distances, divided by how far beyond its limits a rival takes the model."""
+        return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
+
+    @property
+    def distances(self) -> list[str]:
+        """A line for each pair, hardest first."""
+        return [
+            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
+            for a, b in self._hardest_first
+        ]
+
+    @property
+    def sentences(self) -> list[str]:
+        """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
+        lines = self.distances
+        if len(lines) > LISTED + 1:
+            least = self.apart[self._hardest_first[LISTED]]
+            rest = counted(len(lines) - LISTED, "more pair")
+            lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
+        lines.append(f"excursion: {self._ranges(self.flight)}")
+        for name, flight in self.rivals.items():
+            if flight.beyond(self.question.limits) > 1.0:
+                lines.append(f"beyond its limits if {name} is true: {self._ranges(flight)}")
+        return lines
+
+    @property
+    def warning(self) -> str:
+        """The pairs it does not tell apart, empty where there are none."""
+        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < TOLD_APART]):
+            return ""
+        named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
+        what = f"the best input found does not tell {', '.join(named)}"
+        return f"{what} (less than {TOLD_APART:g} standard deviations apart); {CURE}"
+
+    @property
+    def _hardest_first(self) -> list[Pair]:
+        return sorted(self.apart, key=lambda pair: self.apart[pair])
+
+    def _ranges(self, flight: Flight) -> str:
+        model = self.question.loaded.model
+        units = {q.name: q.unit for q in model.outputs}
+        shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
+        ranges = ((n, *flight.excursion(n)) for n in shown)
+        return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
+
+
+def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
+    """How many pairs are told apart, and the distance of the nearest of them; of the farthest where none is."""
+    distances = [distance / beyond for distance in apart.values()]
+    told = [distance for distance in distances if distance >= TOLD_APART]
+    return len(told), min(told, default=max(distances))
+
+
+def excite(
+    text: str,
+    folder: Path,
+    against: Sequence[str] = (),
+    *,
+    limits: Sequence[str] = (),
+    measured: Sequence[str] = (),
+    duration: float = DURATION,
+    seed: int = 1,
+    experiments: int = EXPERIMENTS,
+    progress: Progress | None = None,
+) -> Excitation:
+    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
+    tell = progress or (lambda stage, share: None)
+    tell("reading the model", 0.0)
+    question = ask(text, against, limits, measured)
+    model = question.loaded.model
+    time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
+    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, float(time[-1]))
+    written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
+    check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
+    found = _choose(question, rig, time, seed, experiments, tell)
+    if found is None:
+        message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
+        raise InputError([Fault(Path(text), 0, 0, message)])
+    if max(found.apart.values()) < UNSEEN:
+        message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
+        raise InputError([Fault(Path(text), 0, 0, message)])
+    tell("building the FMUs", 0.0)
+    _write(folder, found, seed)
+    return found
+
+
+def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, tell: Progress) -> Excitation | None:
+    """The best of `count` experiments; None where all go too far."""
+    model, base = question.loaded.model, question.base
+    usual = rig.fly(model, rig.usual_signals(time)).log(model, question.measured)
+    problem = build_problem(base.model, [usual], noise=question.noise, sensors=base.values)
+    separation = Separation(base.model, problem, question.rivals, question.pairs)
+    usually = separation.of(usual)
+    best: Excitation | None = None
+    for k in range(count):
+        tell("trying experiments", k / count)
+        flight = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+        if flight is None:
+            continue
+        apart = separation.of(flight.log(model, question.measured))
+        if best is None or _merit(apart) > best.score:
+            rivals = _rivals_flown(question, rig, flight) if len(question.rivals) <= FEW else {}
+            other = Excitation(question, rig, flight, rivals, apart, usually)
+            best = other if best is None or other.score > best.score else best
+    return best and replace(best, rivals=_rivals_flown(question, rig, best.flight))
+
+
+def _rivals_flown(question: Question, rig: Rig, flight: Flight) -> dict[str, Flight]:
+    """The same signals on the model of each rival that differs from the model in flight."""
+    models = {r.name: question.flown(r) for r in question.rivals}
+    return {name: rig.fly(m, flight.signals) for name, m in models.items() if m != question.loaded.model}
+
+
+def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Flight | None:
+    """A flight that stays within the limits, made smaller once if need be; None where that does not help."""
+    flight = rig.fly(question.loaded.model, signals)
+    if (beyond := flight.beyond(question.limits)) <= 1.0:
+        return flight
+    smaller = {name: signal * SLACK / beyond for name, signal in signals.items()}
+    flight = rig.fly(question.loaded.model, smaller)
+    return flight if flight.beyond(question.limits) <= 1.0 else None
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def _write(folder: Path, found: Excitation, seed: int) -> None:
+    """excitation.csv, excitation.yaml and the FMUs it names."""
+    from fmus.build import build
+
+    flight, model = found.flight, found.question.loaded.model
+    write_columns(folder / "excitation.csv", flight.time, flight.inputs, {q.name: q.unit for q in model.inputs})
+    build(found.question.loaded.recipe(), folder / "plant.fmu")
+    found.rig.write(folder, flight)
+    with atomic_write(folder / "excitation.yaml") as stream:
+        stream.write("\n".join(_scenario(found, seed)) + "\n")
+
+
+def _scenario(found: Excitation, seed: int) -> Iterator[str]:
+    """Lines of the scenario that flies it."""
+    flight, model, rig = found.flight, found.question.loaded.model, found.rig
+    yield "name: excitation"
+    yield f'description: "To tell apart {", ".join(r.name for r in found.question.rivals)}."'
+    yield from (f"# {line}" for line in found.distances)
+    yield f"duration: {flight.time[-1]:.9g}"
+    yield f"step: {model.rate:.9g}"
+    yield f"seed: {seed}"
+    yield ""
+    yield "components:"
+    yield "  plant: {fmu: plant.fmu}"
+    yield "  excitation: {block: playback, file: excitation.csv}"
+    yield from rig.components()
+    yield ""
+    yield "connections:"
+    stated = {name: sigma**2 for name, sigma in found.question.noise.items()}
+    yield from rig.connections(model, flight, {**model.sensor_variance, **stated})

@@ -1,0 +1,157 @@
+"""Experiments that a rig can fly: signals on a few axes, and what the model does under them.
+
+Any model is played open loop; one that would not stay where it is brings a rig of its own (`cosim.registry`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.logs.log import Log
+from plant.integrate import Stepper
+from plant.model import Model, Values
+
+Signals = Mapping[str, Array]
+FASTEST = 0.1  # of the sample rate
+SLOWEST = 2.0  # periods in a flight
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Something an experiment may move: up to ±amplitude, between two frequencies [Hz]."""
+
+    name: str
+    amplitude: float
+    slowest: float
+    fastest: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight without noise, all by name: signals of the axes, the model's inputs, what the loop was told, outputs."""
+
+    time: Array
+    signals: Signals
+    inputs: dict[str, Array]
+    references: dict[str, Array]
+    outputs: dict[str, Array]
+
+    def log(self, model: Model, measured: tuple[str, ...]) -> Log:
+        """The log it would leave."""
+        units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
+        outputs = {name: self.outputs[name] for name in measured}
+        return Log(Path("flight.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
+
+    def excursion(self, name: str) -> tuple[float, float]:
+        """Least and largest value of an output."""
+        return float(np.min(self.outputs[name])), float(np.max(self.outputs[name]))
+
+    def beyond(self, limits: Mapping[str, float]) -> float:
+        """The largest excursion from the start, in parts of what is allowed; infinite where the flight diverged."""
+        if not all(np.isfinite(values).all() for values in self.outputs.values()):
+            return math.inf
+        seen = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / v for n, v in limits.items() if n in self.outputs)
+        return float(max(seen, default=0.0))
+
+
+class Rig(Protocol):
+    """What flies an experiment, and writes down how a scenario flies it.
+
+    usual: what is flown without thinking, to compare an experiment with
+    files: what it writes beside excitation.csv, excitation.yaml and plant.fmu
+    """
+
+    usual: str
+    files: tuple[str, ...]
+    axes: tuple[Axis, ...]
+
+    def fly(self, model: Model, signals: Signals) -> Flight:
+        """What a model does under the signals of the axes, without noise."""
+
+    def usual_signals(self, time: Array) -> Signals:
+        """Signals of what is usually flown."""
+
+    def write(self, folder: Path, flight: Flight) -> None:
+        """Write `files`."""
+
+    def components(self) -> Iterator[str]:
+        """Lines of the scenario: components beside `plant` and `excitation`."""
+
+    def connections(self, model: Model, flight: Flight, variance: Mapping[str, float]) -> Iterator[str]:
+        """Lines of the scenario: how they are connected; variance: of the noise of each output."""
+
+
+class OpenLoop:
+    """Any model: each input is an axis about its start value."""
+
+    usual = "a step of each input in turn"
+    files: tuple[str, ...] = ()
+
+    def __init__(self, model: Model, limits: Mapping[str, float], duration: float) -> None:
+        fastest = FASTEST / model.rate
+        slowest = min(SLOWEST / duration, fastest)
+        self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
+
+    def fly(self, model: Model, signals: Signals) -> Flight:
+        """Inputs played to the model."""
+        rest = model.start_command()
+        u = np.column_stack([start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)])
+        rows = [tuple(row) for row in u.tolist()]
+        return flown(model, len(rows), lambda k, y: rows[k], signals, {})
+
+    def usual_signals(self, time: Array) -> Signals:
+        """One input after the other at half of what it may, forth and back."""
+        place = time / time[-1] * len(self.axes)
+        return {
+            a.name: 0.5
+            * a.amplitude
+            * (((place >= k) & (place < k + 0.5)) * 1.0 - ((place >= k + 0.5) & (place < k + 1)))
+            for k, a in enumerate(self.axes)
+        }
+
+    def write(self, folder: Path, flight: Flight) -> None:
+        """Nothing beside the inputs."""
+
+    def components(self) -> Iterator[str]:
+        """None beside the inputs."""
+        yield from ()
+
+    def connections(self, model: Model, flight: Flight, variance: Mapping[str, float]) -> Iterator[str]:
+        """Every input is played."""
+        yield from played(q.name for q in model.inputs)
+
+
+def played(names: Iterable[str]) -> Iterator[str]:
+    """Lines of the scenario: inputs played to the plant."""
+    yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)
+
+
+def flown(
+    model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
+) -> Flight:
+    """Step a model; `command` gives the inputs that act from row k, from the outputs there."""
+    stepper = Stepper(model)
+    moment = stepper.start()
+    u: Values = model.start_command()
+    inputs, outputs = np.full((count, len(model.inputs)), np.nan), np.full((count, len(model.outputs)), np.nan)
+    try:
+        for k in range(count):
+            u = command(k, stepper.output(moment.t, moment.state, u))
+            inputs[k], outputs[k] = u, stepper.output(moment.t, moment.state, u)
+            moment = stepper.step(moment, u, model.rate)
+    except (ArithmeticError, ValueError):  # math.sin of infinity: the rows from here on stay NaN
+        pass
+    return Flight(
+        model.rate * np.arange(count, dtype=np.float64),
+        signals,
+        {q.name: inputs[:, j] for j, q in enumerate(model.inputs)},
+        references,
+        {q.name: outputs[:, j] for j, q in enumerate(model.outputs)},
+    )

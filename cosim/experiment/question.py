@@ -1,0 +1,218 @@
+"""What an experiment is to decide: the model, the rivals, the outputs that will be measured, and how far it may go."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from cosim.errors import Fault, InputError
+from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
+from cosim.models.file import LoadedModel, load_model
+from cosim.refinement.attribution import SIGNIFICANT
+from cosim.refinement.candidates import Candidate, candidates, neutral_values
+from cosim.refinement.study import StudyFile
+from cosim.yaml_file import YamlFile, did_you_mean
+from fmus.units import factor
+from plant.model import Model
+
+NOTHING = "nothing"
+LIMIT = re.compile(r"(?P<name>[^=]+)=\s*(?P<number>\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>.*)")
+
+
+@dataclass(frozen=True)
+class Question:
+    """Rivals and the pairs of them that are to be told apart.
+
+    loaded:   the model that is flown
+    base:     the model the rivals differ from, of whose logs the filter is told
+    measured: outputs that will be logged; noise: their standard deviations where they are not the model's own
+    limits:   how far from its start an input or output may go
+    """
+
+    loaded: LoadedModel
+    base: LoadedModel
+    rivals: tuple[Rival, ...]
+    pairs: tuple[Pair, ...]
+    measured: tuple[str, ...]
+    noise: Mapping[str, float]
+    limits: Mapping[str, float]
+
+    def flown(self, rival: Rival) -> Model:
+        """The model if a rival is true; an error of a sensor does not change it."""
+        sensors = {k.name for k in self.base.model.sensors}
+        return self.base.model.with_values({n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors})
+
+
+class Ranked(BaseModel):
+    """A hypothesis in refine.json."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    names: list[str]
+    parameters: dict[str, float]
+    fitted: bool
+    log_likelihood_gain: float | None
+
+
+class Refined(BaseModel):
+    """What is needed of a refine.json."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    study: str
+    rivals: list[str]
+    candidates: list[Ranked]
+    hidden: list[str]
+    measured: list[str]
+    sensor_noise: dict[str, float] = {}  # of an older one, the model's is taken
+
+
+def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), measured: Sequence[str] = ()) -> Question:
+    """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
+    path = Path(text)
+    if folder := refinement_folder(text):
+        path = folder / "refine.json" if path.is_dir() else path
+        question = _of_refinement(path, against)
+    else:
+        question = _of_model(path, load_model(text, Path()), against)
+    model, faults = question.base.model, list[str]()
+    allowed = _limits(model, limits, faults)
+    outputs = [q.name for q in model.outputs]
+    faults += [f'--measured: no output "{n}"{did_you_mean(n, outputs)}' for n in measured if n not in outputs]
+    seen = tuple(n for n in outputs if n in (measured or question.measured))
+    if not seen and not faults:
+        faults.append(f"it does not say what is measured; say --measured NAME, of {', '.join(outputs)}")
+    if faults:
+        raise InputError([Fault(path, 0, 0, fault) for fault in faults])
+    return replace(question, limits=allowed, measured=seen)
+
+
+def refinement_folder(text: str) -> Path | None:
+    """Where a refinement lies, if that is what the text names: its folder, or its refine.json."""
+    path = Path(text)
+    return path if path.is_dir() else path.parent if path.suffix == ".json" else None
+
+
+def _of_refinement(path: Path, against: Sequence[str]) -> Question:
+    """Rivals as they were fitted, or typical where they did not show, about the model that was given to the study."""
+    yaml = YamlFile(path)
+    content = yaml.validate(Refined)
+    study = Path(content.study)
+    if not study.is_file():
+        raise InputError([yaml.fault(("study",), f"no such study: {study}; it is looked for from where you are")])
+    yaml = YamlFile(study)
+    given = yaml.validate(StudyFile)
+    loaded = load_model(given.model, study.parent, yaml)
+    known = _candidates(loaded)
+    names = list(against) or [n for n in content.rivals if n != "no_effect"]
+    _check_names(path, names, known)
+    rivals, pairs = _rivals(loaded, known, names)
+    values = {**neutral_values(loaded.model), **loaded.values}
+    fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
+    return Question(loaded, loaded, fitted, pairs, tuple(content.measured), {**content.sensor_noise, **given.noise}, {})
+
+
+def _as_fitted(
+    r: Rival, names: Sequence[str], found: Refined, known: Mapping[str, Candidate], values: Mapping[str, float]
+) -> Rival:
+    """A rival as the best hypothesis has it that holds none of the others; as it is where the logs did not show it.
+
+    What they did not show was fitted to noise, to neutral as a rule, where no input could tell it from anything.
+    """
+    others = set(names) - {r.name}
+    for h in found.candidates:
+        if r.name in h.names and not others.intersection(h.names) and _shown(known[r.name], h, found, values):
+            return Rival(r.name, h.parameters, tuple(f for n in h.names for f in known[n].free))
+    return r
+
+
+def _shown(c: Candidate, h: Ranked, found: Refined, values: Mapping[str, float]) -> bool:
+    """Whether the logs showed a candidate of a hypothesis: fitted, within its limits, significant by likelihood."""
+    if c.name in found.hidden or not h.fitted or h.log_likelihood_gain is None:
+        return False
+    if any(h.parameters[f.name] in (f.low, f.high) and h.parameters[f.name] != values[f.name] for f in c.free):
+        return False
+    rest = set(h.names) - {c.name}
+    without = max((o.log_likelihood_gain or 0.0 for o in found.candidates if rest.issuperset(o.names)), default=0.0)
+    return h.log_likelihood_gain - without > 0.5 * SIGNIFICANT**2
+
+
+def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
+    """The names given against each other, or against the effects the model has."""
+    model = loaded.model
+    base = replace(loaded, model=replace(model, effects=()))
+    known = _candidates(base)
+    _check_names(path, against, known)
+    own = {e.name for e in model.awake}
+    names = list(against) or sorted({n for group in _groups(loaded.model, known) if group & own for n in group - own})
+    rivals, pairs = _rivals(base, known, names)
+    if own and names:
+        free = tuple(f for n in own for f in known[n].free)
+        values = neutral_values(model)
+        held = Rival(" and ".join(e.name for e in model.awake), {f.name: values[f.name] for f in free}, free)
+        rivals, pairs = (held, *(r for r in rivals if r.name != NOTHING)), tuple((held.name, name) for name in names)
+    measured = model.measured or tuple(model.sensor_variance)
+    return Question(loaded, base, rivals, pairs, measured or tuple(q.name for q in model.outputs), {}, {})
+
+
+def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
+    """Everything that may be missing or wrong, every input taken as varied."""
+    model = loaded.model
+    values = {**neutral_values(model), **loaded.values}
+    return {c.name: c for c in candidates(model, values, [q.name for q in model.inputs])}
+
+
+def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate]) -> None:
+    faults = [f'no candidate "{name}"{did_you_mean(name, known)}' for name in names if name not in known]
+    faults += [f'"{name}" is named twice' for name in dict.fromkeys(names) if list(names).count(name) > 1]
+    if faults:
+        raise InputError([Fault(path, 0, 0, fault) for fault in faults])
+
+
+def _groups(model: Model, known: Mapping[str, Candidate]) -> list[set[str]]:
+    """What is usually hard to tell apart, as the model says; all of it where nothing is known."""
+    return [g for group in model.told_apart_by if len(g := set(group) & known.keys()) > 1] or [set(known)]
+
+
+def _rivals(
+    loaded: LoadedModel, known: Mapping[str, Candidate], names: Sequence[str]
+) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
+    """The names at typical size, every two of them; one alone against nothing; without names, the usual pairs."""
+    values = {**neutral_values(loaded.model), **loaded.values}
+    if len(names) == 1:
+        return (at_typical(loaded.model, known[names[0]], values), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
+    pairs = (
+        all_pairs(names) if names else [p for group in _groups(loaded.model, known) for p in all_pairs(sorted(group))]
+    )
+    taken = dict.fromkeys(name for pair in pairs for name in pair)
+    return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
+
+
+def inputs_to_limit(model: Model) -> tuple[str, ...]:
+    """Inputs of which one has to say how far they may go."""
+    return tuple(q.name for q in model.inputs if q.name not in model.excursion)
+
+
+def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, float]:
+    """Limits by signal: the model's own, and over them those given as NAME=VALUE, a unit behind the value."""
+    units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
+    limits = dict(model.excursion)
+    for item in given:
+        read = LIMIT.fullmatch(item.strip())
+        name = read["name"].strip() if read else item.partition("=")[0].strip()
+        if name not in units:
+            faults.append(f'--limit {item}: no input or output "{name}"{did_you_mean(name, units)}')
+        elif (
+            read is None or not (size := float(read["number"]) * (factor(read["unit"].strip(), units[name]) or 0.0)) > 0
+        ):
+            faults.append(f"--limit {item}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
+        else:
+            limits[name] = size
+    for q in model.inputs:
+        if q.name not in limits:
+            faults.append(f"how far from {q.start:g} may {q.name} go? Say --limit {q.name}=VALUE [{q.unit}]")
+    return limits

@@ -1,0 +1,38 @@
+"""Which kernel this machine runs: C where a compiler is present and works, else numba; the numbers are the same."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.kernel.arrays import ArrayKernel
+from cosim.kernel.compiled import CompiledKernel
+from cosim.kernel.generate import generate
+from cosim.kernel.jit import JitKernel
+from fmus.native.compiler import compiler
+from plant.model import Model
+from plant.symbolic.languages import C, Python
+
+_made: dict[tuple[Any, ...], ArrayKernel] = {}
+
+
+def kernel(model: Model, measured: Sequence[str], unnamed: bool = False) -> ArrayKernel:
+    """The kernel of a model and the outputs a log holds, made once: it takes all numbers, flags alone are built in.
+
+    Raises InputError where neither C nor numba is to be had.
+    """
+    flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
+    key = (type(model), flags, tuple(measured), unnamed)
+    if key not in _made:
+        _made[key] = _make(model, measured, unnamed)
+    return _made[key]
+
+
+def _make(model: Model, measured: Sequence[str], unnamed: bool) -> ArrayKernel:
+    if compiler() is not None:
+        try:
+            return CompiledKernel(generate(model, measured, C(), unnamed))
+        except (OSError, subprocess.SubprocessError):
+            pass  # a compiler that does not work is no compiler
+    return JitKernel(generate(model, measured, Python(), unnamed))

@@ -1,0 +1,130 @@
+"""A kernel's functions from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
+
+The model is evaluated with symbols, every effect of the catalogue and every sensor error awake, so that one compiled
+kernel serves every candidate; an effect is switched off by its neutral value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cosim.kernel.interface import Layout
+from cosim.kernel.nameless import PREFIX, bases
+from plant.model import Model
+from plant.symbolic.functions import Body
+from plant.symbolic.languages import Language
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Functions in C or Python, and what their arguments are.
+
+    source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
+            `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C are of the stochastic states
+    """
+
+    layout: Layout
+    source: str
+
+
+@dataclass(frozen=True)
+class Reach:
+    """States that process noise reaches and that reach a measured output, by the base model.
+
+    forced:    those it enters; of other forced states no noise can be estimated
+    uncertain: those it reaches, the forced among them
+    drifting:  those it reaches and that reach no measured output
+    """
+
+    forced: tuple[str, ...]
+    uncertain: tuple[str, ...]
+    drifting: frozenset[str]
+
+
+def generate(model: Model, measured: Sequence[str], language: Language, unnamed: bool = False) -> Generated:
+    """Functions for a model and the outputs a log holds.
+
+    With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
+    times a basis function of one signal: they say that something is missing where no effect fits.
+    """
+    import sympy
+
+    body, reach = Body.of(model), _reach(model, measured)
+    if unnamed:
+        _add_nameless(body, reach)
+    _add_sensor_errors(body, model)
+    names = list(body.derivative)
+    stochastic = tuple(names.index(n) for n in reach.uncertain)
+    x = [body.symbols.state[k] for k in stochastic]
+    f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
+    functions = {
+        "deriv": f,
+        "jacobian": [sympy.diff(f[i], xj) for i in stochastic for xj in x],
+        "measure": g,
+        "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
+    }
+    printed = [body.function(language, name, expressions) for name, expressions in functions.items()]
+    layout = Layout(
+        parameters=tuple(body.parameters),
+        states=tuple(names),
+        inputs=tuple(q.name for q in model.inputs),
+        outputs=tuple(measured),
+        stochastic=stochastic,
+        noisy=tuple(k for k, n in enumerate(reach.uncertain) if n in reach.forced),
+        memory=len(body.shaping.remembered),
+        delay=body.delay,
+    )
+    return Generated(layout, "\n".join((*printed, body.shaping_function(language, "shape_all"))))
+
+
+def _add_nameless(body: Body, reach: Reach) -> None:
+    for name, basis in bases(body.symbols, reach.drifting).items():
+        for state in reach.forced:
+            body.derivative[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
+
+
+def _add_sensor_errors(body: Body, model: Model) -> None:
+    for kind in model.sensors:
+        symbol = body.parameter(f"{kind.name}.value")
+        if kind.output in body.outputs:
+            body.outputs[kind.output] = kind(value=symbol).measure(body.outputs[kind.output])
+
+
+def _reach(model: Model, measured: Sequence[str]) -> Reach:
+    """What noise reaches. What only an effect couples is left out of the covariance, not out of the mean."""
+    body = Body.of(replace(model, effects=()), effects=False)
+    names = list(body.derivative)
+    forced = [names.index(n) for n in model.forced]
+    outputs = [body.outputs[n] for n in measured]
+    reached, reaching = _downstream(body, forced), _upstream(body, outputs)
+    both = sorted(reached & reaching)
+    return Reach(
+        tuple(names[k] for k in forced if k in both),
+        tuple(names[k] for k in both),
+        frozenset(names[k] for k in reached - reaching),
+    )
+
+
+def _downstream(body: Body, first: Sequence[int]) -> set[int]:
+    """Places of states that some states reach, themselves among them."""
+    feeds, reached = _feeds(body), set(first)
+    while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
+        reached |= grown
+    return reached
+
+
+def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
+    """Places of states that reach some expressions."""
+    feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
+    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
+    while grown := {j for i in reaching for j in feeds[i]} - reaching:
+        reaching |= grown
+    return reaching
+
+
+def _feeds(body: Body) -> list[set[int]]:
+    """States in the equation of each."""
+    place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
+    return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

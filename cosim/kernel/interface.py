@@ -1,0 +1,99 @@
+"""What a kernel is: names, sizes and places; it filters a log and runs a model on a log's commands.
+
+A kernel need not have been generated: whoever has a `Layout` and the two calls is one, a foreign FMU as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from cosim.arrays import Array
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What stands where in the arrays of a kernel.
+
+    parameters: names, in the order of `p`
+    states:     names, in the order of `x`
+    inputs:     names, in the order of `u`
+    outputs:    names of the measured outputs, in the order of `y`
+    stochastic: places of the states that process noise reaches and that reach a measured output
+    noisy:      places, within `stochastic`, of the states that process noise enters
+    memory:     number of remembered values
+    delay:      place of the delay among the parameters, -1 where the model has none
+    """
+
+    parameters: tuple[str, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    stochastic: tuple[int, ...]
+    noisy: tuple[int, ...]
+    memory: int = 0
+    delay: int = -1
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Names of the stochastic states."""
+        return tuple(self.states[k] for k in self.stochastic)
+
+    @property
+    def forced_places(self) -> list[int]:
+        """Places, among all states, of those that process noise enters."""
+        return [self.stochastic[k] for k in self.noisy]
+
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """Names of the states that process noise enters."""
+        return tuple(self.states[k] for k in self.forced_places)
+
+
+@dataclass(frozen=True)
+class Data:
+    """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing.
+
+    substeps: RK4 steps from row to row
+    """
+
+    step: float
+    start: float
+    u: Array
+    y: Array
+    substeps: int
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """errors and variances (rows, outputs) of each measurement before it is taken; states and memory after."""
+
+    errors: Array
+    variances: Array
+    states: Array
+    memory: Array
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """outputs (rows, outputs) free of noise, states and memory (rows, …); NaN before the first row."""
+
+    outputs: Array
+    states: Array
+    memory: Array
+
+
+class Kernel(Protocol):
+    """What runs the filter over a log."""
+
+    @property
+    def layout(self) -> Layout:
+        """Names, sizes and places."""
+
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log; q is per stochastic state, r per output. A run that diverges gives infinite errors."""
+
+    def simulate(
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+    ) -> Simulated:
+        """Run on the commands of a log from row `first`, `kicks` (rows, states) added to the state at each row."""

@@ -1,0 +1,116 @@
+"""Units and signs of the channels against one another: what a mislabelled log shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.logs.finding import Finding, Severity
+from cosim.logs.log import TURN, Log
+from cosim.logs.planar import mirrored
+from cosim.text import amount, counted, plain
+from plant.traits import Traits, rate_of
+
+STILL = 1e-9  # [unit of the signal], below which its changes are rounding
+DEGREES = 180.0 / math.pi
+PAUSE = 0.2  # [s] without a reading
+BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
+
+
+def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
+    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
+
+    traits: what the model says of its signals. Without, names alone say what is a rate, and they are not relied on.
+    """
+    sure = traits is not None
+    named = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
+    rates, bounds = (traits.rates, traits.bounds) if traits else (named, {})
+    for name, rate in rates.items():
+        if name in log.outputs and rate in log.outputs:
+            yield from _against_rate(log, name, rate, "fault" if sure else "warning")
+    for name, values in (*log.inputs.items(), *log.outputs.items()):
+        if log.units[name] == "rad":
+            yield from _magnitude(log, name, values, bounds.get(name))
+    for name, times in log.unwrapped.items():
+        yield Finding(
+            "note", "wrapped", name,
+            f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous",
+            {"count": float(len(times)), "first": times[0]},
+        )  # fmt: skip
+    if traits and traits.planar:
+        yield from mirrored(log, traits.planar)
+
+
+def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterator[Finding]:
+    """Fit Δy = s·∫ẏ dt + b·T over blocks: s is 1 and b is 0 where units, signs and sensors agree."""
+    change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
+    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
+        return
+    rho = float(np.corrcoef(change, integral)[0, 1])
+    design = np.column_stack((integral, length))
+    (slope, drift), *_ = np.linalg.lstsq(design, change, rcond=None)
+    left = change - design @ (slope, drift)
+    sigma = math.sqrt(float(left @ left) / (change.size - 2))
+    error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
+    if abs(rho) < 0.9:
+        return
+    if slope < 0.0:
+        yield Finding(
+            severity, "sign", rate, f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); "
+            "turn one of them round: the rate is positive where the signal grows", numbers,
+        )  # fmt: skip
+    elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
+        degrees, other = (name, rate) if slope > 1.0 else (rate, name)
+        yield Finding(
+            severity, "degrees", degrees,
+            f"is {plain(float(max(slope, 1 / slope)), 3)} times what {other} says: one is in degrees, the other in "
+            f'radians. Give the unit in the header, "{degrees} [{"deg" if slope > 1.0 else "deg/s"}]"', numbers,
+        )  # fmt: skip
+    elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
+        share = plain(float(1 / slope), 3)
+        yield Finding(
+            "warning", "scale", rate, f"integrates to {share} times the change of {name}: a scale is off", numbers
+        )
+    if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
+        bias = amount(float(-drift / slope), log.units[rate], 2)
+        yield Finding("note", "drift", rate, f"is {bias} above d {name}/dt throughout: a bias of one of the sensors",
+                      numbers)  # fmt: skip
+
+
+def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]:
+    """Change, integral of the rate and length of consecutive blocks, over the rows that have both."""
+    good = np.flatnonzero(np.isfinite(values) & np.isfinite(rates))
+    time, y, rate = log.time[good], values[good], rates[good]
+    if time.size < 2:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / BLOCK), prepend=-1.0))
+    change, integral, length = np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
+    if edges.size < 2:
+        return change, integral, length
+    whole = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1]) < PAUSE  # over it the integral is a guess
+    return change[whole], integral[whole], length[whole]
+
+
+def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
+    """Angles too large to be radians, and jumps of a turn that were not undone; bounds: as the model declares them."""
+    good = values[np.isfinite(values)]
+    size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
+    cure = f'if it is in degrees, call it "{name} [deg]"'
+    if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
+        least, most = (plain(v) for v in bounds)
+        text = f"reaches {plain(size)} rad, beyond what the model allows ({least} to {most}); {cure}"
+        yield Finding("fault", "degrees", name, text, numbers)
+    elif (name in log.inputs and size > TURN) or size > 20.0 * TURN:
+        yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
+    jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
+    if jumps.size and name in log.outputs and size <= 20.0 * TURN:
+        first = float(log.time[np.isfinite(values)][jumps[0] + 1])
+        yield Finding(
+            "warning", "jumps", name, f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at "
+            f"t = {first:.6g} s; an angle is continuous", {"count": float(jumps.size), "first": first},
+        )  # fmt: skip

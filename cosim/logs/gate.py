@@ -1,0 +1,245 @@
+"""Before a log is believed: its clock, its channels, its units and frame, and what it excites."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Array
+from cosim.errors import Fault, InputError
+from cosim.logs.finding import Finding
+from cosim.logs.frames import frames
+from cosim.logs.log import GAP, MISSING, Log
+from cosim.logs.noise import noise_level, surprise
+from cosim.text import amount, counted, percent, plain
+from plant.traits import Traits
+
+ORDER = ("fault", "warning", "note")
+SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
+SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
+SPIKE = 8.0  # times the noise
+JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
+ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
+ALIKE = 0.98  # correlation of two inputs that cannot be told apart
+
+
+def gate(
+    log: Log,
+    rate: float | None = None,
+    strict: bool = True,
+    traits: Traits | None = None,
+) -> list[Finding]:
+    """Everything there is to say about a log, faults first.
+
+    rate:   step the model is made for [s], None where it has none
+    strict: a log slower than `rate` is a fault, not a warning
+    traits: what the model says of its signals, None where none is known
+    """
+    found = [*_timing(log), *_rate(log, rate, strict), *_inputs(log), *_outputs(log), *frames(log, traits)]
+    return sorted(found, key=lambda f: ORDER.index(f.severity))
+
+
+def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
+    """InputError where a finding makes the log unusable."""
+    if faults := gate_faults(log, findings):
+        raise InputError(faults)
+
+
+def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
+    """The findings that make a log unusable, as faults of its file."""
+    places = {name: cell for cell, name in enumerate(log.written, 1)}
+    return [
+        Fault(log.path, log.header, places.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence)
+        for f in findings
+        if f.severity == "fault"
+    ]
+
+
+# -- the clock --------------------------------------------------------------------------------
+
+
+def _timing(log: Log) -> Iterator[Finding]:
+    dt = np.diff(log.time)
+    ratio = dt / log.step
+    regular = ratio[ratio <= MISSING]
+    spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
+    if worst > 0.01:
+        yield Finding(
+            "warning" if spread > 0.1 else "note", "jitter", "time",
+            f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
+            "replays step at their times, the filter of `cosim refine` at equal ones",
+            {"step": log.step, "spread": spread, "worst": worst},
+        )  # fmt: skip
+    holes = np.flatnonzero(ratio > MISSING)
+    missing = np.rint(ratio[holes]) - 1.0
+    gaps = dt[holes] > GAP
+    for kind, chosen in (("dropouts", holes[~gaps]), ("gaps", holes[gaps])):
+        if chosen.size:
+            rows = int(np.maximum(1.0, missing[gaps if kind == "gaps" else ~gaps]).sum())
+            longest = float(dt[chosen].max())
+            yield Finding(
+                "warning", kind, "time",
+                f"{counted(rows, 'row')} missing in {counted(chosen.size, 'place')}, first after "
+                f"t = {log.time[chosen[0]]:.6g} s, the longest {amount(longest, 's')}; commands are held over them, "
+                "so what was commanded in between is not replayed",
+                {"rows": rows, "places": chosen.size, "first": float(log.time[chosen[0]]), "longest": longest},
+            )  # fmt: skip
+    duration = float(log.time[-1] - log.time[0])
+    if duration < SHORT:
+        yield Finding("warning", "short", "time", f"the log lasts {amount(duration, 's')}; 20 s and more tell more",
+                      {"duration": duration})  # fmt: skip
+    if abs(log.time[0]) > 1e6:
+        yield Finding("note", "epoch", "time", f"time starts at {log.time[0]:.0f} s; a model whose effects depend on "
+                      "time takes it as it is", {"start": float(log.time[0])})  # fmt: skip
+
+
+def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
+    if rate is None:
+        return
+    ratio, numbers = log.step / rate, {"step": log.step, "rate": rate}
+    place = f"rows are {plain(log.step)}\u00a0s apart, the model is made for {plain(rate)}\u00a0s"
+    unit = next((u for u, f in (("ms", 1e3), ("us", 1e6), ("min", 1 / 60)) if 0.5 < ratio / f < 2.0), None)
+    if unit is not None:
+        yield Finding("fault", "rate", "time", f'{place}; is the time in {unit}? Then call the column "time [{unit}]"',
+                      numbers)  # fmt: skip
+    elif ratio > SLOWER or ratio < 1.0 / FASTER:
+        lost = "commands in between are lost; log every command" if ratio > 1.0 else "log at the model's step"
+        yield Finding("fault" if strict or ratio < 1.0 else "warning", "rate", "time", f"{place}; {lost}", numbers)
+    elif abs(ratio - 1.0) > 0.02 and abs(1.0 / ratio - round(1.0 / ratio)) > 0.02:
+        yield Finding("warning", "rate", "time", f"{place}, no whole number of rows a step", numbers)
+    elif abs(ratio - 1.0) > 0.02:
+        yield Finding("note", "rate", "time", f"{place}: {counted(round(1.0 / ratio), 'row')} a step", numbers)
+
+
+# -- the inputs -------------------------------------------------------------------------------
+
+
+def _inputs(log: Log) -> Iterator[Finding]:
+    moving = {}
+    for name, values in log.inputs.items():
+        if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
+            yield Finding(
+                "note", "constant", name,
+                f"stands at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and what acts "
+                "through it alone cannot be told",
+                {"rms": float(values.std())},
+            )  # fmt: skip
+        else:
+            moving[name] = values
+            yield _excitation(log, name, values)
+    if log.inputs and not moving:
+        yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
+    for one, other in combinations(moving, 2):
+        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
+        if abs(rho) > ALIKE:
+            yield Finding(
+                "note", "alike", one,
+                f"moves {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)}): "
+                "what one does cannot be told from what the other does",
+                {"correlation": rho},
+            )  # fmt: skip
+
+
+def _excitation(log: Log, name: str, values: Array) -> Finding:
+    """RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
+    power = np.abs(np.fft.rfft(values - values.mean())) ** 2
+    power[0] = 0.0
+    below = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
+    bandwidth, rms = below / (values.size * log.step), float(values.std())
+    low, high, slack = float(values.min()), float(values.max()), 1e-6 * float(np.ptp(values))
+    ends = [int(np.count_nonzero(np.abs(values - end) <= slack)) for end in (low, high)]
+    share = sum(ends) / values.size if max(ends) > 2 else 0.0
+    unit = log.units[name]
+    limits = f"between {amount(low, unit)} and {amount(high, unit)}" + (f", there {percent(share)}" if share else "")
+    return Finding(
+        "note", "excitation", name,
+        f"moves {amount(rms, unit)} (rms) with 95 % of its power below {amount(bandwidth, 'Hz', 2)}, {limits}"
+        + (" of the rows" if share else ""),
+        {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high},
+    )  # fmt: skip
+
+
+# -- the outputs ------------------------------------------------------------------------------
+
+
+def _outputs(log: Log) -> Iterator[Finding]:
+    for name, values in log.outputs.items():
+        good = np.isfinite(values)
+        seen = values[good]
+        if good.mean() < 1.0:
+            every = float(np.median(np.diff(log.time[good]))) if seen.size > 1 else math.nan
+            yield Finding(
+                "note", "missing", name,
+                f"measured in {percent(float(good.mean()))} of the rows, every {amount(every, 's')}",
+                {"share": float(good.mean()), "every": every},
+            )  # fmt: skip
+        if np.ptp(seen) <= 1e-12 * max(1.0, float(np.abs(seen).max())):
+            where = amount(float(seen[0]), log.units[name])
+            yield Finding("warning", "constant", name, f"stands at {where} throughout: is the sensor connected?",
+                          {"value": float(seen[0])})  # fmt: skip
+        else:
+            yield from _repeats(log, name, log.time[good], seen)
+            yield from _spikes(log, name, values)
+
+
+def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
+    """A slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
+    starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
+    runs = np.diff(starts)
+    usual = float(np.median(runs))
+    noise, span = noise_level(values), float(np.ptp(values))
+    if usual >= 2.0 and np.mean(np.abs(runs - usual) <= 1.0) > 0.8:
+        yield Finding(
+            "warning", "held", name,
+            f"changes only every {usual:.0f} rows: a slower sensor, held. Leave the cells in between empty, or the "
+            "hold passes for a delay",
+            {"rows": usual},
+        )  # fmt: skip
+    elif usual == 1.0 and runs.max() * log.step > 0.2 and runs.max() >= 10 and noise > 1e-5 * span:
+        k = int(np.argmax(runs))
+        yield Finding(
+            "warning", "frozen", name,
+            f"repeats {amount(float(values[starts[k]]), log.units[name])} for {runs[k]} rows from "
+            f"t = {time[starts[k]]:.6g} s, at its noise that is no measurement: frozen, or at the end of its range",
+            {"rows": float(runs[k]), "first": float(time[starts[k]])},
+        )  # fmt: skip
+
+
+def _spikes(log: Log, name: str, values: Array) -> Iterator[Finding]:
+    """Single values far from what their neighbours say."""
+    place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
+    whole = np.full(place[-1] + 1, math.nan)
+    whole[place] = values  # what stands on the far side of a pause is no neighbour
+    seen = np.pad(np.isfinite(whole), 2)
+    beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
+    scale = math.sqrt(70 / 36)  # of what four equal neighbours do not say, to the noise
+    off = scale * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
+    off[_answering(log)] = 0.0
+    low, high = np.nanpercentile(values, [1, 99])
+    limit = max(SPIKE * noise_level(values) * scale, 0.05 * (high - low)) if np.any(off) else math.inf
+    around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
+    spikes = np.flatnonzero((off > limit) & (off >= around))
+    if spikes.size:
+        worst = spikes[np.argmax(off[spikes])]
+        yield Finding(
+            "warning", "outliers", name,
+            f"has {counted(spikes.size, 'value')} out of line with the neighbours, first at "
+            f"t = {log.time[spikes[0]]:.6g} s, the worst by {amount(float(off[worst]), log.units[name])}; "
+            "leave such cells empty",
+            {"count": float(spikes.size), "first": float(log.time[spikes[0]]), "worst": float(off[worst])},
+        )  # fmt: skip
+
+
+def _answering(log: Log) -> NDArray[np.bool_]:
+    """Rows at which an input has just jumped, or that have such a row as a neighbour."""
+    jumps = np.zeros(log.rows)
+    for values in log.inputs.values():
+        change = np.abs(np.diff(values, prepend=values[0]))
+        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
+    after = max(5, round(ANSWER / log.step))
+    near = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows]
+    return np.asarray(near > 0.5)

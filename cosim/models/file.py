@@ -1,0 +1,240 @@
+"""Model files: which model, with which parameters and sensor errors. A refine writes one, a study names one."""
+
+from __future__ import annotations
+
+import importlib.util
+import os.path
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+
+from cosim.errors import Fault, InputError
+from cosim.files import atomic_write
+from cosim.models.declared import checked
+from cosim.models.source import Source
+from cosim.registry import BASE, BASE_NAME, MODELS, resolve
+from cosim.yaml_file import YamlFile, did_you_mean
+from plant.model import Model
+from plant.quantities import parameters_of
+
+if TYPE_CHECKING:
+    from fmus.build import Recipe
+
+ALLOWED = f"a model is {', '.join(MODELS)}, or FILE.py:Class of a model of one's own"
+SUBCLASS = "a model is a subclass of plant.model.Model"
+GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+
+
+def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+    """One message where a value is neither, in place of one for each."""
+    try:
+        return inner(value)
+    except ValidationError:
+        raise ValueError("give a finite number, or, of a switch, true or false") from None
+
+
+Value = Annotated[
+    Annotated[float, Field(allow_inf_nan=False)] | bool,
+    WrapValidator(_number_or_switch),
+]
+
+
+class ModelFile(BaseModel):
+    """The name of a model, or `file.py:Class` of one's own; parameters by FMI name; sensor errors apart."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    model: str = BASE_NAME
+    parameters: dict[str, Value] = {}
+    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model with its effects, what its sensors are known to do wrong, and what the file said."""
+
+    model: Model
+    source: str
+    parameters: Mapping[str, float | bool] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Sensor parameters by name, those without error included."""
+        clean = {f"{k.name}.{p.name}": float(p.default) for k in self.model.sensors for p in parameters_of(k)}
+        return {**clean, **self.sensors}
+
+    def recipe(self) -> Recipe:
+        """What makes its FMU."""
+        from fmus.build import model_recipe
+
+        if self.source in MODELS:
+            made: Recipe = resolve(MODELS[self.source].recipe)(dict(self.parameters))
+            return made
+        return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
+
+
+def named_model(name: str) -> Model:
+    """A model of the registry, with its default parameters."""
+    model: Model = resolve(MODELS[name].model)()
+    return model
+
+
+def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
+    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault.
+
+    A file that is not there is a fault of the key `model` of the study that names it.
+    """
+    if text == BASE:
+        return LoadedModel(named_model(BASE_NAME), BASE_NAME)
+    file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
+    path = folder / file
+    if named_in and not path.is_file():
+        raise InputError([named_in.fault(("model",), f"no such model: {text}; {GIVEN}")])
+    if own:
+        return LoadedModel(own_model(text, folder), _absolute(text, folder))
+    if path.suffix == ".py":
+        message = f"names no class: write {text}:{(Source(path).classes or ['Class'])[-1]}; {GIVEN}"
+        raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
+    return read_model(path)
+
+
+def read_model(path: Path) -> LoadedModel:
+    """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
+    yaml = YamlFile(path)
+    _refuse_study(yaml)
+    content, faults = yaml.partly(ModelFile)
+    if content is None:
+        raise InputError(faults)
+    try:
+        model = _named_model(yaml, content)
+    except InputError as error:
+        raise InputError([*faults, *error.faults]) from None
+    faults += _value_faults(yaml, content, model)
+    if faults:
+        raise InputError(faults)
+    source = content.model if content.model in MODELS else _absolute(content.model, path.parent)
+    return LoadedModel(model.with_values(content.parameters), source, content.parameters, content.sensors)
+
+
+def _refuse_study(yaml: YamlFile) -> None:
+    """A study where a model is asked for: which model it names."""
+    if "logs" in yaml.root:
+        named = str(yaml.root.get("model", BASE))
+        model = named if named == BASE else yaml.path.parent / named
+        cure = f"give its model, {model}, or, to `cosim excite`, the folder that `cosim refine` left"
+        raise InputError([yaml.fault(("logs",), f"this is a study, not a model: {cure}", key=True)])
+
+
+def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
+    """The model that a model.yaml names, with its default parameters."""
+    folder = yaml.path.parent
+    if content.model not in MODELS and not re.fullmatch(r".+\.py:\w+", content.model):
+        message = f'no model "{content.model}"{did_you_mean(content.model, MODELS)}; {ALLOWED}'
+        raise InputError([yaml.fault(("model",), message)])
+    file = folder / content.model.rpartition(":")[0]
+    if content.model not in MODELS and not file.is_file():
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
+    return named_model(content.model) if content.model in MODELS else own_model(content.model, folder)
+
+
+def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
+    """Unknown names, and values out of bounds."""
+    known = {p.name: p for p in model.parameters}
+    known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
+    sensors = {f"{k.name}.{p.name}": p for k in model.sensors for p in parameters_of(k)}
+    for section, names, given in (("parameters", known, content.parameters), ("sensors", sensors, content.sensors)):
+        for name, value in given.items():
+            if name not in names:
+                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
+                yield yaml.fault((section, name), message, key=True)
+            elif fault := names[name].fault(value):
+                yield yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip("."))
+
+
+def _absolute(text: str, folder: Path) -> str:
+    """`file.py:Class` with the whole path of the file, so that a model file written elsewhere finds it."""
+    file, _, name = text.rpartition(":")
+    return f"{(folder / file).resolve()}:{name}"
+
+
+def _relative(source: str, folder: Path) -> str:
+    """The same from a folder at or below that of the file: the two may move together."""
+    file, _, name = source.rpartition(":")
+    if not file or not folder.is_relative_to(Path(file).parent):
+        return source
+    return f"{Path(os.path.relpath(file, folder)).as_posix()}:{name}"
+
+
+def own_model(text: str, folder: Path) -> Model:
+    """The model `Class` of `file.py`, with its default parameters; InputError with every fault of its class."""
+    file, _, name = text.rpartition(":")
+    path = (folder / file).resolve()
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path)
+    module = _module(path, source)
+    kind: Any = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        models = _models(vars(module))
+        known = f" (models here: {', '.join(models)})" if models else ""
+        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
+        raise InputError([Fault(path, 0, 0, f"{what}; {SUBCLASS}")])
+    return checked(kind, source)
+
+
+def only_model(path: Path) -> Model:
+    """The one model that `file.py` defines; InputError with every fault, and where there is none or a choice."""
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path.resolve())
+    module = _module(source.path, source)
+    names = vars(module)
+    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # the others are imported
+    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class under two names is one
+    if not own:
+        raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
+    if len(own) > 1:
+        choice = " or ".join(f"{path}:{name}" for name in own)
+        raise InputError([Fault(path, 0, 0, f"has {len(own)} models; write {choice}")])
+    return checked(names[own[0]], source)
+
+
+def _module(path: Path, source: Source) -> ModuleType:
+    """The file, executed; InputError where it raises."""
+    spec = importlib.util.spec_from_file_location(f"own_model_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look up what an annotation of theirs means
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # whatever the user's file does
+        raise InputError([source.raised(error, "does not load")]) from error
+    return module
+
+
+def _models(names: Mapping[str, Any]) -> list[str]:
+    """Names of the models among the names of a module."""
+    return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
+
+
+def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
+    """Write a model.yaml that `read_model` reads back, in `folder` if it is to move there."""
+    lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
+    for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
+        lines.append(f"{section}:" if values else f"{section}: {{}}")
+        lines += [
+            f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
+        ]
+    with atomic_write(path) as stream:
+        stream.write("\n".join(lines) + "\n")

@@ -1,1 +1,0 @@
-"""Measured data: log → replay → residual → attribution → calibration → refined model → replay again → report."""

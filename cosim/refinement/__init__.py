@@ -1,0 +1,1 @@
+"""Measured logs, a model, and what the model lacks: fit, attribution, verdict, proof."""

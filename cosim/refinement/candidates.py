@@ -1,0 +1,109 @@
+"""What may be missing or wrong: every effect of the catalogue, every sensor error, every base parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from plant.model import Model
+from plant.quantities import Parameter, parameters_of
+
+Kind = Literal["effect", "sensor", "parameter"]
+# A data sheet is taken to be right to this share: recalibration within it is no discovery.
+TOLERANCE = 0.01
+BASE_RANGE = (0.1, 5.0)  # of the nominal value
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A hypothesis: its free parameters and the values from which its fit starts."""
+
+    name: str
+    kind: Kind
+    free: tuple[Free, ...]
+    starts: tuple[Mapping[str, float], ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        return tuple(f.name for f in self.free)
+
+
+def neutral_values(model: Model) -> dict[str, float]:
+    """Every number the kernel takes: base parameters, effects as the model has them, sensors without error."""
+    values = {p.name: float(getattr(model, p.name)) for p in model.parameters if not isinstance(p.default, bool)}
+    present = {type(e): e for e in model.effects}
+    for kind in (*model.catalogue, *model.sensors):
+        owner = present.get(kind) or kind()
+        values |= {f"{kind.name}.{p.name}": float(getattr(owner, p.name)) for p in parameters_of(kind)}
+    return values
+
+
+def base_parameters(model: Model, values: Mapping[str, float], loose: Sequence[str] = ()) -> list[Free]:
+    """The parameters every fit recalibrates, held near their data sheet unless they are on trial themselves."""
+    return [_base(model, name, values, None if name in loose else TOLERANCE) for name in model.calibrated]
+
+
+def candidates(model: Model, values: Mapping[str, float], varied: Sequence[str]) -> list[Candidate]:
+    """All of them; a suspect parameter only where the inputs it needs are varied in the logs."""
+    return [*_effects(model, values), *_parameters(model, values, varied)]
+
+
+def _effects(model: Model, values: Mapping[str, float]) -> Iterator[Candidate]:
+    for kind in (*model.catalogue, *model.sensors):
+        declared = parameters_of(kind)
+        names = [f"{kind.name}.{p.name}" for p in declared]
+        free = tuple(_free(p, name) for p, name in zip(declared, names, strict=True))
+        here = {name: values[name] for name in names}
+        first = {name: _start(p, values[name]) for p, name in zip(declared, names, strict=True)}
+        starts = [first, *({f"{kind.name}.{name}": value for name, value in s.items()} for s in kind.starts)]
+        if any(type(e) is kind for e in model.awake):
+            starts = [here]  # the model has this effect already: it is recalibrated
+        yield Candidate(kind.name, "sensor" if kind in model.sensors else "effect", free, tuple(starts))
+
+
+def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]) -> Iterator[Candidate]:
+    suspects = [name for name, inputs in model.suspect.items() if any(i in varied for i in inputs)]
+    for name in (*model.calibrated, *suspects):
+        yield Candidate(name, "parameter", (_base(model, name, values, None),), ({name: values[name]},))
+
+
+def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
+    """A base parameter, within a range of its value; of one that is 0 or negative, of the size at which it is seen."""
+    p = next(p for p in model.parameters if p.name == name)
+    value = values[name]
+    scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
+    least, most = BASE_RANGE if value > 0.0 else (-BASE_RANGE[1], BASE_RANGE[1])
+    low, high = (max(p.bounds[0], least * scale), min(p.bounds[1], most * scale))
+    return Free(name, low, high, 0.05 * scale, None if tolerance is None else (value, tolerance * scale))
+
+
+def _free(p: Parameter, name: str) -> Free:
+    return Free(name, *p.bounds, p.typical or 0.3 * abs(float(p.default)) or 0.1, neutral=p.neutral)
+
+
+def _start(p: Parameter, value: float) -> float:
+    """One-sided parameters start at a size that is seen, two-sided ones at neutral, between the signs."""
+    one_sided = p.neutral is not None and p.neutral == p.bounds[0]
+    return p.typical if one_sided and p.typical else value
+
+
+def kind_within(c: Candidate, model: Model) -> Kind:
+    """The kind of a candidate; an effect that the model has already is one more parameter of it."""
+    return "parameter" if c.name in {e.name for e in model.awake} else c.kind
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that a fit may move: limits, the size by which it is measured, and a prior where there is one.
+
+    neutral: where its effect does nothing; None of a base parameter
+    """
+
+    name: str
+    low: float
+    high: float
+    size: float
+    prior: tuple[float, float] | None = None  # mean, standard deviation
+    neutral: float | None = None

@@ -1,0 +1,194 @@
+"""Maximum likelihood on the innovations, process noise free, by Fisher scoring.
+
+Kristensen, Madsen and Jørgensen (2004): the process noise is estimated with the parameters; which state's noise is
+inflated says which equation is deficient, and it falls back when the right term is in.
+    NLL = ½ Σ ln 2πs + e²/s    gradient Σ ∂e·e/s + ½ ∂ln s·(1 − e²/s)    information Σ ∂e·∂e'/s + ½ ∂ln s·∂ln s'
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.refinement.candidates import Free
+from cosim.refinement.problem import Problem, Scored
+
+ITERATIONS = 30
+CONVERGED = 0.02  # of NLL, the improvement below which an iteration is the last
+DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
+Q_DIFFERENCE = 0.05
+FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
+PROMISE = 3.0  # times the improvement the quadratic model promises, before a fit is given up
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result: values of all parameters, ln q, NLL by log, and the information matrix of the free ones."""
+
+    values: Mapping[str, float]
+    log_q: Array
+    free: tuple[Free, ...]
+    nll_by_log: tuple[float, ...]
+    penalty: float
+    information: Array
+    iterations: int
+    converged: bool
+
+    @property
+    def nll(self) -> float:
+        """Negative log-likelihood of all logs."""
+        return sum(self.nll_by_log)
+
+    @property
+    def objective(self) -> float:
+        """What was minimised: NLL and the penalty of the priors."""
+        return self.nll + self.penalty
+
+    def marginal(self, names: Sequence[str]) -> Array:
+        """Information on some parameters when all others are free too: the Schur complement of theirs."""
+        own = np.isin([f.name for f in self.free] + [""] * len(self.log_q), names)
+        F = self.information
+        reduced: Array = (
+            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        )
+        return reduced
+
+    def sigma(self, name: str) -> float:
+        """Standard deviation of an estimate, from the inverse of the information."""
+        k = [f.name for f in self.free].index(name)
+        return float(np.sqrt(max(0.0, inverse(self.information)[k, k])))
+
+
+def inverse(information: Array) -> Array:
+    """Pseudo-inverse; of each parameter in its own unit, or it would drop those that are told least in theirs."""
+    scale = np.sqrt(np.diag(information).clip(min=0.0))
+    scale[scale == 0.0] = 1.0
+    unscaled: Array = np.linalg.pinv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return unscaled
+
+
+def fit(
+    problem: Problem,
+    free: Sequence[Free],
+    start: Mapping[str, float],
+    log_q: Array,
+    only: Sequence[int] | None = None,
+    iterations: int = ITERATIONS,
+    goal: float = np.inf,
+    fair: int = FAIR,
+    reached: float = np.inf,
+) -> Fit:
+    """Move the free parameters and the process noise to the maximum of the posterior, from a start.
+
+    A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is;
+    above `reached`, an objective that some values of these parameters have, not while its pace would bring it there.
+    """
+    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, reached)
+
+
+class _Scoring:
+    """Fisher scoring with Levenberg's damping; θ is the free parameters, then ln q."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        free: tuple[Free, ...],
+        start: Mapping[str, float],
+        log_q: Array,
+        only: Sequence[int] | None,
+    ) -> None:
+        self.problem, self.free, self.only = problem, free, only
+        self.known = {**problem.values, **start}
+        nq = len(log_q)
+        self.low = np.array([f.low for f in free] + [*problem.noise.smallest])
+        self.high = np.array([f.high for f in free] + [*problem.noise.largest])
+        self.size = np.array([f.size for f in free] + [1.0] * nq)
+        self.difference = np.array([DIFFERENCE] * len(free) + [Q_DIFFERENCE] * nq) * self.size
+        self.theta = np.clip(np.array([*(self.known[f.name] for f in free), *log_q]), self.low, self.high)
+        self.damping = 1e-3
+
+    def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
+        """Iterate until the objective stops moving."""
+        self.scored = self._evaluate(self.theta)
+        done, converged, pace = 0, False, 0.0
+        information = np.zeros((len(self.theta),) * 2)
+        while done < iterations and not converged:
+            gradient, information = self._derivatives()
+            before = self._objective(self.theta, self.scored)
+            hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
+            if before > reached:  # far from the optimum, where the quadratic model says little
+                hope = max(hope, pace * (iterations - done))
+            if done >= fair and before - hope > goal:
+                break
+            pace = self._move(gradient, information)
+            converged = pace < CONVERGED
+            done += 1
+        values, log_q = self._unpack(self.theta)
+        return Fit(
+            values,
+            log_q,
+            self.free,
+            self.scored.by_log,
+            self._penalty(self.theta),
+            information / np.outer(self.size, self.size),
+            done,
+            converged,
+        )
+
+    def _unpack(self, theta: Array) -> tuple[dict[str, float], Array]:
+        n = len(self.free)
+        moved = {f.name: float(v) for f, v in zip(self.free, theta[:n], strict=True)}
+        return {**self.known, **moved}, theta[n:]
+
+    def _evaluate(self, theta: Array) -> Scored:
+        return self.problem.scored(*self._unpack(theta), self.only)
+
+    def _penalty(self, theta: Array) -> float:
+        pairs = zip(self.free, theta[: len(self.free)], strict=True)
+        return float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
+
+    def _objective(self, theta: Array, scored: Scored) -> float:
+        return scored.nll + self._penalty(theta)
+
+    def _derivatives(self) -> tuple[Array, Array]:
+        """Gradient and information, each parameter in units of its size."""
+        e, s = self.scored.errors, self.scored.variances
+        de, dls = np.empty((len(self.theta), len(e))), np.empty((len(self.theta), len(e)))
+        for i, h in enumerate(self.difference):
+            there = self.theta.copy()
+            h = h if there[i] + h <= self.high[i] else -h
+            there[i] += h
+            other = self._evaluate(there)
+            with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
+                de[i] = (other.errors - e) / h * self.size[i]
+                dls[i] = np.log(other.variances / s) / h * self.size[i]
+        de, dls = np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
+        gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
+        information = (de / s) @ de.T + 0.5 * dls @ dls.T
+        for i, f in enumerate(self.free):
+            if f.prior:
+                gradient[i] += f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
+                information[i, i] += (f.size / f.prior[1]) ** 2
+        return gradient, information
+
+    def _move(self, gradient: Array, information: Array) -> float:
+        """Take a damped step that improves, within the limits; the improvement, 0 where there is none."""
+        before = self._objective(self.theta, self.scored)
+        for _ in range(8):
+            # a parameter at a limit that would leave it does not take part
+            pinned = ((self.theta <= self.low) & (gradient > 0)) | ((self.theta >= self.high) & (gradient < 0))
+            rest = np.flatnonzero(~pinned)
+            F = information[np.ix_(rest, rest)]
+            step = np.zeros_like(self.theta)
+            step[rest] = -np.linalg.lstsq(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest], rcond=None)[0]
+            there = np.clip(self.theta + step * self.size, self.low, self.high)
+            scored = self._evaluate(there)
+            after = self._objective(there, scored)
+            if after < before:
+                self.theta, self.scored, self.damping = there, scored, max(self.damping / 5, 1e-6)
+                return before - after
+            self.damping *= 10
+        return 0.0

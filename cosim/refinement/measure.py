@@ -1,0 +1,196 @@
+"""The error of a model on logs: replays through the FMU over the model's horizon (2 s, or a free run), and their floor.
+
+Each replay starts from that model's own filtered state and effect memory, of past data only, at its first row's time.
+All horizons are measured through the FMU; the floor, which needs dozens of runs, through the kernel, which equals it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.kernel.interface import Data, Filtered
+from cosim.logs.log import Log
+from cosim.refinement.problem import Problem, as_data, start_covariance, start_state
+from cosim.refinement.variants import Variant
+from cosim.residuals.drive import Drive, StoppedReplay
+from cosim.residuals.statistics import FREE_RUN, pooled
+from cosim.residuals.windows import Replay, window_rows, windows
+from fmus.state import MEMORY, Memory
+from plant.model import Effect, Model, overrides
+
+FLOOR_SEED = 20121
+
+DRAWS = 20
+
+
+Evidence = list[tuple[Log, Replay]]
+
+
+def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
+    """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
+    layout = problem.layout
+    data = [as_data(model, log, layout.outputs) for log in logs]
+    x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
+    posed = replace(problem, logs=data, x0=x0)
+    return replace(posed, P0=start_covariance(model, posed))
+
+
+def replays(
+    variant: Variant, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
+) -> dict[float, Evidence]:
+    """Horizon → each log, its readings corrected, and its consecutive replays through the FMU.
+
+    The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
+    """
+    problem = filtering(problem, variant.model, logs)
+    own = variant.model.horizon
+    found: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
+    for index, log in enumerate(logs):
+        filtered = problem.run(variant.values, variant.log_q, index, states=True)
+        corrected = without_sensor_errors(log, variant)
+        with Drive(corrected, variant.fmu) as drive:
+            for horizon, evidence in found.items():
+                rows = first_rows(log, horizon)
+                given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
+                starts = {k: {**variant.parameters, **start} for k, start in given.items()}
+                memories = {k: _on_its_way(variant, log, problem.logs[index], k) for k in rows}
+                try:
+                    evidence.append((corrected, windows(drive, starts, horizon, memories)))
+                except StoppedReplay:
+                    if horizon == own:
+                        raise
+                    break  # a failed FMU is not called again
+    return found
+
+
+def first_rows(log: Log, horizon: float) -> list[int]:
+    """Where replays start; a free run is one, from the first row."""
+    return [0] if horizon == FREE_RUN else window_rows(log, horizon)
+
+
+def rmse(evidence: Evidence) -> dict[str, float]:
+    """Channel → RMSE pooled over the logs."""
+    return pooled(replay.errors(log) for log, replay in evidence)
+
+
+def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: int) -> dict[str, float]:
+    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart."""
+    layout = problem.layout
+    awake = {e.name for e in variant.model.awake}
+    start = {}
+    for name, value in zip(layout.states, filtered.states[row], strict=True):
+        if "." not in name or name.split(".")[0] in awake:
+            start[f"{name}_start"] = float(value)
+    k = 0
+    for effect in overrides(tuple(kind() for kind in variant.model.catalogue), "shape", Effect):
+        if effect.delay:  # see _on_its_way
+            continue
+        for q in effect.memory:
+            if effect.name in awake:
+                start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
+            k += 1
+    return start
+
+
+def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
+    """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
+    shaping = overrides(variant.model.awake, "shape", Effect)
+    found: dict[tuple[int, int], Any] = {}
+    for place, effect in enumerate(shaping):
+        if effect.delay:
+            row = int(log.grid[k])
+            late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
+            rows = range(max(0, math.floor(row - late)), row) or [row]
+            found[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return found
+
+
+def without_sensor_errors(log: Log, variant: Variant) -> Log:
+    """The log with its readings corrected for what the model knows of its sensors."""
+    outputs = dict(log.outputs)
+    for output, at_zero, gain in _lines(variant):
+        if output in outputs:
+            outputs[output] = (outputs[output] - at_zero) / gain
+    return replace(log, outputs=outputs)
+
+
+def _lines(variant: Variant) -> Iterator[tuple[str, float, float]]:
+    """Output, reading at zero and gain of each sensor error, the last to act first; readings are straight lines."""
+    for kind in reversed(variant.model.sensors):
+        sensor = kind(value=variant.values[f"{kind.name}.value"])
+        yield kind.output, sensor.measure(0.0), sensor.measure(1.0) - sensor.measure(0.0)
+
+
+def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
+    problem = filtering(problem, variant.model, logs)
+    runs = (problem.run(variant.values, variant.log_q, index, states=True) for index in range(len(logs)))
+    missed = [_missed(variant, problem, *each) for each in zip(logs, problem.logs, runs, strict=True)]
+    return _root_mean_squares(problem, missed)
+
+
+def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
+    """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
+    problem = filtering(problem, variant.model, logs)
+    layout = problem.layout
+    p = problem.numbers(variant.values)
+    missed = []
+    noisy = layout.forced_places
+    q = np.zeros(len(layout.stochastic))
+    q[list(layout.noisy)] = np.exp(variant.log_q)
+    for index, log in enumerate(logs):
+        data = problem.logs[index]
+        first = problem.run(variant.values, variant.log_q, index, states=True)
+        for _ in range(-(-DRAWS // len(logs))):
+            kicks = np.zeros((len(data.u), len(layout.states)))
+            kicks[:, noisy] = rng.standard_normal((len(data.u), len(noisy))) * np.sqrt(
+                np.exp(variant.log_q) * data.step
+            )
+            truth = problem.kernel.simulate(data, p, first.states[0], np.zeros(layout.memory), kicks)
+            sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
+            drawn = replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
+            seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
+            missed.append(_missed(variant, problem, log, drawn, seen))
+    return _root_mean_squares(problem, missed)
+
+
+def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:
+    """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
+
+    Each starts from the state that the filter knew by then.
+    """
+    horizon = variant.model.horizon
+    length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+    rows = log.grid[first_rows(log, horizon)].tolist()
+    gains = dict.fromkeys(problem.layout.outputs, 1.0)
+    for output, _, gain in _lines(variant):
+        if output in gains:
+            gains[output] *= gain
+    readings = data.y - _predicted(problem, data, problem.numbers(variant.values), seen, rows, length)
+    return np.asarray(readings / np.array(list(gains.values())))
+
+
+def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
+    whole = np.vstack(missed)
+    sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
+    return {
+        name: float(np.sqrt(s / c)) if c else float("nan")
+        for name, s, c in zip(problem.layout.outputs, sums, counts, strict=True)
+    }
+
+
+def _predicted(problem: Problem, data: Data, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
+    """Outputs of replays as the kernel runs them; NaN where none predicts."""
+    predicted = np.full(data.y.shape, np.nan)
+    for k in rows:
+        end = min(k + length, len(data.u) - 1)
+        part = replace(data, u=data.u[: end + 1], y=data.y[: end + 1])
+        run = problem.kernel.simulate(part, p, seen.states[k], seen.memory[k], first=k)
+        predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
+    return predicted

@@ -1,0 +1,195 @@
+"""The acceleration a model lacks, row by row, and what a hypothesis puts in its place.
+
+Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, each
+forced equation gets an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) finds it:
+    δ⁺ = F·δ + (f(x̄) − x̄⁺) + h·d      d⁺ = φ·d + w      y − g(x̄) = C·δ + v
+d forgets itself within MEMORY; its variance is that which makes it as large as the process noise the base fit found.
+Claimed: a step of the model with the hypothesis less a step of the model without, over the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.refinement.fit import DIFFERENCE, Fit
+from cosim.refinement.problem import SKIPPED, Problem
+
+MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
+LEAST_LOG_Q = -9.0  # d may be this large even where the fit found nothing: a few mN on the craft
+STATE_LOG_Q = -16.0  # what else moves the forced states
+MOST_ROWS = 3000  # of a log, smoothed
+LOGS = 2  # the first of a study, looked at
+NUDGE = 1e-4  # of a state, for differences; steps are smooth on this scale
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Rows of one log: d and its standard deviation per forced equation, in the state's unit per second."""
+
+    time: Array
+    equations: tuple[str, ...]
+    value: Array
+    sigma: Array
+    states: Array  # filtered by the base fit, all of the kernel's
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """A set of values and process noise with which the kernel filters a log."""
+
+    values: Mapping[str, float]
+    log_q: Array
+
+
+class Steps:
+    """Single steps of the kernel from any row of a log."""
+
+    def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
+        self.kernel, self.data = problem.kernel, problem.logs[index]
+        layout = problem.layout
+        self.p = problem.numbers({**problem.values, **values})
+        late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
+        self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
+
+    def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
+        """The state at the next row, and the outputs at this one."""
+        d = self.data
+        back = min(row, self.back)
+        first = row - back
+        part = replace(d, start=d.start + first * d.step, u=d.u[first : row + 2], y=d.y[first : row + 2])
+        run = self.kernel.simulate(part, self.p, state, memory, first=back)
+        return run.states[back + 1], run.outputs[back]
+
+
+def missing(problem: Problem, base: Filter, index: int) -> Missing:
+    """Smooth the input that the base fit lacks on a log."""
+    layout, data = problem.layout, problem.logs[index]
+    equations = layout.forced
+    log_q = np.maximum(base.log_q, LEAST_LOG_Q)
+    run = problem.run({**problem.values, **base.values}, log_q, index, states=True)
+    rows = min(len(data.u), MOST_ROWS)
+    model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
+    value, sigma = _smooth(problem, model, np.exp(log_q), data.step, data.y[:rows])
+    kept = slice(min(round(SKIPPED / data.step), rows - 1), rows - 1)
+    time = data.start + data.step * np.arange(rows, dtype=np.float64)
+    return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+
+
+def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
+    """What the claim adds to each forced equation at the rows of `missing`.
+
+    Both steps start from the refined estimate of what is measured, each from its own of what is not (tilts, memory).
+    """
+    layout, data = problem.layout, problem.logs[index]
+    runs = [problem.run({**problem.values, **f.values}, f.log_q, index, states=True) for f in (base, after)]
+    without, with_it = (Steps(problem, index, f.values) for f in (base, after))
+    shared, forced = list(layout.stochastic), layout.forced_places
+    rows = min(len(data.u), MOST_ROWS)
+    found = np.full((rows, len(forced)), np.nan)
+    for k in range(rows - 1):
+        here = runs[0].states[k].copy()
+        here[shared] = runs[1].states[k][shared]
+        plain = without.step(k, here, runs[0].memory[k])[0]
+        fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
+        found[k] = (fuller - plain)[forced] / data.step
+    return found[min(round(SKIPPED / data.step), rows - 1) : rows - 1]
+
+
+def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
+    """A term in one equation at the size at which it takes away most of what is lacking there.
+
+    What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
+    that points the other way takes away nothing.
+    """
+    here, rows = Filter(at.values, at.log_q), []
+    for f in at.free:
+        if f.prior is None:
+            step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
+            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.log_q)
+            rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
+    if rows and np.isfinite(rows).all() and np.isfinite(term).all():
+        basis = np.array(rows).T
+        term = term - basis @ np.linalg.lstsq(basis, term, rcond=None)[0]
+    power = float(term @ term)
+    return np.asarray(max(0.0, float(lacking @ term) / power) * term if power > 0.0 else term)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """δ⁺ = F·δ + b, y − g = C·δ about the filtered states; one row less than the log for F and b."""
+
+    F: Array
+    b: Array
+    C: Array
+    g: Array
+
+
+def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int) -> _Linear:
+    """Differences of single steps, for the states that noise reaches."""
+    reached = list(problem.layout.stochastic)
+    size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), 0.1)
+    n, ny = len(reached), problem.logs[0].y.shape[1]
+    F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
+    b, g = np.zeros((rows, n)), np.zeros((rows, ny))
+    for k in range(rows - 1):
+        ahead, g[k] = steps.step(k, states[k], memory[k])
+        b[k] = ahead[reached] - states[k + 1, reached]
+        for j, state in enumerate(reached):
+            moved = states[k].copy()
+            moved[state] += size[j]
+            there, seen = steps.step(k, moved, memory[k])
+            F[k, :, j] = (there - ahead)[reached] / size[j]
+            C[k, :, j] = (seen - g[k]) / size[j]
+    return _Linear(F, b, C, g)
+
+
+def _smooth(problem: Problem, model: _Linear, q: Array, h: float, y: Array) -> tuple[Array, Array]:
+    """Forward filter and backward smoother of (δ, d); d and its standard deviation."""
+    layout = problem.layout
+    n, m, rows = model.F.shape[1], len(layout.noisy), len(y)
+    places = list(layout.noisy)
+    phi, variance = np.exp(-h / MEMORY), q / (2.0 * MEMORY)  # white noise of density q, as seen at low frequency
+    x, P = np.zeros(n + m), np.zeros((n + m, n + m))
+    P[:n, :n], P[n:, n:] = problem.P0, np.diag(variance)
+    Q = np.zeros_like(P)
+    Q[places, places] = np.exp(STATE_LOG_Q) * h
+    Q[n:, n:] = np.diag(variance * (1.0 - phi * phi))
+    ahead, spread = np.zeros((rows, n + m)), np.zeros((rows, n + m, n + m))
+    after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
+    moves = np.zeros_like(spread)
+    for k in range(rows - 1):
+        ahead[k], spread[k] = x, P
+        x, P = _take(x, P, model.C[k], y[k] - model.g[k], problem.r)
+        after[k], spread_after[k] = x, P
+        A = moves[k]
+        A[:n, :n], A[n:, n:] = model.F[k], phi * np.eye(m)
+        A[places, range(n, n + m)] = h
+        x, P = A @ x, A @ P @ A.T + Q
+        x[:n] += model.b[k]
+    last = rows - 2
+    for k in range(last - 1, -1, -1):
+        gain = np.linalg.solve(spread[k + 1], moves[k] @ spread_after[k]).T
+        after[k] += gain @ (after[k + 1] - ahead[k + 1])
+        spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
+    deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, n:], 0.0))
+    return after[:, n:], deviation
+
+
+def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
+    """Condition on the measurements of a row that are there."""
+    wide = np.zeros((len(e), len(x)))
+    wide[:, : C.shape[1]] = C
+    seen = np.isfinite(e)
+    if not seen.any():
+        return x, P
+    H = wide[seen]
+    S = H @ P @ H.T + np.diag(r[seen])
+    K = np.linalg.solve(S, H @ P).T
+    x = x + K @ (e[seen] - H @ x)
+    P = P - K @ H @ P
+    return x, 0.5 * (P + P.T)

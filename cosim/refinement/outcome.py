@@ -1,0 +1,30 @@
+"""What a study came to, with all that a report shows of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.refinement.hypotheses import Attribution
+from cosim.refinement.measure import Evidence
+from cosim.refinement.problem import Problem
+from cosim.refinement.record import Part
+from cosim.refinement.study import Study
+from cosim.refinement.variants import Variant
+from cosim.refinement.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What a study came to, with all that a report shows of it."""
+
+    study: Study
+    attribution: Attribution
+    verdict: Verdict
+    record: Mapping[str, Any]
+    folder: Path
+    problem: Problem
+    variants: Mapping[str, Variant]
+    evidence: Mapping[str, Mapping[Part, Evidence]]  # before, recalibrated, after → estimation, validation

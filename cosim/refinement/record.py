@@ -1,0 +1,226 @@
+"""refine.json: what a study came to, for other programs. The schema beside this file says the same in JSON's words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic.json_schema import GenerateJsonSchema
+
+from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.sentences import CI95
+from cosim.refinement.verdict import Name, Verdict
+from cosim.residuals.statistics import FREE_RUN
+from cosim.version import __version__
+from plant.model import Model
+from plant.quantities import parameters_of
+
+SCHEMA = Path(__file__).with_name("refine.schema.json")
+OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Likelihood = Annotated[  # null where the filter diverged
+    Finite | None,
+    BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None),
+]
+Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
+Part = Literal["estimation", "validation"]
+Parts = dict[Part, Channels]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class Estimate(_Entry):
+    """An estimated parameter."""
+
+    value: Finite
+    unit: str
+    ci95: tuple[Finite, Finite] = Field(description="bounds of the 95 % confidence interval")
+
+
+class EffectEntry(_Entry):
+    """An effect, sensor error or base parameter that is claimed."""
+
+    name: str = Field(description="as in the catalogue; a base parameter by its own name")
+    parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
+
+
+class CandidateEntry(_Entry):
+    """A hypothesis that was tried."""
+
+    names: list[str] = Field(description="effects, sensor errors and base parameters it adds; none: the base model")
+    log_likelihood_gain: Likelihood = Field(
+        description="log-likelihood gained on the base model; null where it diverged"
+    )
+    score_gain: Likelihood = Field(
+        description="the same less the penalty of the base parameters' priors, less ½ ln N for each parameter added "
+        "(half of BIC)"
+    )
+    fitted: bool = Field(description="false: a score test promised too little for a fit; the figures are what it says")
+    parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
+    why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
+
+
+class ProcessNoise(_Entry):
+    """Process noise density of one state's equation, in the state's unit squared per second."""
+
+    model_config = ConfigDict(extra="allow")
+
+    before: Finite = Field(description="estimated with the base model")
+    after: Finite = Field(description="estimated with the best hypothesis")
+    inflated: bool = Field(description="still above what counts as none: the equation is deficient")
+    gain: Likelihood = Field(
+        description="log-likelihood that the noise of this equation gains with the best hypothesis"
+    )
+
+
+class NamelessTerm(_Entry):
+    """A term of no catalogue that would explain more: coefficient · basis of one signal in one state's equation."""
+
+    model_config = ConfigDict(extra="allow")
+
+    equation: str = Field(description="the state")
+    signal: str = Field(description="the basis, such as `vx·|vx|` or `command tilt_right`; `1`: a constant")
+    gain: Finite = Field(description="log-likelihood it promises")
+    coefficient: Finite = Field(
+        description="in the state's unit per second, per unit of the basis; no estimate, only the first step of a fit"
+    )
+
+
+class Residual(_Entry):
+    """Where the misfit sits and on what it depends, also when nothing in the catalogue fits."""
+
+    model_config = ConfigDict(extra="allow")
+
+    equation: str | None = Field(description="the state whose equation is deficient; null where none is")
+    signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
+    share: Finite | None = Field(
+        description="of the mean square of the input that equation lacks, as a smoother finds it beside the best "
+        "hypothesis on the first two logs, what the first of `terms` at its best size takes away beyond what that "
+        "hypothesis' own parameters could, 0 … 1; null without a term"
+    )
+    process_noise: dict[str, ProcessNoise] = Field(description="state → process noise")
+    terms: list[NamelessTerm] = Field(
+        description="most promising first; of those that the logs do not tell apart the simplest"
+    )
+
+
+class Errors(_Entry):
+    """Root mean square of measured − model over replays through the FMU, pooled over the logs of each set.
+
+    Each replay starts from that model's own filtered state and effect memory, of past data only. A channel that is
+    not predicted at all (a log too short for one replay) is left out.
+    """
+
+    before: Parts = Field(description="the model named in the study")
+    recalibrated: Parts = Field(description="that model with its base parameters adjusted")
+    after: Parts = Field(description="model.yaml")
+
+
+class Record(_Entry):
+    """What `cosim refine` found in a study."""
+
+    model_config = ConfigDict(title="refine.json")
+
+    schema_version: Literal[1] = 1
+    cosim_version: str = __version__
+    study: str = Field(description="path of the study")
+    verdict: Name
+    sentence: str = Field(description="the verdict in plain words")
+    effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
+    rivals: list[str] = Field(description="names the data cannot tell apart, where the verdict is `ambiguous`")
+    experiment: str = Field(description="the input that would tell rivals apart, else empty")
+    nearest: list[str] = Field(description="what comes closest, where the verdict is `unexplained`")
+    candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
+    hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
+    measured: list[str] = Field(description="outputs that some estimation log holds")
+    sensor_noise: Channels = Field(
+        description="standard deviation of the noise of each output in `measured`, as it was taken"
+    )
+    warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
+    residual: Residual
+    horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")
+    error: Errors
+    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(description="as `error`, over other horizons")
+    noise_floor: Channels = Field(
+        description="as `error.after`, of the refined model against itself, simulated with the estimated process and "
+        "sensor noise; on the validation logs where there are any"
+    )
+    noise_floors: Parts = Field(description="the same for each set of logs")
+    held_out_gain: Likelihood = Field(
+        description="log-likelihood that the claim gains on each log, as the other logs have it"
+    )
+    seconds: Finite = Field(description="time it took")
+
+
+class _Untitled(GenerateJsonSchema):
+    """Without a title for each key, which would only repeat it."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema, draft 2020-12; refine.schema.json holds it."""
+    body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
+
+
+def known(channels: Mapping[str, float]) -> dict[str, float]:
+    """Figures of the channels that were predicted at all: a log too short for one replay gives none."""
+    return {name: value for name, value in channels.items() if math.isfinite(value)}
+
+
+def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
+    """What was added, most important first: that whose loss alone would cost most."""
+    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
+    units |= {p.name: p.unit for p in model.parameters}
+    alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
+
+    def estimate(name: str) -> Estimate:
+        value, half = float(claimed.fit.values[name]), float(CI95 * claimed.fit.sigma(name))
+        return Estimate(value=value, unit=units[name], ci95=(value - half, value + half))
+
+    return [
+        EffectEntry(name=c.name, parameters={n.partition(".")[2] or "value": estimate(n) for n in c.parameters})
+        for c in sorted(claimed.candidates, key=lambda c: alone.get((c.name,), math.inf))
+    ]
+
+
+def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:
+    """Every hypothesis tried, best first, with its scores and why it lost."""
+    return [
+        CandidateEntry(
+            names=list(h.names),
+            log_likelihood_gain=a.base.fit.nll - h.fit.nll,
+            score_gain=a.base.score - h.score,
+            fitted=h.fit.iterations > 0,
+            parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
+            why=_why(a, h, verdict),
+        )
+        for h in a.tried
+    ]
+
+
+def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
+    if verdict.claimed is not None and h.names == verdict.claimed.names:
+        return "claimed"
+    if h.names != a.best.names:
+        return a.reasons[h.names]
+    return "nearest, but disputed" if verdict.name == "unexplained" else "fits best, but the logs excite too little"
+
+
+def residual(verdict: Verdict) -> Residual:
+    """The verdict's own account, checked."""
+    return Residual.model_validate(verdict.residual)
+
+
+if __name__ == "__main__":  # python -m cosim.refine.record > cosim/refine/refine.schema.json
+    import json
+
+    print(json.dumps(schema(), indent=2, ensure_ascii=False))

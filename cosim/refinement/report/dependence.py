@@ -1,0 +1,143 @@
+"""What a missing acceleration may depend on: signals of a log, and the choice of the one to draw it against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from cosim.arrays import Array, Rows
+from cosim.kernel.nameless import bases
+from cosim.refinement.missing import Missing
+from cosim.refinement.problem import Problem
+from plant.model import Model
+from plant.symbolic.symbols import symbolic
+
+BINS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A signal at the rows of some logs, one after the other."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+def signals(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Signal]:
+    """Time, states that are filtered, commands, their rates, sums and differences, products of velocities.
+
+    parts: index of a log in the problem, and what was smoothed of it
+    """
+    names = problem.layout.states
+    time = np.concatenate([m.time for _, m in parts])
+    states = np.vstack([m.states for _, m in parts])
+    found = [Signal("time", "s", time)]
+    base = [q for q in model.base_states if q.name in names]
+    reached = {names[k] for k in problem.layout.stochastic}
+    for q in base:
+        if q.name in reached:
+            found.append(Signal(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
+    speeds = [s for s in found if s.unit in {"m/s", "rad/s"}]
+    products = [
+        Signal(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
+        for a, b in combinations(speeds, 2)
+        if a.unit != b.unit
+    ]
+    return {s.name: s for s in (*found, *products, *_commands(model, problem, parts))}
+
+
+def _turned(values: Array, unit: str) -> Array:
+    """Headings of several turns brought into one."""
+    return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
+
+
+def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Signal]:
+    """Commands that move, and of two of one unit the mean and the half difference, each with its rate."""
+    columns, rates = [], []
+    for index, m in parts:
+        data = problem.logs[index]
+        first = round((m.time[0] - data.start) / data.step)
+        chosen = slice(first, first + len(m.time))
+        columns.append(data.u[chosen])
+        rates.append(np.gradient(data.u, data.step, axis=0)[chosen])
+    u, du = np.vstack(columns), np.vstack(rates)
+    plain = [
+        (f"command {q.name}", q.unit, u[:, k], du[:, k]) for k, q in enumerate(model.inputs) if np.ptp(u[:, k]) > 0
+    ]
+    pairs = []
+    for (i, a), (j, b) in combinations(enumerate(model.inputs), 2):
+        if a.unit == b.unit and np.ptp(u[:, i]) > 0 and np.ptp(u[:, j]) > 0:
+            for word, sign in (("mean", 0.5), ("half difference", -0.5)):
+                name = f"{word} of commands {a.name}, {b.name}"
+                pairs.append((name, a.unit, 0.5 * u[:, i] + sign * u[:, j], 0.5 * du[:, i] + sign * du[:, j]))
+    both = [*plain, *pairs]
+    return [Signal(n, unit, v) for n, unit, v, _ in both] + [
+        Signal(f"rate of {n}", f"{unit}/s", dv) for n, unit, _, dv in both
+    ]
+
+
+def explained(values: Array, by: Array) -> float:
+    """Share of the variance of `values` between bins of `by`: 1 where it is a function of it."""
+    good = np.isfinite(values) & np.isfinite(by)
+    v, x = values[good], by[good]
+    total = float(v.var()) if v.size else 0.0
+    if total == 0.0 or np.ptp(x) == 0.0:
+        return 0.0
+    within = sum(float(v[rows].var()) * rows.size for rows in bins(x, BINS))
+    return 1.0 - within / (total * v.size)
+
+
+def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
+    """Rows in each of `count` equal stretches of x; neighbours that hold fewer than `least` rows are joined."""
+    low, high = float(x.min()), float(x.max())
+    places = np.minimum((count * (x - low) / (high - low or 1.0)).astype(int), count - 1)
+    found: list[Rows] = []
+    waiting = np.zeros(0, dtype=np.intp)
+    for k in range(count):
+        waiting = np.concatenate((waiting, np.flatnonzero(places == k)))
+        if waiting.size >= least:
+            found.append(waiting)
+            waiting = waiting[:0]
+    if waiting.size:  # the last ones, too few to stand alone
+        found[-1:] = [np.concatenate((*found[-1:], waiting))]
+    return found
+
+
+def choose(known: Mapping[str, Signal], suggested: Sequence[str], values: Array) -> Signal:
+    """The signal of which `values` are most nearly a function, among those that the form of a term suggests."""
+    names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
+    return known[max(names, key=lambda n: explained(values, known[n].values))]
+
+
+def nameless(
+    model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]], signal: str, coefficient: float
+) -> tuple[Signal, Array] | None:
+    """The signal that a term without a name depends on, and the term at the rows of some logs."""
+    import sympy
+
+    s = symbolic(model)
+    basis = bases(s).get(signal)
+    if basis is None:
+        return None
+    symbols = [s.time, *s.state[: len(model.base_states)], *s.command]
+    called = ["time", *(q.name for q in model.base_states), *(f"command {q.name}" for q in model.inputs)]
+    evaluate = sympy.lambdify(symbols, basis, "numpy")
+    units = ["s", *(q.unit for q in model.base_states), *(q.unit for q in model.inputs)]
+    unit_of = dict(zip(called, units, strict=True))
+    columns: dict[str, list[Array]] = {name: [] for name in called}
+    names, found = problem.layout.states, []
+    for index, m in parts:
+        data = problem.logs[index]
+        first = round((m.time[0] - data.start) / data.step)
+        u = data.u[first : first + len(m.time)]
+        x = [m.states[:, names.index(q.name)] for q in model.base_states]
+        found.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
+        for name, column in zip(called, (m.time, *x, *u.T), strict=True):
+            columns[name].append(column)
+    free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols]
+    chosen = free[0] if free else "time"
+    return Signal(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(found)

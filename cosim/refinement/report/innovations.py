@@ -1,0 +1,99 @@
+"""What the filter did not expect, before and after: the innovations and their autocorrelation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.problem import SKIPPED
+from cosim.refinement.report.plots import POINTS, side_by_side
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import Plot, make_plot, time_axis
+from cosim.residuals.lags import neighbours, over_lag, stem_rows, stems
+from cosim.residuals.statistics import Whiteness, lags_of, rmse, whiteness
+from cosim.text import MISSING, plain
+
+STEMS = 50  # of an autocorrelation
+SURE = -16.0  # ln q of a filter that trusts its equations
+STYLES = ("s1", "true")
+
+
+@dataclass(frozen=True)
+class WhitenessRow:
+    """Innovations of a channel in numbers, before and after."""
+
+    channel: str
+    size: tuple[str, str]
+    neighbours: tuple[str, str]
+    white: tuple[str, str]
+    tells: bool
+    plots: tuple[Plot, ...]
+
+
+def modes(r: Refinement) -> tuple[str, str]:
+    """What is compared: two models in one filter, or one model in two filters."""
+    return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
+
+
+def innovations(r: Refinement) -> list[WhitenessRow]:
+    """One-step errors over what the filter expects, channel by channel in the order of the logs."""
+    after, logs = r.variants["after"], range(len(r.problem.logs))
+    pair = [(after, np.full(len(after.log_q), SURE)), (after, after.log_q)]
+    if r.verdict.claimed:
+        pair[0] = (r.variants["before"], after.log_q)
+    both = [[_innovations(r, dict(v.values), q, k) for k in logs] for v, q in pair]
+    outputs = r.problem.layout.outputs
+    ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
+    return [_channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both]) for name in ordered]
+
+
+def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> WhitenessRow:
+    first, names = r.problem.logs[0], modes(r)
+    lags = lags_of(min(len(part) for part in both[0]), first.step)
+    tests = [whiteness(_joined(parts, lags), lags) for parts in both]
+    time = (first.start + first.step * np.arange(len(first.y), dtype=np.float64))[-len(both[0][0]) :]
+    traces = [Trace(n, parts[0], s) for n, parts, s in zip(names, both, STYLES, strict=True)]
+    edge = np.full(time.size, 1.96)
+    panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
+    plots = (make_plot(panel, time, time_axis(time), limit=POINTS), _autocorrelation(channel, tests, names, first.step))
+    return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
+
+
+def _innovations(r: Refinement, values: dict[str, float], log_q: Array, index: int) -> Array:
+    run = r.problem.run({**r.problem.values, **values}, log_q, index)
+    first = min(round(SKIPPED / r.problem.logs[index].step), max(0, len(run.errors) - 2))
+    scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
+    return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
+
+
+def _joined(parts: Sequence[Array], lags: int) -> Array:
+    """Logs one after the other, so far apart that no lag reaches from one into the next."""
+    gap = np.full(lags + 1, np.nan)
+    return np.concatenate([piece for part in parts for piece in (part, gap)])
+
+
+def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], step: float) -> Plot:
+    """Two stems side by side at each lag."""
+    rows = stem_rows(tests[0], STEMS)
+    every = int(rows[1] - rows[0]) if rows.size > 1 else 1
+    shifts = (-0.16 * every, 0.16 * every)
+    pieces = [stems(test.rho, rows, step, shift) for shift, test in zip(shifts, tests, strict=True)]
+    edge = step * np.array([rows[0] - 0.5 * every, rows[-1] + 0.5 * every])
+    width = tests[1].band if np.isfinite(tests[1].band) else 0.0
+    x, columns = side_by_side([(edge, np.zeros(2)), *pieces])
+    traces = [Trace(n, v, s) for n, v, s in zip(names, columns[1:], ("s1 solid", "true"), strict=True)]
+    band = Band("95 % band if white", *(np.where(np.arange(x.size) < 2, s * width, np.nan) for s in (-1, 1)))
+    panel = Panel(f"Autocorrelation of {channel}", "1", traces, band)
+    return over_lag(panel, x)
+
+
+def _row(channel: str, parts: Sequence[Array], tests: Sequence[Whiteness], plots: tuple[Plot, ...]) -> WhitenessRow:
+    size = [plain(rmse(p), 2) for p in parts]
+    rho = [neighbours(t) for t in tests]
+    white = [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests]
+    tells = not all(t.white for t in tests)
+    return WhitenessRow(channel, (size[0], size[1]), (rho[0], rho[1]), (white[0], white[1]), tells, plots)

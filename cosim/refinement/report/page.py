@@ -1,0 +1,229 @@
+"""The page about a refine: what was missing, how that is known, and what it brought."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.files import atomic_write
+from cosim.logs.log import Log
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.report.errors import error_tables, horizon, horizon_table, second_sentence
+from cosim.refinement.report.innovations import innovations, modes
+from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs
+from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
+from cosim.refinement.report.terms import Shown, shown
+from cosim.report.tables import Badge, Row
+from cosim.report.template import render
+from cosim.text import MISSING, counted, percent, plain
+from cosim.version import __version__
+
+TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
+TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
+    "effect_found": ("effect found", "good"),
+    "parameter_error": ("wrong parameter", "good"),
+    "sensor_error": ("sensor error", "good"),
+    "no_effect": ("nothing missing", "good"),
+    "ambiguous": ("ambiguous", "warn"),
+    "unexplained": ("unexplained", "warn"),
+}
+
+
+def write_refine_report(path: Path, r: Refinement) -> None:
+    """Write one self-contained HTML page about a refine."""
+    page = render(TEMPLATE, context(r))
+    with atomic_write(path) as stream:
+        stream.write(page)
+
+
+def context(r: Refinement) -> Mapping[str, Any]:
+    """Everything the template names."""
+    white = innovations(r)
+    singles, more, pairs = ranked(r)
+    claimed = r.verdict.claimed is not None
+    return {
+        "name": f"Study {r.study.path.resolve().parent.name}",
+        "description": f"{r.study.loaded.model.title}: what measured logs say the model lacks.",
+        "sentence": r.record["sentence"],
+        "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
+        "second": second_sentence(r),
+        "badges": _badges(r),
+        "claimed": claimed,
+        "rivals": _rivals(r),
+        "warnings": r.record["warnings"],
+        "tables": error_tables(r),
+        "horizons": horizon_table(r),
+        "horizon": horizon(r),
+        "windowed": horizon(r) != "a whole run",
+        "terms": [_term(s) for s in shown(r)],
+        "term_lead": _term_lead(r),
+        "runs": runs(r),
+        "whiteness": white,
+        "coloured": [w for w in white if w.tells] or white,
+        "quiet": [w for w in white if not w.tells] if any(w.tells for w in white) else [],
+        "modes": modes(r),
+        "innovation_lead": _innovation_lead(claimed),
+        "singles": singles,
+        "more": more,
+        "pairs": pairs[:SHOWN_PAIRS],
+        "pairs_count": len(pairs),
+        "pairs_open": claimed and len(r.verdict.claimed.candidates) > 1 if r.verdict.claimed else False,
+        "ranking_lead": _ranking_lead(r),
+        "parameters": parameter_tables(r),
+        "noise": noise_rows(r),
+        "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
+        "use": shlex.join(["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={_fmu(r)}"]),
+        "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
+        "provenance": _provenance(r),
+        "version": __version__,
+    }
+
+
+# -- sentences --------------------------------------------------------------------------------
+
+
+def _badges(r: Refinement) -> list[Badge]:
+    text, tone = TITLES.get(r.verdict.name, (r.verdict.name, "plain"))
+    sealed = len(r.evidence["before"].get("validation", ()))
+    seconds = sum(float(log.time[-1] - log.time[0]) for log in r.study.logs)
+    return [
+        Badge(text, tone),
+        Badge(f"{counted(len(r.study.logs), 'log')} learnt from, {plain(seconds)} s"),
+        Badge(f"{counted(sealed, 'log')} sealed" if sealed else "no log sealed", "plain" if sealed else "warn"),
+        Badge(_tried(r)),
+        Badge(f"{r.record['seconds']:.0f} s of work"),
+    ]
+
+
+def _tried(r: Refinement) -> str:
+    """How many hypotheses, and how many of them only by a score test."""
+    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
+    screened = len(r.record["candidates"]) - fitted
+    return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
+
+
+def _rivals(r: Refinement) -> str:
+    """What would settle an open question."""
+    if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
+        return (
+            f"Would not have shown in these logs, present or not: {', '.join(r.verdict.rivals)}. "
+            f"What would show them: {r.verdict.experiment}. Nothing is claimed, and the model is left as it was."
+        )
+    if r.verdict.name == "ambiguous":
+        return (
+            f"Rivals: {', '.join(r.verdict.rivals)}. What would tell them apart: {r.verdict.experiment}. "
+            "Until then the refined model holds the one that fits best, and predicts these runs as well as any of them."
+        )
+    if r.verdict.name == "unexplained" and r.verdict.rivals:
+        verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
+        return (
+            f"{' and '.join(r.verdict.rivals)} {verb} not claimed: what is left still depends on a "
+            "signal, or it does not hold on a log that was not fitted. The model is left as it was."
+        )
+    return ""
+
+
+def _term_lead(r: Refinement) -> str:
+    if r.verdict.name == "sensor_error":
+        return "Each reading less what the refined model says is there, and over it what the sensor error makes of it."
+    way = (
+        "The data speak for themselves here: a smoother finds the input that an equation lacks, row by row, "
+        "knowing nothing of the claim. "
+    )
+    if r.verdict.claimed:
+        return way + "Over it, what the claimed term adds: a step of the model with it less a step without."
+    beside = f" beside {' and '.join(r.verdict.rivals)}, the nearest" if r.verdict.rivals else ""
+    return f"{way}Over what is left{beside}: the term without a name that promises most, if one does."
+
+
+def _term(s: Shown) -> Mapping[str, Any]:
+    return {
+        "title": s.effect or s.where,
+        "sentence": _term_sentence(s),
+        "against": against_signal(s),
+        "label": axis_label(s),
+        "time": over_time(s),
+    }
+
+
+def _term_sentence(s: Shown) -> str:
+    """How well the claim takes away what is missing, in numbers."""
+    what = s.what
+    if s.term is None:
+        return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
+    who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
+    text = f"Of the mean square {what}, {who} takes away {percent(min(1.0, max(0.0, s.share)))}"
+    if s.kind == "sensor":
+        return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
+    if math.isfinite(s.correlation):
+        text += f"; row by row the two correlate by {plain(s.correlation, 3)}"
+    return f"{text} ({rows_shown(s)})."
+
+
+def _innovation_lead(claimed: bool) -> str:
+    way = (
+        "An innovation is what a reading tells that the filter did not expect one step before, over its expected "
+        "size; a complete model leaves white noise of size 1. "
+    )
+    if claimed:
+        return way + "One filter, tuned to the refined model, ran on the model before and on the refined one."
+    return (
+        way
+        + "The model ran in a filter that trusts its equations, and in one that allows for the disturbance it found."
+    )
+
+
+def _ranking_lead(r: Refinement) -> str:
+    gain = r.record["held_out_gain"]
+    lead = (
+        "Candidates were fitted with the base parameters and the process noise free, but for those of which a score "
+        "test promised too little. The score is the log-likelihood gained on the base model and on the priors of its "
+        "parameters, less ½ ln N for each parameter added."
+    )
+    if r.verdict.claimed is not None and len(r.study.logs) > 1:
+        lead += f" On each log, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
+    return lead
+
+
+# -- provenance -------------------------------------------------------------------------------
+
+
+def _provenance(r: Refinement) -> list[Row]:
+    study = r.study
+    rows = [Row("Study", str(study.path)), Row("Model", study.loaded.source, study.content.model)]
+    rows += [_log_row("Estimation log", log) for log in study.logs]
+    rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
+    for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
+        file = r.folder / name
+        rows.append(Row(what, str(file), _digest(file)))
+    if study.loaded.sensors or any(c.kind == "sensor" for c in _parts(r)):
+        rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
+    return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
+
+
+def _fmu(r: Refinement) -> Path:
+    """In full: a scenario's paths are seen from the scenario."""
+    return (r.folder / "plant.fmu").resolve()
+
+
+def _parts(r: Refinement) -> Sequence[Any]:
+    return r.verdict.claimed.candidates if r.verdict.claimed else ()
+
+
+def _log_row(label: str, log: Log) -> Row:
+    holes = f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s, measures {', '.join(log.outputs)}"
+    return Row(label, str(log.path), f"{holes}\n{_digest(log.path)}")
+
+
+def _digest(path: Path) -> str:
+    if not path.is_file():
+        return MISSING
+    with path.open("rb") as stream:
+        return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}…"

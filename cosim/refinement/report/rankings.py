@@ -1,0 +1,214 @@
+"""What was tried, what came out, and which equation was deficient, as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.refinement.candidates import Candidate, Free
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.sentences import CI95
+from cosim.text import display, plain, pretty
+from plant.quantities import parameters_of
+
+SHOWN_SINGLES = 8
+SHOWN_PAIRS = 15
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A hypothesis of the ranking."""
+
+    names: str
+    gain: str
+    width: float
+    fitted: str
+    why: str
+    claimed: bool
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """An estimate with its interval, and where it lies between neutral and its bounds."""
+
+    name: str
+    neutral: str
+    value: str
+    interval: str
+    bounds: str
+    at_neutral: float
+    at_low: float
+    wide: float
+    at_value: float
+
+
+@dataclass(frozen=True)
+class ParameterTable:
+    """Parameters of one kind; `first` heads the value they are compared with."""
+
+    title: str
+    note: str
+    first: str
+    rows: tuple[ParameterRow, ...]
+
+
+@dataclass(frozen=True)
+class NoiseRow:
+    """Process noise of an equation."""
+
+    equation: str
+    before: str
+    after: str
+    before_width: float
+    after_width: float
+    words: str
+
+
+# -- ranking ----------------------------------------------------------------------------------
+
+
+def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
+    """Single candidates shown, those folded away, and candidates together."""
+    rows = [row for row in r.record["candidates"] if row["names"]]
+    best = max((_gain(row) for row in rows), default=0.0)
+    claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
+    lines = [(len(row["names"]), _ranked(r, row, best, claimed)) for row in rows]
+    singles, pairs = ([line for n, line in lines if (n == 1) == alone] for alone in (True, False))
+    return singles[:SHOWN_SINGLES], singles[SHOWN_SINGLES:], pairs
+
+
+def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
+    gain = _gain(row)
+    chosen = tuple(row["names"]) == tuple(claimed)
+    declared = _declared(r)
+    fitted = ", ".join(
+        f"{_short(n, row['names'])} = {_value(float(v), declared[n][1] if n in declared else '')}"
+        for n, v in row["parameters"].items()
+    )
+    width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
+    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, fitted, _why(r, row), chosen)
+
+
+def _why(r: Refinement, row: Mapping[str, Any]) -> str:
+    """Why a hypothesis is, or is not, the answer."""
+    if r.verdict.name == "ambiguous" and row["why"] == "claimed":
+        return "fits best, by a hair"
+    return str(row["why"])
+
+
+def _gain(row: Mapping[str, Any]) -> float:
+    """The score gained; none at all where the filter diverged."""
+    return -math.inf if row["score_gain"] is None else float(row["score_gain"])
+
+
+def _short(name: str, owners: Sequence[str]) -> str:
+    own = name.partition(".")[2]
+    if len(owners) > 1:
+        return name.removesuffix(".value")
+    return own or "value"
+
+
+def _value(value: float, unit: str, digits: int = 4) -> str:
+    shown, factor = pretty(unit), display(unit)[1]
+    text = plain(value * factor, digits)
+    return text if not shown else f"{text}{'' if shown.startswith('°') else chr(0xA0)}{shown}"
+
+
+# -- parameters -------------------------------------------------------------------------------
+
+
+def _declared(r: Refinement) -> dict[str, tuple[Any, str]]:
+    """Every parameter by name: its declaration and unit."""
+    model = r.study.loaded.model
+    found = {p.name: (p, p.unit) for p in model.parameters}
+    return found | {
+        f"{k.name}.{p.name}": (p, p.unit) for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)
+    }
+
+
+def parameter_tables(r: Refinement) -> list[ParameterTable]:
+    """What was added, and what was recalibrated with it."""
+    hypothesis = r.verdict.claimed or r.attribution.base
+    own = {n for c in hypothesis.candidates for n in c.parameters}
+    names: dict[bool, list[ParameterRow]] = {True: [], False: []}
+    for free in hypothesis.fit.free:
+        names[free.name in own].append(_parameter_row(r, free, hypothesis.fit.values[free.name], hypothesis.candidates))
+    added = ParameterTable(
+        "What was added" if r.verdict.name != "parameter_error" else "What was wrong",
+        "The bar is the 95 % interval, the dashed line the neutral value or the data sheet.", "Neutral",
+        tuple(names[True]),
+    )  # fmt: skip
+    note = "The model keeps its own: a sensor's error is none of the plant's." if hypothesis.of_sensors else ""
+    rest = ParameterTable(
+        f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
+        note or "Held near the data sheet: within 1 % is no discovery.", "Data sheet", tuple(names[False]),
+    )  # fmt: skip
+    return [t for t in (added, rest) if t.rows]
+
+
+def _parameter_row(r: Refinement, free: Free, value: float, candidates: Sequence[Candidate]) -> ParameterRow:
+    declaration, unit = _declared(r).get(free.name, (None, ""))
+    hypothesis = r.verdict.claimed or r.attribution.base
+    sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
+    shaping = declaration is not None and "." in free.name and declaration.neutral is None
+    low, high = value - CI95 * sigma, value + CI95 * sigma
+    least, most = min(known, low), max(known, high)
+    room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
+    least, most = max(free.low, least - room), min(free.high, most + room)
+    digits = _digits(value, sigma)
+    neutral = f"{_value(known, unit)}{' (start)' if shaping else ''}"
+
+    def at(x: float) -> float:
+        return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
+
+    return ParameterRow(
+        free.name, neutral, _value(value, unit, digits),
+        f"{_value(low, '', digits) if not unit else _bare(low, unit, digits)} … {_value(high, unit, digits)}",
+        f"{_bare(free.low, unit, 3)} … {_value(free.high, unit, 3)}",
+        at(known), at(low), round(at(high) - at(low), 2), at(value),
+    )  # fmt: skip
+
+
+def _bare(value: float, unit: str, digits: int) -> str:
+    return plain(value * display(unit)[1], digits)
+
+
+def _digits(value: float, sigma: float) -> int:
+    """Digits that show two of the interval."""
+    if not (math.isfinite(value) and math.isfinite(sigma)) or value == 0 or sigma <= 0:
+        return 4
+    return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(CI95 * sigma)) + 2))
+
+
+# -- process noise ----------------------------------------------------------------------------
+
+
+def noise_rows(r: Refinement) -> list[NoiseRow]:
+    """√q is how far the state drifts in one second for what its equation does not say."""
+    noise = r.verdict.residual.get("process_noise", {})
+    unit = {q.name: q.unit for q in r.study.loaded.model.states}
+    rows = []
+    for name, q in noise.items():
+        before, after = math.sqrt(q["before"]), math.sqrt(q["after"])
+        shown = [_drift(v, unit.get(name, "")) for v in (before, after)]
+        rows.append(NoiseRow(name, shown[0], shown[1], _share(q["before"]), _share(q["after"]), _words(q)))
+    return rows
+
+
+def _drift(value: float, unit: str) -> str:
+    text, factor = ("mm/s", 1000.0) if unit == "m/s" else display(unit)
+    return f"{plain(value * factor, 2)}{'' if text.startswith('°') else chr(0xA0)}{text}"
+
+
+def _share(q: float) -> float:
+    """Width of a bar over ln q from the fit's floor at −18 to 2."""
+    return round(100 * min(1.0, max(0.0, (math.log(max(q, 1e-12)) + 18.0) / 20.0)), 1)
+
+
+def _words(q: Mapping[str, Any]) -> str:
+    was = q["before"] > math.exp(-14.0)
+    if q["inflated"]:
+        return "deficient; the claim leaves some" if q["after"] < 0.5 * q["before"] else "deficient still"
+    return "was deficient, is complete" if was else "complete"

@@ -1,0 +1,169 @@
+"""What is missing beside what was claimed, effect by effect: the picture that shows a verdict to be right, or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.refinement.candidates import Candidate
+from cosim.refinement.hypotheses import Hypothesis
+from cosim.refinement.missing import LEAST_LOG_Q, LOGS, Filter, Missing, Steps, at_best, claimed, missing
+from cosim.refinement.outcome import Refinement
+from cosim.refinement.problem import Problem
+from cosim.refinement.report.dependence import Signal, choose, nameless, signals
+from plant.model import Model
+
+VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What one claim explains.
+
+    what, unit: the quantity that is missing; where: the state or channel it is missing in
+    found, sigma: what the data say, row by row, without the claim; term: what the claim says (None: nothing is claimed)
+    first:      rows of the first log
+    """
+
+    effect: str
+    kind: str
+    where: str
+    unit: str
+    against: Signal
+    time: Array
+    found: Array
+    sigma: Array
+    term: Array | None
+    first: int
+    step: float
+    recorded: float | None = None  # the share as refine.json has it
+
+    @property
+    def what(self) -> str:
+        """What was found: `acceleration missing from vx`."""
+        if self.kind == "sensor":
+            return f"error of {self.where}"
+        return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
+
+    @property
+    def correlation(self) -> float:
+        """Of what the data say with what the claim says."""
+        if self.term is None or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2)) or not np.std(self.found):
+            return float("nan")
+        return float(np.corrcoef(self.found, self.term)[0, 1])
+
+    @property
+    def share(self) -> float:
+        """Share of the mean square of what the data say that the claim takes away."""
+        if self.recorded is not None:
+            return self.recorded
+        power = float(np.mean(self.found**2))
+        return float("nan") if self.term is None or not power else 1.0 - float(
+            np.mean((self.found - self.term) ** 2)
+        ) / power  # fmt: skip
+
+
+def shown(r: Refinement) -> list[Shown]:
+    """One picture for each part of a claim; without a claim, one of what is left."""
+    claim, base = r.verdict.claimed, r.attribution.base
+    logs = range(min(LOGS, len(r.problem.logs)))
+    if claim is None:
+        return [_left(r, logs)] if r.verdict.name == "unexplained" else []
+    found = []
+    for candidate in claim.candidates:
+        with_it = Filter(claim.fit.values, claim.fit.log_q)
+        without = Filter(base.fit.values, base.fit.log_q)
+        if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
+            without = Filter(_without(claim, candidate, r.problem.values), base.fit.log_q)
+        picture = _reading if candidate.kind == "sensor" else _term
+        found.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
+    return found
+
+
+def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
+    """The claim's values with one candidate's at neutral."""
+    return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
+
+
+def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]) -> Shown:
+    """The equation in which the claim is largest against what is known of the missing acceleration."""
+    parts = [(k, missing(problem, without, k)) for k in logs]
+    terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
+    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
+    against = choose(signals(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
+    return _picture(model, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
+
+
+def _left(r: Refinement, logs: Sequence[int]) -> Shown:
+    """What the best hypothesis leaves, with the term without a name that promises most beside it."""
+    model, problem, best = r.study.loaded.model, r.problem, r.attribution.best.fit
+    parts = [(k, missing(problem, Filter(best.values, best.log_q), k)) for k in logs]
+    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+    residual, equations = r.verdict.residual, parts[0][1].equations
+    column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
+    if residual.get("equation") in equations:
+        column = equations.index(residual["equation"])
+    first = next(iter(residual.get("terms", ())), None)
+    found = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
+    if first is None or found is None:
+        against = choose(signals(model, problem, parts), (), value[:, column])
+        return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
+    term = at_best(problem, best, logs, column, found[1], value[:, column])
+    picture = _picture(model, parts, "", "nameless", column, found[0], value, sigma, term)
+    return replace(picture, effect=first["signal"], recorded=residual.get("share"))
+
+
+def _picture(
+    model: Model,
+    parts: Sequence[tuple[int, Missing]],
+    effect: str,
+    kind: str,
+    column: int,
+    against: Signal,
+    value: Array,
+    sigma: Array,
+    term: Array | None,
+) -> Shown:
+    where = parts[0][1].equations[column]
+    unit = next((q.unit for q in model.states if q.name == where), "")
+    time, first = np.concatenate([m.time for _, m in parts]), len(parts[0][1].time)
+    step = float(np.median(np.diff(parts[0][1].time))) if first > 1 else 1.0
+    return Shown(
+        effect, kind, where, _per_second(unit), against, time, value[:, column], sigma[:, column], term, first, step
+    )
+
+
+def _per_second(unit: str) -> str:
+    return {"m/s": "m/s2", "rad/s": "rad/s2"}.get(unit, f"{unit}/s")
+
+
+def _reading(
+    model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
+) -> Shown:
+    """A sensor's reading less what is there, against what is there, both along the refined estimate."""
+    kind = next(k for k in model.sensors if k.name == c.name)
+    channel = problem.layout.outputs.index(kind.output)
+    rows = []
+    for index in logs:
+        data = problem.logs[index]
+        run = problem.run(
+            {**problem.values, **with_it.values}, np.maximum(with_it.log_q, LEAST_LOG_Q), index, states=True
+        )
+        clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
+        wrong = Steps(problem, index, with_it.values)
+        for k in range(round(1.0 / data.step), min(len(data.u), 3000) - 1):
+            there, said = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
+            rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, said - there))
+    table = np.array(rows)
+    table = table[np.isfinite(table).all(axis=1)]
+    unit = next(q.unit for q in model.outputs if q.name == kind.output)
+    against = Signal(f"{kind.output} as the refined model says it is", unit, table[:, 2])
+    sigma = np.full(len(table), float(np.sqrt(problem.r[channel])))
+    return Shown(
+        c.name, "sensor", kind.output, unit, against, table[:, 1], table[:, 3], sigma, table[:, 4],
+        int((table[:, 0] == logs[0]).sum()), problem.logs[logs[0]].step,
+    )  # fmt: skip

@@ -1,0 +1,108 @@
+"""What a verdict says, in sentences that follow from its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cosim.refinement.candidates import Candidate, Free, kind_within
+from cosim.refinement.hypotheses import Hypothesis
+from cosim.refinement.unnamed import Unnamed
+from cosim.text import percent, shown
+from plant.model import Model
+from plant.quantities import parameters_of
+
+LITTLE = 0.05  # of what is missing, below which a term is no account of it
+CI95 = 1.96
+NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
+DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
+
+
+def excites_too_little(hidden: int, effects: int) -> str:
+    """How many effects these logs would not show, and what would show them."""
+    which = "the one effect" if effects == 1 else f"{hidden} of {effects} effects"
+    return (
+        f"These logs excite too little: {which} would not show in them, present or not. "
+        f"This would show {'it' if effects == 1 else 'them'}: {DEFAULT_EXPERIMENT}."
+    )
+
+
+def nothing(hidden: Sequence[str]) -> str:
+    """That nothing is missing, and what would not have shown."""
+    return f"{NOTHING} ({' and '.join(hidden)} would not have shown.)" if hidden else NOTHING
+
+
+def cannot_tell(names: Sequence[str], experiment: str, certain: str) -> str:
+    """What rivals leave open, beside what they have in common."""
+    opening = f"{certain} Beside it, these logs" if certain else "These logs"
+    return f"{opening} cannot tell {' from '.join(names)}; this would, and `cosim excite` designs it: {experiment}."
+
+
+def unexplained(
+    residual: Mapping[str, Any],
+    nearest: Sequence[str],
+    otherwise: str = "No hypothesis holds on logs it was not fitted on.",
+) -> str:
+    """Where something acts that has no name, on what it depends, and what comes nearest."""
+    where = residual["equation"]
+    if residual["signals"]:
+        # a term may promise likelihood where noise, not its own share, fills what is missing
+        share = f", and that takes away {percent(residual['share'])} of what is missing" if residual["share"] else ""
+        if residual["share"] and residual["share"] < LITTLE:
+            share = f", but no single term for that takes away even {percent(LITTLE)} of what is missing"
+        text = f"Something outside the catalogue acts on {where}; it {follows(residual['signals'][0])}{share}."
+    elif where:
+        text = f"A disturbance acts on {where}; it depends on none of the signals tried."
+    else:
+        text = otherwise
+    return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
+
+
+def follows(signal: str) -> str:
+    """How a term goes with its signal; `1` is the constant."""
+    return "is constant" if signal == "1" else f"depends on {signal}"
+
+
+def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
+    """What these candidates of the best hypothesis are, with their values and intervals."""
+    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
+    units |= {p.name: p.unit for p in model.parameters}
+    said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
+    for c in candidates:
+        values = ", ".join(_told(best, f, shown(units[f.name])) for f in c.free)
+        gone = all(
+            abs(best.fit.values[f.name] - f.neutral) <= CI95 * best.fit.sigma(f.name)
+            for f in c.free
+            if f.neutral is not None
+        )
+        note = "; the logs show none" if kind_within(c, model) != c.kind and gone else ""
+        said[kind_within(c, model)].append(f"{c.name} ({values}{note})")
+    openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
+    text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in said.items() if names)
+    moving = (
+        "" if best.fit.converged else " The fit was still moving when it was ended: these intervals are too narrow."
+    )
+    return f"{text[0].upper()}{text[1:]}.{moving}"
+
+
+def _told(best: Hypothesis, f: Free, unit: str) -> str:
+    """A parameter with its interval, where that is narrower than its bounds are apart."""
+    name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], CI95 * best.fit.sigma(f.name)
+    if half > f.high - f.low:
+        return f"{name} not told by these logs"
+    return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
+
+
+def left_over(term: Unnamed | None, gained: float) -> str:
+    """What a claim leaves, where that is plain: how much of the log-likelihood it gained a term without a name adds."""
+    if term is None:
+        return ""
+    more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"
+    return f" Something is left in {term.equation} that {follows(term.signal)}: {more}."
+
+
+def experiment_for(model: Model, names: Sequence[str]) -> str:
+    """The input that would tell these rivals apart, as the model says."""
+    known = [(len(row & set(names)), text) for row, text in model.told_apart_by.items()]
+    shared, text = max(known, default=(0, DEFAULT_EXPERIMENT))
+    return text if shared > 1 else DEFAULT_EXPERIMENT

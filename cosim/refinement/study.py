@@ -1,0 +1,195 @@
+"""A study: which model, which logs to learn from, which to be judged by."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os.path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from cosim.errors import Fault, InputError
+from cosim.logs.gate import gate, gate_faults
+from cosim.logs.log import Log, read_log, stretches
+from cosim.models.file import LoadedModel, load_model
+from cosim.registry import BASE
+from cosim.residuals.windows import SKIPPED
+from cosim.text import counted, plain
+from cosim.yaml_file import YamlFile, did_you_mean
+from plant.traits import Traits
+
+SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+
+
+def _file_name(name: str) -> str:
+    if "\0" in name:
+        raise ValueError("no name of a file holds a NUL character")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_file_name)]
+
+
+class LogLists(BaseModel):
+    """Files, relative to the study."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    estimation: list[FileName] = Field(min_length=1)
+    validation: list[FileName] = []
+
+
+class StudyFile(BaseModel):
+    """study.yaml. `noise`: standard deviation of a measured output where it is not the model's own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    model: str = BASE
+    logs: LogLists
+    noise: dict[str, Positive] = {}
+    candidates: list[str] | None = None
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study that is read: the model, the estimation logs cut at their pauses, what the gate warns of in any log.
+
+    Validation logs stay sealed until `unseal`: that they can be used is known, nothing of what they hold.
+    """
+
+    path: Path
+    content: StudyFile
+    loaded: LoadedModel
+    logs: tuple[Log, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What it reads: itself, its model and its logs."""
+        names = (
+            self.content.model.rpartition(":")[0] or self.content.model,
+            *(n for _, n in _entries(self.content.logs)),
+        )
+        return self.path, *(self.path.parent / name for name in names)
+
+    def unseal(self) -> tuple[Log, ...]:
+        """Read the validation logs; called once, when everything is decided."""
+        model = self.loaded.model
+        logs = (read_log(self.path.parent / n, model.inputs, model.outputs) for n in self.content.logs.validation)
+        return tuple(stretch for log in logs for stretch in judged(log, model.horizon))
+
+
+def read_study(path: Path) -> Study:
+    """Read a study and its logs; InputError with every fault of all of them."""
+    if not path.is_file() and path.exists():
+        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
+    yaml = YamlFile(path)
+    content, faults = yaml.partly(StudyFile)
+    if content is None:
+        raise InputError(faults)
+    try:
+        loaded = load_model(content.model, path.parent, yaml)
+    except InputError as error:
+        raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
+    model, traits = loaded.model, Traits.of(loaded.model)
+    faults += _unknown_names(yaml, content, loaded)
+    logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
+    digests: dict[str, str] = {}
+    warnings: list[str] = []
+    for part, name in _entries(content.logs):
+        try:
+            log = read_log(path.parent / name, model.inputs, model.outputs)
+        except InputError as error:
+            faults += error.faults
+            continue
+        digests[name] = _digest(log)
+        findings = gate(log, model.rate, traits=traits)
+        faults += gate_faults(log, findings)
+        whole = judged(log, model.horizon)
+        faults += [] if whole else [_too_short(log, model.horizon)]
+        warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
+        if left := len(stretches(log)) - len(whole):
+            warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
+        logs[part] += whole
+    faults += _listed_twice(yaml, content.logs, digests)
+    if faults:
+        raise InputError(faults)
+    return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
+
+
+def _entries(logs: LogLists) -> list[tuple[str, str]]:
+    """Each log with the list in which it stands."""
+    return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
+
+
+def _listed_twice(yaml: YamlFile, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
+    """One file, or one content (name → digest), stands once: in whatever list, under whatever name."""
+    seen: dict[str, tuple[str, str]] = {}
+    for n, (part, name) in enumerate(_entries(logs)):
+        path = os.path.realpath(yaml.path.parent / name)
+        keys = [path, *([digests[name]] if name in digests else [])]
+        before = next((seen[key] for key in keys if key in seen), None)
+        if before is not None:
+            other, where = before
+            cure = "keep one" if where == part else "a validation log is never fitted on"
+            again = f"is listed for {where} {'twice' if where == part else 'too'}"
+            what = again if path in seen else f"holds the same as {other}, which is listed for {where}"
+            place = ("logs", part, n if part == "estimation" else n - len(logs.estimation))
+            yield yaml.fault(place, f"{name} {what}; {cure}")
+        for key in keys:
+            seen.setdefault(key, (name, part))
+
+
+def _digest(log: Log) -> str:
+    """Of the numbers, however they are written: two files of one run are one log."""
+    content = hashlib.sha256(log.time.tobytes())
+    for name, values in sorted({**log.inputs, **log.outputs}.items()):
+        content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
+    return content.hexdigest()
+
+
+def least_duration(horizon: float) -> float:
+    """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored."""
+    return SKIPPED + (horizon if math.isfinite(horizon) else 0.0) + SCORED
+
+
+def judged(log: Log, horizon: float) -> list[Log]:
+    """The stretches of a log that measure something and last long enough."""
+    least = least_duration(horizon) - 0.5 * log.step
+    return [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+
+
+def _too_short(log: Log, horizon: float) -> Fault:
+    lasts = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
+    least = plain(least_duration(horizon), None)
+    what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
+    cure = f"it takes {least} s, and 20 s and more tell more; log longer or leave it out"
+    return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
+
+
+def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> list[Fault]:
+    outputs = [q.name for q in loaded.model.outputs]
+    faults = [
+        yaml.fault(("noise", name), f'no output "{name}"{did_you_mean(name, outputs)}', key=True)
+        for name in content.noise
+        if name not in outputs
+    ]
+    known = candidate_names(loaded)
+    if content.candidates is not None and not content.candidates:
+        faults.append(yaml.fault(("candidates",), "names none; name some, or leave the key out to try all"))
+    for k, name in enumerate(content.candidates or ()):
+        if name not in known:
+            faults.append(yaml.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, known)}'))
+    return faults
+
+
+def candidate_names(loaded: LoadedModel) -> Sequence[str]:
+    """Everything a study may put on trial."""
+    model = loaded.model
+    return [*(k.name for k in (*model.catalogue, *model.sensors)), *model.calibrated, *model.suspect]

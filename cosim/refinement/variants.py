@@ -1,0 +1,67 @@
+"""The models that are held against each other: before, recalibrated, refined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.arrays import Array
+from cosim.models.file import LoadedModel
+from cosim.refinement.candidates import neutral_values
+from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.study import Study
+from cosim.refinement.verdict import Verdict
+from plant.model import Model
+from plant.quantities import parameters_of
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model under judgement: an FMU with parameters set, and the filter that gives its starts."""
+
+    model: Model
+    values: Mapping[str, float]  # everything the kernel takes, sensors included
+    log_q: Array
+    fmu: Path
+    parameters: Mapping[str, Any]  # what is set on the FMU
+
+
+def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:
+    """The model with what was claimed put in, base parameters recalibrated with it; unchanged where nothing was.
+
+    Errors of sensors alone leave its parameters as they are, and so its FMU.
+    """
+    if claimed is None:
+        return loaded
+    sensors = {f"{k.name}.{p.name}" for k in loaded.model.sensors for p in parameters_of(k)}
+    moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free}
+    parameters = dict(loaded.parameters)
+    if not claimed.of_sensors:  # of which the plant knows nothing
+        parameters |= {n: v for n, v in moved.items() if n not in sensors}
+    known = {**loaded.sensors, **{n: v for n, v in moved.items() if n in sensors}}
+    return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
+
+
+def _variants(
+    study: Study, a: Attribution, verdict: Verdict, refined: LoadedModel, given_fmu: Path, refined_fmu: Path
+) -> dict[str, Variant]:
+    """The model before, recalibrated and after, each with the filter that starts its replays."""
+    given, base = study.loaded, a.base.fit
+    nominal = _values(given)
+    recalibrated = {f.name: float(base.values[f.name]) for f in base.free}
+    changed = given.model.with_values(recalibrated)
+    before = after = Variant(given.model, nominal, base.log_q, given_fmu, {})
+    if claimed := verdict.claimed:
+        after = Variant(refined.model, _values(refined), claimed.fit.log_q, refined_fmu, {})
+    return {
+        "before": before,
+        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.log_q, given_fmu, recalibrated),
+        "after": after,
+    }
+
+
+def _values(loaded: LoadedModel) -> dict[str, float]:
+    """Every number the kernel takes, sensors included."""
+    return {**neutral_values(loaded.model), **loaded.values}

@@ -1,0 +1,89 @@
+"""What is known by name, and where it is: the one place in which general rooms and a particular craft meet.
+
+Nothing named here is imported before it is asked for, so that a study of another model never loads it.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page about components that have these variables.
+
+    subject: `module:function` of (run, drawing), the `Subject` it shows; figures: of (run, folder), the files it drew
+    """
+
+    variables: frozenset[str]
+    subject: str
+    figures: str
+
+
+@dataclass(frozen=True)
+class Known:
+    """A model that goes by a name, and what belongs to it; each `module:name`, "" where there is none.
+
+    model:   its class
+    recipe:  of its FMU, from parameter values
+    built:   file → recipe: what `cosim build` makes without a model named; beside: FMUs made with any model of it
+    rig:     what flies its experiments
+    design:  the designer of its controller, behind `design:` of a scenario
+    """
+
+    model: str
+    recipe: str
+    built: Mapping[str, str]
+    beside: Mapping[str, str]
+    rig: str = ""
+    design: str = ""
+
+
+BASE = "base"  # the first of these
+MODELS = {
+    "hovercraft": Known(
+        model="plant.hovercraft:Hovercraft",
+        recipe="fmus.recipes:plant_recipe",
+        built={
+            "plant.fmu": "fmus.recipes:plant_recipe",
+            "controller.fmu": "fmus.recipes:controller_recipe",
+            "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
+        },
+        beside={"controller.fmu": "fmus.recipes:controller_recipe"},
+        rig="cosim.experiment.closed_loop:ClosedLoop",
+        design="controller.designer:DESIGNER",
+    )
+}
+BASE_NAME = next(iter(MODELS))
+PAGES = (
+    Page(
+        frozenset({"x_world", "y_world", "psi"}),
+        "cosim.simulation.report.craft.page:subject",
+        "cosim.simulation.report.craft.figures:figures",
+    ),
+)
+
+
+def page_for(components: Iterable[Collection[str]]) -> Page | None:
+    """The page for a run with components of these variables, if there is one."""
+    sets = [set(variables) for variables in components]
+    return next((page for page in PAGES if any(page.variables <= variables for variables in sets)), None)
+
+
+def known(kind: type) -> Known | None:
+    """What is known of a class of models, by where it stands."""
+    return next((k for k in MODELS.values() if k.model == f"{kind.__module__}:{kind.__qualname__}"), None)
+
+
+def rig_of(kind: type, otherwise: Any) -> Any:
+    """What flies experiments of a class of models."""
+    entry = known(kind)
+    return resolve(entry.rig) if entry and entry.rig else otherwise
+
+
+def resolve(place: str) -> Any:
+    """The object at `module:name`, imported now."""
+    return pkgutil.resolve_name(place)

@@ -1,0 +1,137 @@
+"""A log against a replay of the model: clocks, units and signs that only the model can tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.logs.finding import Finding
+from cosim.logs.log import Log
+from cosim.residuals.statistics import correlation_at_lags
+from cosim.text import amount, plain
+from fmus.units import alternatives, factor
+
+SLOW = 1.0  # [s], slower changes say nothing about a delay
+LONGEST_DELAY = 0.5  # [s]
+LIKE = 0.85  # correlation of a signal with its model that is no chance
+TELLING = 0.6  # correlation with the model from which a delay can be read
+FASTER = 1.15  # times the mean frequency, from which a part of the signal is a second witness
+
+
+def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+    """Channels that trail or lead a replay of the model by half a row or more; only the fastest are sharp enough."""
+    found = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
+    fastest = max((d.frequency for d in found.values()), default=0.0)
+    for name, (time, error, rho, frequency) in found.items():
+        if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
+            continue
+        sure = _same_when_faster(log, log.outputs[name], model[name], found[name])
+        if sure is False:
+            continue
+        which = "trails" if time > 0 else "leads"
+        why = "a delay, a slower actuator" if time > 0 else "a faster actuator, a command logged late"
+        doubt = "or clocks that differ" if sure else "or, the motion being so regular, a wrong friction or inertia"
+        yield Finding(
+            "warning" if sure and abs(time) > log.step else "note", "delay", name,
+            f"{which} the model by {amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}: "
+            f"{why}, {doubt}",
+            {"delay": time, "error": error, "correlation": rho},
+        )  # fmt: skip
+
+
+def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+    """Channels that move as a replay of the model does, but in another unit or the other way round."""
+    for name, measured in log.outputs.items():
+        if name not in model:
+            continue
+        y, ref = _fast(log, measured), _fast(log, model[name])
+        good = np.isfinite(y) & np.isfinite(ref)
+        size = float(np.linalg.norm(y[good])) * float(np.linalg.norm(ref[good]))
+        if size == 0.0:
+            continue
+        both = float(y[good] @ ref[good])
+        rho, slope = both / size, both / float(ref[good] @ ref[good])
+        numbers = {"slope": slope, "correlation": rho}
+        if rho < -LIKE:
+            yield Finding(
+                "warning", "sign", name, f"moves against the model (correlation {plain(rho, 2)}): it, or a command, "
+                "has the wrong sign", numbers,
+            )  # fmt: skip
+        elif rho > LIKE and (unit := _other_unit(log.units[name], slope)):
+            yield Finding(
+                "fault", "unit", name, f"moves as the model does, but {plain(slope)} times as far: "
+                f'is it in {unit}? Then call the column "{name} [{unit}]"', numbers,
+            )  # fmt: skip
+
+
+def _other_unit(unit: str, slope: float) -> str | None:
+    """The unit in which values are `slope` times those in `unit`, if that is far from 1."""
+    sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
+    return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
+
+
+class Delay(NamedTuple):
+    """Of a measured signal against the model's [s], with its standard error; how alike they are; how fast [rad/s]."""
+
+    time: float
+    error: float
+    correlation: float
+    frequency: float
+
+
+def delay(log: Log, measured: Array, model: Array) -> Delay | None:
+    """Delay of the measured signal against the model's.
+
+    Slow parts are taken off, so that drift says nothing; the peak of the cross-correlation is found to
+    a part of a row by a parabola. None where the two have too little in common.
+    """
+    fast, fast_model = _fast(log, measured), _fast(log, model)
+    lags = min(round(LONGEST_DELAY / log.step), log.rows // 4)
+    if lags < 2 or np.isfinite(fast).sum() < 8 * lags:
+        return None
+    rho = correlation_at_lags(fast_model, fast, lags)
+    k = int(np.argmax(np.nan_to_num(rho, nan=-1.0)))
+    if not 0 < k < rho.size - 1 or not rho[k] >= TELLING or not np.isfinite(rho[k - 1 : k + 2]).all():
+        return None
+    bend = rho[k - 1] - 2.0 * rho[k] + rho[k + 1]
+    top = 0.5 * (rho[k - 1] - rho[k + 1]) / bend if bend < 0.0 else 0.0
+    # Gauss-Newton: the error of a shift is the error of the residual's part along the slope of the signal
+    size, slope = float(np.nanstd(fast_model)), float(np.nanstd(np.diff(fast_model))) / log.step
+    independent = max(2.0, np.isfinite(fast).sum() * log.step / SLOW * 2.0)
+    error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
+    error = max(error, 0.02 * log.step)  # the parabola is no better
+    return Delay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
+
+
+def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> bool | None:
+    """A delay is the same in the faster part of the signal; the phase of a wrong friction or inertia is not.
+
+    None where the signal has no part that is faster.
+    """
+    rows = max(1, round(0.1 * SLOW / log.step))
+    changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
+    fast = delay(log, *changes)
+    if fast is None or fast.frequency < FASTER * slow.frequency:
+        return None
+    return abs(fast.time - slow.time) < max(0.3 * abs(slow.time), 3.0 * fast.error)
+
+
+def _fast(log: Log, values: Array) -> Array:
+    """Deviation from the mean over SLOW seconds about each row, NaN where that is not whole."""
+    half = max(1, round(0.5 * SLOW / log.step))
+    out = np.full(values.size, np.nan)
+    if values.size > 2 * half:
+        seen = np.isfinite(values)
+        sums, counts = (
+            np.concatenate(([0.0], np.cumsum(v))) for v in (np.where(seen, values, 0.0), seen.astype(np.float64))
+        )
+        width = 2 * half + 1
+        count = counts[width:] - counts[:-width]
+        middle = slice(half, values.size - half)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out[middle] = values[middle] - (sums[width:] - sums[:-width]) / count
+    return out

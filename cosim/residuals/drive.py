@@ -1,0 +1,230 @@
+"""One FMU instance, driven along stretches of a log by the recorded commands."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.blocks.fmu import FmuBlock, read_description
+from cosim.blocks.interface import Signal
+from cosim.blocks.restartable import RestartableFmu
+from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.logs.log import Log, SignalLike, read_log
+from cosim.yaml_file import did_you_mean
+from fmus.annotation import traits_of
+from fmus.state import Memory, Own
+from fmus.units import factor
+from plant.planar import PlanarFrame
+
+PLANT = "plant"  # the component's name in results and messages
+PROGRESS_EVERY = 500
+Steps = tuple[list[float], list[float], list[int]]
+
+
+def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
+    """Real inputs and outputs of an FMU: what a log of it holds."""
+    block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
+    return block.inputs, block.outputs
+
+
+def log_of_fmu(path: Path, fmu: Path) -> Log:
+    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault."""
+    try:
+        signals = model_signals(fmu)
+    except FmuError as error:
+        if path.is_file():
+            raise
+        faulty = Fault(fmu, 0, 0, str(error).removeprefix(f"{fmu} "), error.exit_code)
+        raise InputError([Fault(path, 0, 0, "no such file"), faulty]) from None
+    return read_log(path, *signals)
+
+
+class StoppedReplay(SimulationError):
+    """The FMU failed: why, and its outputs at the rows before, shape (rows done, outputs)."""
+
+    def __init__(self, error: SimulationError, done: Array) -> None:
+        Exception.__init__(self, str(error))
+        self.component, self.time, self.done = error.component, error.time, done
+
+
+class Drive:
+    """Context: the FMU is loaded at the first run and freed at the end."""
+
+    def __init__(self, log: Log, fmu: Path, progress: Callable[[int], None] | None = None) -> None:
+        self.log, self.fmu, self.progress = log, fmu, progress
+        self.description = read_description(fmu)
+        self.traits = traits_of(fmu)  # None of an FMU that is not ours
+        self.block = RestartableFmu(PLANT, fmu, self.description, {}, frozenset(log.inputs))
+        self._check_signals()
+        self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
+        self.outputs = tuple(s.name for s in self.block.outputs)
+        self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
+        self.variables = {v.name for v in self.description.modelVariables}
+        self.variable_step = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
+        self._commands = np.column_stack([log.inputs[name] for name in self.inputs]).tolist() if self.inputs else []
+        self._row = (ctypes.c_double * (len(self.block.inputs) + len(self.outputs)))()
+        self.block.bind(self._row, 0)
+        self._driven = [0]  # steps so far, shared by copies
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.block.close()
+
+    @property
+    def rate(self) -> float | None:
+        """The step the FMU says it is made for [s]."""
+        experiment = self.description.defaultExperiment
+        step = None if experiment is None else experiment.stepSize
+        return float(step) if step else None
+
+    @property
+    def frame(self) -> PlanarFrame | None:
+        """Names of a motion in a plane, where the FMU says so."""
+        return self.traits.planar if self.traits else None
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every output."""
+        return {s.name: s.unit for s in self.block.outputs}
+
+    def on(self, log: Log) -> Drive:
+        """The same loaded FMU and commands beside other measurements at the same times."""
+        other = copy.copy(self)
+        other.log = log
+        return other
+
+    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
+        """Outputs at the end of initialization at a row of the log."""
+        self._begin(start, row, float(self.log.time[-1]))
+        return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
+
+    def own(self, start: Mapping[str, Any]) -> Own:
+        """State of an FMU of ours at the first row, from `start`; it is put back, so that what cannot be is told."""
+        self._begin(start, 0, float(self.log.time[-1]))
+        self.block.start()
+        self.block.remember({})
+        return self.block.own()
+
+    def run(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        memory: Memory | None = None,
+        visit: Callable[[int], None] | None = None,
+    ) -> Array:
+        """Outputs at rows `first` … `last`, shape (rows, outputs), started at the first from `start`.
+
+        The command of row k is held from t_k to t_k+1. Raises StoppedReplay where the FMU fails.
+        memory: what an FMU of ours keeps at the first row, in place of what follows from `start`
+        visit:  called at each row between, where the FMU takes steps of any length
+        """
+        times, held, rows = self._steps(first, last)
+        reached = [float(self.log.time[first]), *(t + h for t, h in zip(times, held, strict=True))]
+        table = np.zeros((len(reached), len(self.outputs)))
+        here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
+        there, block, commands, acting, done = table.ctypes.data, self.block, self._commands, first, 0
+        try:
+            self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
+            block.start()
+            if memory:
+                block.remember(memory)
+            ctypes.memmove(there, here, size)
+            for done, (t, h, k) in enumerate(zip(times, held, rows, strict=True), 1):
+                if k != acting:
+                    if visit is not None:
+                        visit(k)
+                    if commands:
+                        self._row[: len(self.inputs)] = commands[k]
+                        block.put()
+                    acting = k
+                block.advance(t, h)
+                block.get()
+                ctypes.memmove(there + done * size, here, size)
+                if self.progress is not None and done % PROGRESS_EVERY == 0:
+                    self.progress(self._driven[0] + done)
+        except SimulationError as error:  # `done` rows are whole: the one of the step that failed is not
+            raise StoppedReplay(error, self._at_rows(table[:done], reached[:done], first, last)) from None
+        self._driven[0] += len(times)
+        if self.progress is not None:
+            self.progress(self._driven[0])
+        return self._at_rows(table, reached, first, last)
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
+        self._check_start(start)
+        self.block.begin(start, float(self.log.time[row]), stop)
+        if self._commands:
+            self._row[: len(self.inputs)] = self._commands[row]
+            self.block.put()
+        self.block.get()
+
+    def _steps(self, first: int, last: int) -> Steps:
+        """Time, length and row of the acting command of each step.
+
+        As logged where the FMU takes steps of any length (over a hole: several, about as long as the
+        others); else equal steps of the log's median.
+        """
+        time, step = self.log.time[first : last + 1], self.log.step
+        if self.variable_step:
+            dt = np.diff(time)
+            count = np.maximum(1, np.rint(dt / step)).astype(np.intp)
+            length = dt / count
+            length[np.abs(length - step) < 1e-6 * step] = step  # rounding of printed times is no jitter
+            number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+            times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
+            rows = np.repeat(np.arange(first, last), count)
+            return times.tolist(), np.repeat(length, count).tolist(), rows.tolist()
+        steps = max(0, math.ceil((time[-1] - time[0]) / step - 1e-6))
+        times = time[0] + step * np.arange(steps)
+        rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
+        return times.tolist(), [step] * steps, rows.tolist()
+
+    def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
+        """The rows of the log among the steps that were made; between two steps by interpolation."""
+        wanted = self.log.time[first : last + 1]
+        reached = wanted[wanted <= (times[-1] if times else -math.inf) + 1e-6 * self.log.step]
+        if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=1e-6 * self.log.step):
+            return table
+        return np.column_stack([np.interp(reached, times, column) for column in table.T])
+
+    def _check_signals(self) -> None:
+        """The FMU has what the log holds, in the same unit."""
+        faults = []
+        sides = (("input", self.log.inputs, self.block.inputs), ("output", self.log.outputs, self.block.outputs))
+        for kind, names, signals in sides:
+            known: dict[str, SignalLike] = {s.name: s for s in signals}
+            for name in names:
+                if name not in known:
+                    message = f'has no {kind} "{name}", which {self.log.path.name} holds{did_you_mean(name, known)}'
+                    faults.append(Fault(self.fmu, 0, 0, f"{message} (its {kind}s: {', '.join(known) or 'none'})"))
+                elif factor(self.log.units[name], known[name].unit) != 1.0:
+                    units = f"{known[name].unit} here and in {self.log.units[name]} in the log as it was read"
+                    faults.append(Fault(self.fmu, 0, 0, f"{name} is in {units}; read the log for this FMU"))
+        if faults:
+            raise InputError(faults)
+
+    def _check_start(self, start: Mapping[str, Any]) -> None:
+        if unknown := start.keys() - self.variables:
+            hints = {name: did_you_mean(name, self.variables) for name in unknown}
+            raise InputError([Fault(self.fmu, 0, 0, f'has no parameter "{n}"{hint}') for n, hint in hints.items()])
+
+
+def rows_of(log: Log, first: int, seconds: float) -> int:
+    """The last row at most `seconds` after row `first`."""
+    return int(np.searchsorted(log.time, log.time[first] + seconds + 1e-6 * log.step, side="right")) - 1
+
+
+def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
+    """Name → column."""
+    return dict(zip(names, np.ascontiguousarray(table.T), strict=True))

@@ -1,0 +1,205 @@
+"""What a replay leaves: results.csv, residual.csv and one self-contained page."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.logs.finding import Finding
+from cosim.logs.log import Log
+from cosim.report.data import Series, sample_rows, to_json
+from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
+from cosim.report.svg import Plot, make_plot, time_axis
+from cosim.report.tables import Badge, Row
+from cosim.residuals import words
+from cosim.residuals.compare import ChannelSummary, Comparison
+from cosim.residuals.drive import Drive
+from cosim.residuals.lags import neighbours, over_lag, stem_rows, stems
+from cosim.residuals.starts import stretch
+from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.windows import SKIPPED
+from cosim.text import MISSING, amount, counted, display, percent, plain, size
+from cosim.version import __version__
+
+TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
+POINTS = 1000  # a curve
+STEMS = 100  # of an autocorrelation
+
+
+# -- the page ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One channel of the tables, as text."""
+
+    name: str
+    noise: str
+    scores: tuple[tuple[str, str], ...]
+    excess: str
+    matched: bool
+    neighbours: str
+    p_value: str
+    white: str
+    follows: str
+
+
+def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
+    """Everything the template names."""
+    log, drive = comparison.log, comparison.drive
+    series, x = Series(sample_rows(log.rows, POINTS)), time_axis(log.time)
+
+    def draw(panels: Sequence[Panel]) -> list[Plot]:
+        return [make_plot(p, log.time, x, series.add(p), POINTS) for p in panels]
+
+    windowed, measure = comparison.measure in comparison.replays, comparison.measure
+    skipped = SKIPPED * stretch(log)
+    horizons = sorted(comparison.replays)
+    found = comparison.findings
+    return {
+        "name": log.path.name,
+        "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
+        "drive the model, what it says stands beside what was measured.",
+        "outcome": words.verdict(comparison),
+        "tone": "good" if all(c.explained for c in comparison.channels) else "plain",
+        "badges": _badges(comparison),
+        "tiles": [_tile(c) for c in comparison.channels[:6]],
+        "horizons": [words.horizon_name(h) for h in horizons],
+        "measure": words.horizon_name(measure),
+        "skipped": words.horizon_name(skipped),
+        "least": words.horizon_name(skipped + measure),
+        "basis": "the free run" if comparison.basis == FREE_RUN else words.horizon_name(comparison.basis),
+        "within": draw(_pair_panels(comparison, measure)) if windowed else [],
+        "free": draw(_pair_panels(comparison, FREE_RUN)),
+        "residual": draw(_residual_panels(comparison)),
+        "commands": draw(_command_panels(log)),
+        "autocorrelation": _autocorrelation(comparison),
+        "inputs": _input_correlation(comparison),
+        "rows": [_row(c, horizons) for c in comparison.channels],
+        "quality": words.quality(found),
+        "warnings": [f.whole for f in found if f.severity != "note"],
+        "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
+        "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
+        "provenance": _provenance(comparison),
+        "repeat": shlex.join(["cosim", "replay", str(log.path), *([] if passing else ["--plant", str(drive.fmu)])]),
+        "data": to_json(log.time, series),
+        "version": __version__,
+    }
+
+
+def _badges(comparison: Comparison) -> list[Badge]:
+    log = comparison.log
+    explained, warnings = sum(c.explained for c in comparison.channels), _warnings(comparison.findings)
+    badges = [
+        Badge(f"{explained} of {counted(len(comparison.channels), 'channel')} explained"),
+        Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
+        Badge(counted(log.rows, "row")),
+    ]
+    return badges + ([Badge(counted(warnings, "warning"), "warn")] if warnings else [])
+
+
+def _warnings(findings: Sequence[Finding]) -> int:
+    return sum(f.severity == "warning" for f in findings)
+
+
+def _tile(channel: ChannelSummary) -> Row:
+    measure = channel.measure
+    value = size(channel.scores[measure].rmse, channel.unit)
+    over = "in a free run" if measure == FREE_RUN else f"rms over {words.horizon_name(measure)}"
+    noise = f", {plain(channel.excess, 2)} × what noise explains" if np.isfinite(channel.excess) else ""
+    return Row(channel.name, value, over + noise)
+
+
+def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
+    """Measured and model, a channel each."""
+    log, outputs = comparison.log, comparison.replays[horizon].outputs
+    label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {words.horizon_name(horizon)}"
+    panels = []
+    for name, measured in log.outputs.items():
+        unit, factor = display(log.units[name])
+        traces = [Trace("measured", measured * factor, "estimate"), Trace(label, outputs[name] * factor, "true")]
+        panels.append(Panel(name, unit or "1", traces))
+    return panels
+
+
+def _residual_panels(comparison: Comparison) -> list[Panel]:
+    """Residual over the horizon that counts, with ±2σ of the measurement noise."""
+    panels = []
+    for c in comparison.channels:
+        unit, factor = display(c.unit)
+        error = comparison.replays[c.measure].errors(comparison.log)[c.name] * factor
+        width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
+        panels.append(Panel(f"Residual of {c.name}", unit or "1", [Trace("measured − model", error, "error")],
+                            Band("±2σ of its noise", -width, width)))  # fmt: skip
+    return panels
+
+
+def _command_panels(log: Log) -> list[Panel]:
+    panels = []
+    for unit, names in by_unit(log.inputs, log.units.__getitem__):
+        shown, factor = display(unit)
+        traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
+        panels.append(Panel(", ".join(names), shown or "1", traces))
+    return panels
+
+
+def _autocorrelation(comparison: Comparison) -> list[Plot]:
+    plots = []
+    for c in comparison.channels:
+        lag, values = stems(c.whiteness.rho, stem_rows(c.whiteness, STEMS), comparison.log.step)
+        width = np.full(lag.size, c.whiteness.band)
+        panel = Panel(f"Autocorrelation of {c.name}", "1", [Trace("residual", values, "error")],
+                      Band("95 % band if white", -width, width))  # fmt: skip
+        plots.append(over_lag(panel, lag))
+    return plots
+
+
+def _input_correlation(comparison: Comparison) -> list[Plot]:
+    plots = []
+    for c in (c for c in comparison.channels if c.inputs):
+        chosen = c.inputs[:OTHERS_PER_PANEL]
+        traces = [Trace(u.name, u.rho, f"s{i}") for i, u in enumerate(chosen)]
+        width = np.full(chosen[0].rho.size, max(u.band for u in chosen))
+        panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
+        plots.append(over_lag(panel, comparison.log.step * chosen[0].lags.astype(np.float64)))
+    return plots
+
+
+def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
+    scores = tuple(
+        (size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
+        for s in (channel.scores[h] for h in horizons)
+    )
+    p = channel.whiteness.p_value
+    return TableRow(
+        channel.name, size(channel.noise, channel.unit), scores,
+        f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING, channel.matched,
+        neighbours(channel.whiteness), "< 0.001" if p < 1e-3 else plain(p, 2),
+        words.whiteness_words(channel), words.input_words(channel),
+    )  # fmt: skip
+
+
+def _start(drive: Drive, name: str, value: Any) -> Row:
+    unit = next((v.unit or "" for v in drive.description.modelVariables if v.name == name), "")
+    return Row(name, amount(value, unit, 4) if isinstance(value, float) else str(value))
+
+
+def _provenance(comparison: Comparison) -> list[Row]:
+    drive, log = comparison.drive, comparison.log
+    about = drive.description
+    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU demands"
+    rows = [
+        Row("FMU", f"{about.modelName}\nguid {about.guid}", str(drive.fmu)),
+        Row("Log", f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s", str(log.path)),
+        Row("Steps", steps),
+        Row("cosim", __version__),
+    ]
+    if drive.free_inputs:
+        rows.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
+    measured = [(n, float(np.isfinite(v).mean())) for n, v in log.outputs.items()]
+    return [*rows, Row("Measured", ", ".join(f"{n} ({percent(share)})" for n, share in measured), "share of the rows")]

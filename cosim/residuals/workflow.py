@@ -1,0 +1,101 @@
+"""A replay, in order: log → gate → drive → free run → comparison → results → page."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.files import atomic_write, check_writable
+from cosim.logs.gate import gate, refuse_faults
+from cosim.logs.log import Log
+from cosim.models.file import load_model
+from cosim.registry import BASE
+from cosim.report.template import render
+from cosim.residuals.compare import Comparison, compare, steps_of
+from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, log_of_fmu
+from cosim.residuals.report import TEMPLATE, context
+from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.windows import free_run
+from cosim.results import Results
+from fmus.build import build as build_fmu
+
+MEASURED = "log"  # the component's name of what was measured, beside PLANT
+
+
+def replay(
+    log: Path,
+    folder: Path,
+    fmu: Path | None = None,
+    *,
+    report: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
+
+    Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
+    """
+    with tempfile.TemporaryDirectory(prefix="cosim-replay-") as scratch:
+        driven = fmu or build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
+        read = log_of_fmu(log, driven)
+        return write_replay(folder, read, driven, report=report, passing=fmu is None, progress=progress)
+
+
+def write_replay(
+    folder: Path,
+    log: Log,
+    fmu: Path,
+    *,
+    start: Mapping[str, Any] | None = None,
+    rate: float | None = None,
+    report: bool = True,
+    passing: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
+
+    passing: the FMU is that of this package, built for this replay only.
+    rate: step the log must have [s]; without, the FMU's own step is told as a warning only.
+    Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
+    """
+    total = steps_of(log)
+    with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
+        findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits)
+        refuse_faults(log, findings)
+        check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
+        for name in ("report.html", "residual.csv"):  # they would tell of other results
+            (folder / name).unlink(missing_ok=True)
+        try:
+            free = free_run(drive, start)
+        except StoppedReplay as stopped:
+            results(drive, as_columns(stopped.done, drive.outputs)).write_csv(folder / "results.csv")
+            raise
+        results(drive, free.outputs).write_csv(folder / "results.csv")
+        comparison = compare(drive, free, findings)
+    residuals(comparison).write_csv(folder / "residual.csv")
+    if report:
+        with atomic_write(folder / "report.html") as stream:
+            stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+    return comparison
+
+
+def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
+    """Commands and outputs of the FMU as `plant.variable`, what was measured as `log.variable`."""
+    log, rows = drive.log, len(next(iter(outputs.values())))
+    columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
+    columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
+    return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())))
+
+
+def residuals(comparison: Comparison) -> Results:
+    """Measured − model of every horizon: `free_run.psi`, `within_2s.psi`, `within_500ms.psi`."""
+    columns: dict[str, Array] = {}
+    for horizon, replayed in sorted(comparison.replays.items(), reverse=True):
+        size = f"{horizon:g}s" if horizon == round(horizon, 0) else f"{1000 * horizon:g}ms"
+        label = "free_run" if horizon == FREE_RUN else f"within_{size}"
+        columns |= {f"{label}.{n}": e for n, e in replayed.errors(comparison.log).items()}
+    return Results(comparison.log.time, tuple(columns), np.column_stack(list(columns.values())))

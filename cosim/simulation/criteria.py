@@ -1,0 +1,51 @@
+"""Criteria of a scenario, evaluated on its results."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from cosim.results import Results
+from cosim.simulation import metrics
+from cosim.simulation.scenario import Criterion, Scenario
+
+
+def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
+    """Every criterion with its value, limit, unit and whether it is met."""
+    return [_evaluate(kind, criterion, results) for kind, _, criterion in scenario.goals]
+
+
+def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, Any]:
+    end = math.inf if criterion.until is None else criterion.until
+    elapsed = results.time - results.time[0]
+    window = (elapsed >= criterion.after - 1e-9) & (elapsed <= end + 1e-9)
+    t, signal = results.time[window], results[criterion.of][window]
+    target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
+    unit = results.units.get(criterion.of, "")
+    match kind:
+        case "settling_time":
+            value, unit = metrics.settling_time(t, signal, target, criterion.band or 0.0), "s"
+        case "effort":
+            value, unit = metrics.effort(t, signal - target), f"{unit}.s".lstrip(".")
+        case "peak":
+            value = metrics.peak(signal - target)
+        case _:
+            value = getattr(metrics, kind)(signal, target)
+    return {
+        "kind": kind,
+        **criterion.model_dump(exclude_defaults=True, exclude={"max"}),
+        "value": value if math.isfinite(value) else None,
+        "max": criterion.max,
+        "unit": unit,
+        "met": bool(value <= criterion.max),
+    }
+
+
+def sentence(outcome: dict[str, Any]) -> str:
+    """One criterion and its outcome, as said on the terminal."""
+    value = "never" if outcome["value"] is None else f"{outcome['value']:.4g} {outcome['unit']}".rstrip()
+    verdict = "met" if outcome["met"] else "MISSED"
+    limit = f"{outcome['max']:.4g} {outcome['unit']}".rstrip()
+    return f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']} is {value}, at most {limit} allowed"

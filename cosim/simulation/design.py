@@ -1,0 +1,105 @@
+"""`design:` of a scenario: start values of a controller designed before the run, cached by content.
+
+What can be designed, and what may be said of it, the designer declares (`plant.design`); the registry knows it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Optional
+
+from pydantic import Field, create_model
+
+from cosim.errors import Fault, InputError
+from cosim.files import atomic_write
+from cosim.models.file import load_model
+from cosim.registry import BASE_NAME, MODELS, resolve
+from cosim.simulation.scenario import Design
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.yaml_file import NotNegative, Positive
+from fmus.native.cache import cached
+from plant.design import Designer, Option
+from plant.model import Model
+
+
+def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
+    """Start values by component that the design gives; its options are written into the scenario, defaults too.
+
+    A design that fails is one more fault of the file.
+    """
+    design = file.scenario.design
+    if design is None:
+        return {}
+    try:
+        model, designer = _asked(file, design)
+        options = _options(file, design, designer)
+        if file.faults:  # a faulty scenario is not run
+            return {}
+        values = _designed(file, designer, options, model)
+    except InputError as error:
+        file.faults += error.faults
+        return {}
+    return {design.component: {**values, **designer.given(options)}}
+
+
+def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
+    """The model of `design.model`, None where none is named, and who designs its controller."""
+    if design.model is None:
+        return None, resolve(MODELS[BASE_NAME].design)
+    loaded = load_model(design.model, file.path.parent)
+    known = MODELS.get(loaded.source)
+    if known is None or not known.design:
+        message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
+        raise InputError([file.fault(("design", "model"), message)])
+    return loaded.model, resolve(known.design)
+
+
+def _options(file: ScenarioFile, design: Design, designer: Designer) -> dict[str, Any]:
+    """The options as the designer declares them; InputError with every fault."""
+    fields: dict[str, Any] = {name: (_kind(option), option.default) for name, option in designer.options.items()}
+    declared = create_model("Design", __base__=Design, **fields)
+    whole = file.yaml.validate(declared, design.model_dump(), ("design",))
+    file.scenario = file.scenario.model_copy(update={"design": whole})
+    return {name: getattr(whole, name) for name in designer.options}
+
+
+def _kind(option: Option) -> Any:
+    """The type of an option's values."""
+    if option.choices:
+        return Optional[Literal[option.choices]]  # noqa: UP045 - made at run time
+    number = Positive if option.positive else NotNegative
+    if option.length is None:
+        return Optional[number]  # noqa: UP045
+    return Annotated[list[number], Field(min_length=option.length, max_length=option.length)]  # type: ignore[valid-type]
+
+
+def _designed(
+    file: ScenarioFile, designer: Designer, options: Mapping[str, Any], model: Model | None
+) -> dict[str, float]:
+    """Designed values, from the cache or now; InputError where there is no such design."""
+    from cosim.version import __version__
+
+    try:
+        content = {"options": options, "model": designer.depends_on(model)}
+        key = {"version": __version__, "format": designer.version, "designer": type(designer).__qualname__, **content}
+        kept = cached(json.dumps(key, sort_keys=True), ".json")
+        try:
+            values = json.loads(kept.read_text(encoding="utf-8"))
+            if isinstance(values, dict) and values and all(type(v) is float for v in values.values()):
+                return values
+        except (OSError, ValueError):
+            pass  # none there, or it is not one
+        made = designer.values(options, model)
+    except ValueError as error:
+        raise InputError([_fault(file, error)]) from None
+    try:
+        with atomic_write(kept) as stream:
+            json.dump(made, stream)
+    except OSError:
+        pass  # a cache that cannot be written only costs time
+    return made
+
+
+def _fault(file: ScenarioFile, error: ValueError) -> Fault:
+    return file.fault(("design",), f"design: {error}")

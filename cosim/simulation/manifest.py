@@ -1,0 +1,125 @@
+"""The manifest: everything needed to know what a run was, and to run it again bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import InputError
+from cosim.files import atomic_write
+from cosim.simulation.scenario import FmuComponent, Scenario, resolved
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import System
+from cosim.version import __version__
+
+SCHEMA_VERSION = 1
+PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
+    """The scenario as run: gains in place of `design`, files absolute, FMUs pinned by content."""
+    components: dict[str, Any] = {}
+    for name, component in file.scenario.components.items():
+        if isinstance(component, FmuComponent):
+            path = system.fmus[name][0]
+            start = {**designed.get(name, {}), **component.start}
+            components[name] = FmuComponent(fmu=str(path), start=start, sha256=sha256(path))
+        elif component.block == "playback":
+            components[name] = component.model_copy(
+                update={"file": str(file.resolve(component.file)), "sha256": sha256(file.resolve(component.file))}
+            )
+        else:
+            components[name] = component
+    return file.scenario.model_copy(update={"components": components, "design": None})
+
+
+def check_pinned(file: ScenarioFile) -> None:
+    """A manifest is repeated only with the FMUs it was made with."""
+    faults = []
+    for name, component in file.scenario.components.items():
+        key = "fmu" if isinstance(component, FmuComponent) else "file"
+        pinned: str | None = getattr(component, "sha256", None)
+        path = file.resolve(getattr(component, key, ""))
+        if pinned is not None and path.is_file() and sha256(path) != pinned:
+            what = "FMU" if key == "fmu" else "file"
+            message = (
+                f"{path} is not the {what} of this run: its SHA-256 differs; put that one back, or run the scenario"
+            )
+            faults.append(file.fault(("components", name, key), message))
+    if faults:
+        raise InputError(faults)
+
+
+def manifest(
+    file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System, timings: Mapping[str, float]
+) -> dict[str, Any]:
+    """The manifest of a run, before its outcome is known."""
+    scenario = resolve_scenario(file, designed, system)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "cosim_version": __version__,
+        "status": "ok",
+        "source": str(file.path.resolve()),
+        "scenario": resolved(scenario),
+        "design": resolved(file.scenario).get("design"),
+        "seed": scenario.seed,
+        "fmus": {
+            name: {
+                "path": str(path),
+                "guid": description.guid,
+                "sha256": scenario.components[name].sha256,  # type: ignore[union-attr]
+                "model_name": description.modelName,
+                "version": description.version,
+                "generation_tool": description.generationTool,
+            }
+            for name, (path, description) in system.fmus.items()
+        },
+        "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
+        "git": _git(Path(__file__).resolve().parent.parent),
+        "timings": dict(timings),
+        "warnings": list(system.warnings),
+        "criteria": [],
+    }
+
+
+def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a manifest, whole or not at all."""
+    with atomic_write(path) as stream:
+        json.dump(content, stream, indent=2, ensure_ascii=False)
+        stream.write("\n")
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in PACKAGES:
+        try:
+            found[package.lower()] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _git(folder: Path) -> dict[str, Any] | None:
+    """Revision of this package's checkout; None where it is installed without one."""
+    if not (folder / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"],
+            capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return None
+    text = done.stdout.strip()
+    return {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}

@@ -1,0 +1,1 @@
+"""All that is the hovercraft's on the page about a run."""

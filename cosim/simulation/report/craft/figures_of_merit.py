@@ -1,0 +1,100 @@
+"""The craft's tables: answers to steps, errors, effort."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.report.tables import Grid, Row
+from cosim.simulation.report.craft.judgement import Response, effort, error_rms, responses, saturation
+from cosim.simulation.report.craft.lines import QUANTITIES
+from cosim.simulation.report.craft.roles import SIDES, Craft
+from cosim.simulation.report.craft.sentences import SYMBOLS
+from cosim.simulation.report.outcome import failed
+from cosim.simulation.report.recorded import Run
+from cosim.text import MISSING, amount, length, percent
+
+SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
+MOST_RESPONSES = 16
+
+
+@dataclass(frozen=True)
+class ResponseRow:
+    """One reference step as text."""
+
+    symbol: str
+    time: str
+    step: str
+    settling: str
+    believed: str
+    overshoot: str
+    rms: str
+    final: str
+
+
+def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
+    """The handful of numbers a reader looks for first; of the first craft."""
+    found: list[Row] = []
+    for variable in ("x", "psi"):
+        answers = responses(crafts[0], variable) if crafts and not failed(run) else []
+        if answers:
+            band = "±0.02 m" if variable == "x" else "±0.02 rad"
+            found.append(Row(f"Settling of {SYMBOLS[variable]}", _settling(answers[-1].settling), f"last step, {band}"))
+    if found and crafts and (answers := responses(crafts[0], "x")):
+        found.append(
+            Row("Final error of x", length(answers[-1].final).replace("less than", "<"), "craft against reference")
+        )
+    shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
+    if shares and all(map(math.isfinite, shares)):
+        found.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
+    return found
+
+
+def _settling(value: float) -> str:
+    if math.isnan(value):
+        return MISSING
+    return amount(value, "s") if math.isfinite(value) else "not settled"
+
+
+def response_rows(craft: Craft) -> list[ResponseRow]:
+    """Answers of x and ψ to their references in order of time; the last ones where there are many."""
+    answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
+    return [_response_row(answer) for answer in answers[-MOST_RESPONSES:]]
+
+
+def _response_row(answer: Response) -> ResponseRow:
+    unit = SI[answer.variable]
+    target = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}"
+    ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+    sizes = (amount(value, unit, 2) for value in (answer.overshoot, answer.rms, answer.final))
+    return ResponseRow(
+        SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, _settling(answer.settling),
+        _settling(answer.believed), *sizes,
+    )  # fmt: skip
+
+
+def error_grid(craft: Craft) -> Grid | None:
+    """RMS errors over the whole run: craft against reference, estimate against craft."""
+    rows = []
+    for quantity in QUANTITIES:
+        true, unit = craft.signal(quantity.name), SI[quantity.name]
+        tracking = error_rms(true, craft.reference(quantity.name))
+        estimation = error_rms(craft.estimate(f"{quantity.name}_hat"), true)
+        if math.isfinite(tracking) or math.isfinite(estimation):
+            rows.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
+    return Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(rows)) if rows else None
+
+
+def tilt_grid(craft: Craft) -> Grid | None:
+    """Effort and saturation over the whole run."""
+    rows = []
+    for side in SIDES:
+        command = craft.command(f"tilt_{side}")
+        good = np.abs(command[np.isfinite(command)]) if command is not None else np.zeros(0)
+        if good.size:
+            used = amount(effort(craft, side), "rad.s")
+            rows.append((side, used, amount(float(good.max()), "rad"), percent(saturation(craft, side))))
+    return Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(rows)) if rows else None

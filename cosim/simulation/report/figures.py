@@ -1,0 +1,114 @@
+"""PNG figures of a run, for reports and slides; the same panels as on the page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.report.panels import Panel
+from cosim.results import Results
+from cosim.simulation.report.page import recorded, signal_panels
+from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.subject import figures_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# Okabe and Ito's colours, told apart by all common kinds of sight; dashes carry the same message without colour.
+# What lies under the thin dark truth is wide and pale, so that neither hides the other.
+LINES: dict[str, tuple[str, str, float]] = {
+    "true": ("#1a1a1a", "-", 1.6),
+    "estimate": ("#7fb8d8", "-", 3.2),
+    "reference": ("#767676", "--", 1.2),
+    "error": ("#0072b2", "-", 1.1),
+    "right": ("#eaae7f", "-", 2.6),
+    "left": ("#7fb8d8", "-", 2.6),
+    "actual": ("#1a1a1a", "-", 1.1),
+    "s0": ("#0072b2", "-", 1.1),
+    "s1": ("#d55e00", "--", 1.1),
+    "s2": ("#009e73", "-.", 1.1),
+    "s3": ("#cc79a7", "-", 1.1),
+    "s4": ("#8a6d00", "--", 1.1),
+    "s5": ("#1a1a1a", ":", 1.1),
+}
+PANELS_A_FIGURE = 8
+
+
+def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
+    """Write PNG figures of a run into `folder`, none of a run without rows, and return their paths."""
+    run = recorded(results, manifest)
+    if run.time.size == 0:
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    return figures_of(run, folder) or _signals(folder, run)
+
+
+def _signals(folder: Path, run: Run) -> list[Path]:
+    """Every signal of a run that nobody has drawn figures for, by unit."""
+    panels = signal_panels(run)
+    sheets = [panels[first : first + PANELS_A_FIGURE] for first in range(0, len(panels), PANELS_A_FIGURE)]
+    names = ["signals.png"] if len(sheets) == 1 else [f"signals-{i + 1}.png" for i in range(len(sheets))]
+    return [panels_figure(folder / name, run, sheet) for name, sheet in zip(names, sheets, strict=True)]
+
+
+def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
+    """Panels over time in one file, two beside each other."""
+    from matplotlib.figure import Figure
+
+    columns = 1 if len(panels) == 1 else 2
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(5.6 * columns, 2.6 * rows + 0.3), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, panel in zip(axes, panels, strict=False):
+        _panel(ax, run, panel)
+    for ax in axes[len(panels) :]:
+        ax.set_axis_off()
+    return save(figure, path)
+
+
+def _panel(ax: Axes, run: Run, panel: Panel) -> None:
+    if panel.band is not None:
+        band = panel.band
+        ax.fill_between(run.time, band.lower, band.upper, color="#0072b2", alpha=0.16, linewidth=0, label=band.label)
+    for trace in panel.traces:
+        colour, dash, width = LINES[trace.style]
+        shape = "steps-post" if trace.held else "default"
+        marker = "." if run.time.size == 1 else ""
+        ax.plot(run.time, trace.values, color=colour, linestyle=dash, linewidth=width, drawstyle=shape, marker=marker,
+                label=literal(trace.label))  # fmt: skip
+    for i, limit in enumerate(panel.limits):
+        ax.axhline(
+            limit, color="#767676", linestyle=(0, (4, 3)), linewidth=0.9, label=panel.limit_label if i == 0 else None
+        )
+    ax.set_title(literal(panel.title), loc="left", fontsize=10)
+    ax.margins(x=0, y=0.14)  # room for the legend
+    ax.set_ylabel(f"[{literal(panel.unit)}]")
+    tidy(ax, "time [s]")
+    ax.legend(fontsize=7.5, frameon=False, ncols=2, loc="best")
+
+
+def tidy(ax: Axes, label: str) -> None:
+    """Grid and label; no box."""
+    ax.set_xlabel(label)
+    ax.grid(color="#e4e4e4", linewidth=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write whole or not at all, as every file of a run."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        figure.savefig(draft, format="png", dpi=150)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+    return path
+
+
+def literal(text: str) -> str:
+    """User's text, not mathematics: matplotlib reads `$…$` as TeX and hides labels that begin with `_`."""
+    return text.replace("$", r"\$").removeprefix("_")

@@ -1,0 +1,67 @@
+"""The run in words: each sentence is computed from the data and left out where it would not be true."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.simulation.report.recorded import Run, mappings, number
+from cosim.text import amount, counted
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A criterion of the scenario as the page tells it."""
+
+    what: str
+    value: str
+    allowed: str
+    margin: str
+    met: bool
+
+
+def criteria(run: Run) -> list[Criterion]:
+    """The criteria of the manifest, as text."""
+    return [_criterion(entry, run.unit(str(entry.get("of")))) for entry in mappings(run.manifest.get("criteria"))]
+
+
+def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> Criterion:
+    unit, value, bound = str(entry.get("unit") or ""), number(entry.get("value")), number(entry.get("max"))
+    kind = str(entry.get("kind", "criterion"))
+    met = bool(entry["met"]) if "met" in entry else value <= bound
+    target = entry.get("to")
+    parts = [f"{kind.replace('_', ' ')} of {entry.get('of', '?')}"]
+    if target is not None:
+        parts.append(f"to {target if isinstance(target, str) else amount(number(target), unit_of_signal, None)}")
+    parts += [f"within ±{amount(number(entry['band']), unit_of_signal, None)}"] if "band" in entry else []
+    parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
+    shown = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+    left = bound - value
+    margin = "" if not math.isfinite(left) else f"{amount(abs(left), unit)} {'left' if left >= 0 else 'over'}"
+    allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
+    return Criterion(" ".join(parts), shown, allowed, margin, met)
+
+
+def failed(run: Run) -> bool:
+    """Whether the simulation stopped before its end."""
+    return str(run.manifest.get("status") or "ok") != "ok"
+
+
+def outcome(run: Run, judged: list[Criterion]) -> str:
+    """The run in one or two plain sentences."""
+    missed = [c for c in judged if not c.met]
+    if failed(run):
+        status = str(run.manifest["status"])
+        reason = status.removeprefix("failed").lstrip(": ") or "no reason was recorded"
+        return f"The simulation failed: {reason}. The rows before that are shown."
+    if not judged:
+        return "The run completed; the scenario sets no criteria."
+    if not missed:
+        return "The criterion was met." if len(judged) == 1 else f"All {counted(len(judged), 'criterion')} were met."
+    verb = "was" if len(missed) == 1 else "were"
+    first = missed[0]
+    detail = f"{first.what}: {first.value}" + (f", allowed {first.allowed}" if first.allowed else "")
+    which = detail if len(missed) == 1 else f"first, {detail}"
+    return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."

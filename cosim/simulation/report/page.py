@@ -1,0 +1,92 @@
+"""What stands on the page about any run, in order: header, signals, figures of merit, provenance."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.files import atomic_write
+from cosim.report.data import to_json
+from cosim.report.drawing import Drawing
+from cosim.report.panels import Panel, Trace, by_unit
+from cosim.report.tables import Row
+from cosim.report.template import render
+from cosim.results import Results
+from cosim.simulation.report.outcome import criteria, failed, outcome
+from cosim.simulation.report.recorded import Run, mapping, number, texts
+from cosim.simulation.report.rows import badges, connections, provenance, starts
+from cosim.simulation.report.subject import Subject, subject_of
+from cosim.text import display, plain
+
+TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
+
+
+def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
+    """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
+    run = recorded(results, manifest)
+    drawing = Drawing(run.time, len(run.results.columns))
+    subject = subject_of(run, drawing)
+    page = render(subject.template if subject else TEMPLATE, context(run, drawing, subject), [TEMPLATE.parent])
+    with atomic_write(path) as stream:
+        stream.write(page)
+
+
+def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
+    """The rows that have a time, with NaN for what no axis can hold: one kind of gap for everything after."""
+    timed = np.isfinite(results.time)
+    values = results.values[timed]
+    drawable = np.where(np.abs(values) < DRAWABLE, values, np.nan)
+    return Run(replace(results, time=results.time[timed], values=drawable), manifest)
+
+
+def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
+    """Everything the template names."""
+    judged = criteria(run)
+    others = signal_panels(run, subject.shown if subject else frozenset()) if run.time.size else []
+    return {
+        "name": str(run.scenario.get("name") or "Run"),
+        "description": str(run.scenario.get("description") or ""),
+        "outcome": outcome(run, judged),
+        "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
+        "badges": badges(run, judged),
+        "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
+        "others": drawing.without_values(others),
+        "criteria": judged,
+        "rows": run.time.size,
+        "end": run.time[-1] if run.time.size else 0.0,
+        "data": to_json(run.time, drawing.series, subject.data if subject else {}),
+        "provenance": provenance(run),
+        "connections": connections(run),
+        "starts": starts(run),
+        "warnings": texts(run.manifest.get("warnings")),
+        "repeat": shlex.join(["cosim", "run", "manifest.json"]),
+        "version": str(run.manifest.get("cosim_version") or ""),
+        "own": bool(subject and subject.shown),
+        **(subject.values if subject else {}),
+    }
+
+
+def _speed(run: Run) -> list[Row]:
+    factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
+    if not math.isfinite(factor):
+        return []
+    return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
+
+
+def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
+    """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
+    left = [column for column in run.results.columns if column not in shown]
+    panels = []
+    for unit, columns in by_unit(left, run.unit):
+        shown_unit, factor = display(unit)
+        traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
+        components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
+        panels.append(Panel(", ".join(components), shown_unit or "no unit", traces))
+    return panels

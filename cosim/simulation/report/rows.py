@@ -1,0 +1,107 @@
+"""Rows of the page about any run: badges, connections, start values, where it came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.report.tables import Badge, Row
+from cosim.simulation.report.outcome import Criterion, failed
+from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.text import amount, counted
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A connection and the noise on it."""
+
+    source: str
+    target: str
+    noise: str
+
+
+def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
+    """Status, criteria, algorithm, noise, seed, then what asks for attention."""
+    found = [Badge("failed", "bad") if failed(run) else Badge("completed", "good")]
+    if judged:
+        met = sum(criterion.met for criterion in judged)
+        found.append(
+            Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")
+        )
+    scenario, seed = run.scenario, run.manifest.get("seed")
+    found += [Badge(run.algorithm.replace("_", "-").title())] if run.algorithm else []
+    noisy = any(mapping(link.get("noise")) for link in mappings(scenario.get("connections")))
+    found += [Badge("noise on" if noisy and scenario.get("noise", True) else "noise off")] if run.links else []
+    found += [Badge(f"seed {seed}")] if seed is not None else []
+    warnings = texts(run.manifest.get("warnings"))
+    found += [Badge(counted(len(warnings), "warning"), "warn")] if warnings else []
+    found += [Badge("uncommitted changes", "warn")] if mapping(run.manifest.get("git")).get("dirty") else []
+    return found
+
+
+def connections(run: Run) -> list[Connection]:
+    """The connections of the scenario."""
+    return [
+        Connection(str(link.get("from", "?")), str(link.get("to", "?")), _noise(run, link))
+        for link in mappings(run.scenario.get("connections"))
+    ]
+
+
+def _noise(run: Run, link: Mapping[str, Any]) -> str:
+    """Standard deviation and bias in the unit shown elsewhere; the manifest keeps the variance."""
+    noise = mapping(link.get("noise"))
+    if not noise:
+        return ""
+    unit = run.unit(str(link.get("to"))) or run.unit(str(link.get("from")))
+    variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
+    parts = [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit)}"] if variance > 0 else []
+    parts += [f"bias {amount(bias, unit)}"] if bias else []
+    parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
+    return ", ".join(parts) or "none"
+
+
+def starts(run: Run) -> list[Row]:
+    """Start values and settings the scenario gave its components."""
+    found = []
+    for name, component in mapping(run.scenario.get("components")).items():
+        kind = mapping(component)
+        settings = {**kind, **mapping(kind.get("start"))}
+        settings = {key: value for key, value in settings.items() if key not in ("start", "fmu", "block", "sha256")}
+        source = str(kind.get("fmu") or kind.get("block") or "")
+        found.append(Row(str(name), ", ".join(f"{key} = {value}" for key, value in settings.items()), source))
+    return found
+
+
+def provenance(run: Run) -> list[Row]:
+    """What is needed to get the same numbers again."""
+    manifest, scenario = run.manifest, run.scenario
+    found = []
+    for name, fmu in mapping(manifest.get("fmus")).items():
+        fields = mapping(fmu)
+        identity = [
+            f"{key.replace('_', ' ')} {fields[key]}"
+            for key in ("model_name", "version", "guid", "sha256", "generation_tool")
+            if fields.get(key)
+        ]
+        found.append(Row(f"FMU {name}", "\n".join(identity), str(fields.get("path") or "")))
+    if manifest.get("cosim_version"):
+        found.append(Row("cosim", str(manifest["cosim_version"])))
+    versions = mapping(manifest.get("versions"))
+    found += [Row("Versions", ", ".join(f"{key} {value}" for key, value in versions.items()))] if versions else []
+    git = mapping(manifest.get("git"))
+    state = "with uncommitted changes" if git.get("dirty") else "clean"
+    found += [Row("Git revision", str(git["revision"]), state)] if git.get("revision") else []
+    facts = {"Duration": ("duration", "s"), "Step": ("step", "s")}
+    found += [
+        Row(label, f"{number(scenario[key]):g} {unit}") for label, (key, unit) in facts.items() if key in scenario
+    ]
+    found += [Row("Algorithm", run.algorithm)] if run.algorithm else []
+    found += [Row("Seed", str(manifest["seed"]))] if manifest.get("seed") is not None else []
+    design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
+    found += [Row("Design", ", ".join(f"{key} = {value}" for key, value in design.items()))] if design else []
+    timings = mapping(manifest.get("timings"))
+    wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
+    found += [Row("Wall time", ", ".join(wall))] if wall else []
+    return found

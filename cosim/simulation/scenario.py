@@ -1,0 +1,157 @@
+"""Scenario files: what is run, how it is connected, what it must achieve."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+)
+
+from cosim.blocks.profile import Profile
+from cosim.yaml_file import NotNegative, Number, Part, Positive
+
+LARGEST = 1e308  # about what a double holds; larger integers are no numbers of FMI
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
+
+
+def _scalar(value: Any) -> Any:
+    """A start value: a finite number, true or false, or text (a number with a unit, or the value of a string)."""
+    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST):
+        return value
+    raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
+
+
+def _kind_of(component: Any) -> str | None:
+    """Which kind of component a mapping describes, by the key that only this kind has."""
+    if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent):
+        return f"«{getattr(component, 'block', 'fmu')}»"
+    if not isinstance(component, dict):
+        return None
+    block = component.get("block")
+    return f"«{block}»" if block in BLOCKS else "«fmu»" if "fmu" in component else None
+
+
+BLOCKS = ("reference", "playback")
+
+
+class Noise(Part):
+    """Gaussian noise and bias that a connection adds, in the square of the signal's unit and in its unit."""
+
+    variance: NotNegative = 0.0
+    bias: Number = 0.0
+
+
+class Connection(Part):
+    """From one output to one input, `component.variable`."""
+
+    source: Variable = Field(alias="from")
+    target: Variable = Field(alias="to")
+    noise: Noise | None = None
+
+
+class FmuComponent(Part):
+    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`."""
+
+    fmu: str
+    start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
+    sha256: str | None = None
+
+
+class ReferenceComponent(Part):
+    """Reference signals made by steps and ramps."""
+
+    block: Literal["reference"]
+    signals: dict[str, Profile] = Field(min_length=1)
+
+
+class PlaybackComponent(Part):
+    """Columns of a CSV file, each value held until the next row."""
+
+    block: Literal["playback"]
+    file: str
+    sha256: str | None = None
+
+
+class Design(Part):
+    """Start values of a controller designed before the run; further keys are the designer's (`cosim.registry`).
+
+    `model`: a model file, from whose equations its numbers are taken; those given beside it win
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    component: Name = "controller"
+    model: str | None = None
+
+
+class Criterion(Part):
+    """A figure of merit and its limit; `to` is a number or another signal, `after` and `until` bound the time [s]."""
+
+    of: Variable
+    to: Number | Variable = 0.0
+    band: Positive | None = None
+    after: Number = 0.0
+    until: Number | None = None
+    max: Number
+
+
+Criteria = dict[
+    Literal["settling_time", "overshoot", "rms_error", "final_error", "peak", "effort"], Criterion | list[Criterion]
+]
+Component = Annotated[
+    Annotated[FmuComponent, Tag("«fmu»")]
+    | Annotated[ReferenceComponent, Tag("«reference»")]
+    | Annotated[PlaybackComponent, Tag("«playback»")],
+    Discriminator(
+        _kind_of,
+        custom_error_type="component",
+        custom_error_message="a component has fmu: FILE, block: reference or block: playback",
+    ),
+]
+
+
+class Scenario(Part):
+    """One co-simulation."""
+
+    name: str
+    description: str = ""
+    duration: Positive
+    step: Positive
+    start_time: Number = 0.0
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    algorithm: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
+    order: list[Name] | None = None
+    noise: bool = True
+    design: Design | None = None
+    components: dict[Name, Component] = Field(min_length=1)
+    connections: list[Connection] = Field(default_factory=list)
+    criteria: Criteria = Field(default_factory=dict)
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        return round(self.duration / self.step)
+
+    @property
+    def goals(self) -> list[tuple[str, int | None, Criterion]]:
+        """Every criterion: kind, its place in a list of several, itself."""
+        flat: list[tuple[str, int | None, Criterion]] = []
+        for kind, one_or_many in self.criteria.items():
+            if isinstance(one_or_many, Criterion):
+                flat.append((kind, None, one_or_many))
+            else:
+                flat += [(kind, k, criterion) for k, criterion in enumerate(one_or_many)]
+        return flat
+
+
+def resolved(scenario: Scenario) -> dict[str, Any]:
+    """A scenario as a JSON mapping, defaults spelled out."""
+    data: dict[str, Any] = json.loads(scenario.model_dump_json(by_alias=True, exclude_none=True))
+    return data

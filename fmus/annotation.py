@@ -1,0 +1,44 @@
+"""What an FMU of ours says of itself beside FMI, in its vendor annotations: other hosts pass it over."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
+
+from plant.planar import PlanarFrame
+from plant.traits import Traits
+
+TOOL = "cosim"
+FRAME = ("x", "y", "heading", "forward", "right")
+
+
+def annotation(traits: Traits) -> Element:
+    """`VendorAnnotations`: that the state is ours to read, rates, limits, and the names of a motion in a plane."""
+    root = Element("VendorAnnotations")
+    node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state="json")  # FMI allows one element
+    for name, rate in traits.rates.items():
+        SubElement(node, "Rate", of=name, signal=rate)
+    for name, (low, high) in traits.bounds.items():
+        SubElement(node, "Limits", of=name, low=repr(low), high=repr(high))
+    if traits.planar:
+        SubElement(node, "PlanarFrame", {key: getattr(traits.planar, key) for key in FRAME})
+    return root
+
+
+def traits_of(fmu: Path) -> Traits | None:
+    """What the FMU says of its signals; None where it is not one of ours."""
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            root = fromstring(archive.read("modelDescription.xml"))
+    except (OSError, KeyError, zipfile.BadZipFile, ParseError):
+        return None
+    node = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Traits")
+    if node is None:
+        return None
+    frame = node.find("PlanarFrame")
+    return Traits(
+        {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
+        {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
+        None if frame is None else PlanarFrame(**{key: frame.attrib[key] for key in FRAME}),
+    )

@@ -1,0 +1,67 @@
+"""The C compiler of this machine, and the libraries it has made."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from fmus.native.cache import cached
+
+OPTIONS = ("-O3", "-fno-math-errno", "-shared", "-fPIC", "-std=c99")  # errno of sin and pow is not looked at
+
+
+def compiler() -> list[str] | None:
+    """The command of the C compiler: what `CC` in the environment says, else cc, gcc or clang; None: there is none."""
+    named = os.environ.get("CC")
+    commands = (_words(c) for c in (("cc", "gcc", "clang") if named is None else (named,)))
+    return next((words for words in commands if words and shutil.which(words[0])), None)
+
+
+def _words(command: str) -> list[str]:
+    """A command as a shell splits it; none where a quote is left open."""
+    try:
+        return shlex.split(command)
+    except ValueError:
+        return []
+
+
+def loaded(source: str) -> ctypes.CDLL:
+    """The shared library of a source; one of another machine in the cache is compiled anew."""
+    library = _compiled(source)
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError:
+        library.unlink(missing_ok=True)
+        return ctypes.CDLL(str(_compiled(source)))
+
+
+def _compiled(source: str) -> Path:
+    """The shared library of a source, from the cache or compiled now.
+
+    Its name ends with the hash of its content: to load one that is damaged can end the process.
+    """
+    stem = cached(source, "")
+    for kept in stem.parent.glob(f"{stem.name}-*.so"):
+        if kept.name == _named(stem, kept).name:
+            return kept
+        kept.unlink(missing_ok=True)
+    command = compiler()
+    if command is None:
+        raise FileNotFoundError("no C compiler")
+    with tempfile.TemporaryDirectory(dir=stem.parent) as folder:
+        file, library = Path(folder) / "model.c", Path(folder) / "model.so"
+        file.write_text(source, encoding="utf-8")
+        full = [*command, *OPTIONS, "-o", str(library), str(file), "-lm"]
+        subprocess.run(full, check=True, capture_output=True, timeout=120)
+        return library.replace(_named(stem, library))
+
+
+def _named(stem: Path, library: Path) -> Path:
+    """Where a library of this content is kept."""
+    return stem.with_name(f"{stem.name}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so")

@@ -1,0 +1,1 @@
+"""The body as symbols: linear models, dependencies, and code in several languages."""
