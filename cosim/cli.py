@@ -17,7 +17,7 @@ from cosim.errors import CosimError, CriterionMissed, InputError
 from cosim.version import __version__
 
 app = typer.Typer(
-    help="Co-simulate FMUs, with the thrust-vectoring hovercraft as plant and controller.",
+    help="Co-simulate FMUs, hold them against measured logs, and find what a model lacks.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -164,7 +164,7 @@ def excite(
     out: Out = Path("excitation"),
     limit: Annotated[
         list[str] | None,
-        typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; tilt_right=8deg."),
+        typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
     ] = None,
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")

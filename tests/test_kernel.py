@@ -221,7 +221,7 @@ def cut(file: Path) -> None:
 
 SIMULATE = (
     "import sys, pickle, numpy as np; from cosim.kernel.compiled import CompiledKernel; from cosim.kernel.interface"
-    " import Data; g, p = pickle.load(sys.stdin.buffer); d = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4);"
+    " import Data; g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
     "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(2), np.zeros(0)).states).all())"
 )
 

@@ -58,8 +58,9 @@ class StartParameter:
 
 
 def start_parameters(drive: Drive) -> dict[str, StartParameter]:
-    """Output → the start parameter it shows, found by trying: `psi_start` of `psi`, `tilt_right_start` of
-    `tilt_right_actual`. One that its output does not follow in proportion is of something else and left alone.
+    """Output → the start parameter it shows, found by trying: `angle_start` of `angle` or of `angle_actual`.
+
+    One that its output does not follow in proportion is of something else and left alone.
     """
     variables = {v.name: v for v in drive.description.modelVariables if v.type == "Real" and v.causality == "parameter"}
     found = {}

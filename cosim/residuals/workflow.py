@@ -92,7 +92,7 @@ def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
 
 
 def residuals(comparison: Comparison) -> Results:
-    """Measured − model of every horizon: `free_run.psi`, `within_2s.psi`, `within_500ms.psi`."""
+    """Measured − model of every horizon: `free_run.angle`, `within_2s.angle`, `within_500ms.angle`."""
     columns: dict[str, Array] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):
         size = f"{horizon:g}s" if horizon == round(horizon, 0) else f"{1000 * horizon:g}ms"

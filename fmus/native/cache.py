@@ -11,7 +11,7 @@ from pathlib import Path
 
 def cached(source: str, suffix: str) -> Path:
     """Where what is made of a source is kept: in the user's cache, or, where none can be written, as long as we run."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim-hovercraft"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         writable = os.access(folder, os.W_OK)

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from controller.gains import Settings
 from cosim.arrays import Array
 from cosim.simulation.report.recorded import Run, number
 from cosim.simulation.start_values import QUANTITY
 
 SIDES = ("right", "left")
-TILT_MAX = 0.20944  # rad, what a controller FMU uses unless told otherwise
+TILT_MAX = Settings().tilt_max  # [rad], what a controller FMU uses unless told otherwise
 
 
 def angle(value: Any) -> float:

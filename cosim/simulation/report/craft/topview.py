@@ -19,8 +19,10 @@ from cosim.report.svg import Axis, extent, make_axis, polyline, round_step, runs
 from cosim.simulation.report.craft.roles import SIDES, Craft
 from cosim.simulation.report.recorded import number
 from cosim.text import DEGREES
+from plant.hovercraft import Hovercraft
 
-ARM, RADIUS = 0.17145, 0.127  # m, the craft's own unless its start values say otherwise
+CRAFT = Hovercraft()
+ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], unless its start values say otherwise
 MARGIN = 0.42  # m around the path: half a craft and some air
 NARROWEST, WIDEST = 1.25, 1.9  # width / height of the picture
 SMALLEST = 0.06  # of the picture's width; below it the craft is magnified
