@@ -150,7 +150,7 @@ def refine(
         from cosim.experiment.question import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
-        say(f"a flight that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
 
 
 @app.command()
@@ -169,10 +169,10 @@ def excite(
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
-    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the flight, in seconds.")] = 40.0,
+    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the experiment, in seconds.")] = 40.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
 ) -> None:
-    """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that flies it."""
+    """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that plays it."""
     from cosim.experiment.excite import excite as choose
 
     with stages() as progress:
@@ -184,7 +184,7 @@ def excite(
         typer.echo(f"warning: {found.warning}", err=True)
     for line in found.sentences:
         say(line)
-    say(f"excitation: {out / 'excitation.csv'}, flown by: cosim run {out / 'excitation.yaml'}")
+    say(f"excitation: {out / 'excitation.csv'}, played by: cosim run {out / 'excitation.yaml'}")
 
 
 @app.command()

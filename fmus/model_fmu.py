@@ -18,7 +18,7 @@ class ModelSlave(Slave):
     model: ClassVar[Model]
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Build the craft from what was set; what was not follows from it (a thrust from the nominal duty)."""
+        """Build the model from what was set; what was not set follows from it, or from its defaults."""
         starts = {name.removesuffix("_start"): v for name, v in given.items() if name.endswith("_start")}
         signals = {q.name for q in self.model.inputs}
         model = self.model.with_values(

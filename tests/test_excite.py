@@ -111,7 +111,7 @@ def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path
     for name in INPUTS:  # nine digits in the files; the loop holds what they lose at bay
         assert rows[f"plant.{name}"] == pytest.approx(played[name], abs=1e-6)
     for name in ("x_world", "y_world"):
-        assert rows[f"plant.{name}"] == pytest.approx(found.flight.outputs[name], abs=1e-6)
+        assert rows[f"plant.{name}"] == pytest.approx(found.trial.outputs[name], abs=1e-6)
         assert np.abs(rows[f"plant.{name}"]).max() <= found.question.limits[name]
     assert np.abs(played["tilt_right"]).max() <= math.radians(12) + 1e-9
 

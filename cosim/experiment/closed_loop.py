@@ -1,4 +1,4 @@
-"""The craft under its own controller: the rig that flies its experiments.
+"""The craft under its own controller: the rig that plays its experiments.
 
 A tilt of 1° askew, left alone, spins the hovercraft up within seconds. What is to be added to the tilts is put on the
 references, divided by the gain that leads from them to the tilts: in the very sample the controller commands it. It
@@ -17,7 +17,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.arrays import Array
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.experiment.flights import FASTEST, SLOWEST, Axis, Flight, Signals, flown, played
+from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Signals, Trial, played_lines, trial_of
 from cosim.table import write_columns
 from fmus.build import build
 from fmus.recipes import controller_recipe
@@ -52,7 +52,7 @@ class ClosedLoop:
             Axis("duty_difference", DUTY_DIFFERENCE * duty, *band),
         )
 
-    def fly(self, model: Model, signals: Signals) -> Flight:
+    def play(self, model: Model, signals: Signals) -> Trial:
         """The loop as a co-simulation runs it, Gauss-Seidel, without noise."""
         x_ref = signals["x_ref"] + signals["tilt_common"] / self.settings.k_1_1
         psi_ref = signals["psi_ref"] + signals["tilt_difference"] / self.settings.k_1_3
@@ -68,7 +68,7 @@ class ClosedLoop:
                 loop.step([y[j] for j in sensors], float(x_ref[k]), float(psi_ref[k]))
             return float(right[k]), float(left[k]), *loop.command
 
-        return flown(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
+        return trial_of(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
 
     def usual_signals(self, time: Array) -> Signals:
         """The five commands of scenarios/manoeuvre.yaml, as far as the time goes."""
@@ -80,9 +80,9 @@ class ClosedLoop:
             signals[name] = np.array([profile_function(profile)(t) for t in time.tolist()])
         return signals
 
-    def write(self, folder: Path, flight: Flight) -> None:
+    def write(self, folder: Path, trial: Trial) -> None:
         """The references, dither included, and the controller that follows them."""
-        write_columns(folder / "references.csv", flight.time, flight.references, {"x_ref": "m", "psi_ref": "rad"})
+        write_columns(folder / "references.csv", trial.time, trial.references, {"x_ref": "m", "psi_ref": "rad"})
         build(controller_recipe(), folder / "controller.fmu")
 
     def components(self) -> Iterator[str]:
@@ -90,10 +90,10 @@ class ClosedLoop:
         yield "  references: {block: playback, file: references.csv} # the dither on the tilts is in them"
         yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {self.settings.tilt_max:.9g}}}}}"
 
-    def connections(self, model: Model, flight: Flight, variance: Mapping[str, float]) -> Iterator[str]:
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
         """The loop through the controller, and the duties played."""
         for name in self.sensors:
             yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance[name]:g}}}}}"
-        yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in flight.references)
+        yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in trial.references)
         yield from (f"  - {{from: controller.{name}, to: plant.{name}}}" for name in self.commanded)
-        yield from played(q.name for q in model.inputs if q.name not in self.commanded)
+        yield from played_lines(q.name for q in model.inputs if q.name not in self.commanded)

@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.experiment.flights import Axis
+from cosim.experiment.rigs import Axis
 
 TONES = 12
-MOST_PARTS = 6  # of a flight, in each of which an axis moves or rests
+MOST_PARTS = 6  # of a trial, in each of which an axis moves or rests
 MOVES = 0.75  # how likely an axis moves in a part
 SHARE = (0.3, 1.0)  # of its amplitude an axis takes
 KINDS = ("multisine", "chirp", "steps", "ramps")
 
 
 def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) -> dict[str, Array]:
-    """One experiment: for each axis a kind, a size, and the parts of the flight in which it moves."""
+    """One experiment: for each axis a kind, a size, and the parts of the trial in which it moves."""
     parts = int(rng.integers(1, MOST_PARTS + 1))
     part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
     signals = {}

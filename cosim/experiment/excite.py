@@ -1,7 +1,7 @@
-"""`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that flies it.
+"""`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that plays it.
 
-Experiments are drawn by a seed, flown without noise, and kept within limits. Written is the one that tells most pairs
-of rivals apart, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
+Experiments are drawn by a seed, played without noise, and kept within limits. Written is the one that separates most
+pairs of rivals, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from cosim import registry
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.experiment.excitation import draw_signals
-from cosim.experiment.flights import Flight, OpenLoop, Rig
 from cosim.experiment.question import Question, ask, refinement_folder
+from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
 from cosim.files import atomic_write, check_writable
 from cosim.refinement.problem import build_problem
@@ -26,7 +26,7 @@ from cosim.text import counted
 
 EXPERIMENTS = 48
 DURATION = 40.0  # [s]
-FEW = 4  # rivals, of which each is flown before an experiment is preferred; of more, when it is chosen
+FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
 TOLD_APART = 3.0  # standard deviations between rivals, from which a log decides
 UNSEEN = 1.0  # standard deviations up to which noise hides the difference
@@ -37,15 +37,15 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Excitation:
-    """An experiment, flown by the model and by its rivals.
+    """An experiment, played by the model and by its rivals.
 
-    apart, usual: how far it, and what is usually flown, drive each pair apart [standard deviations]
+    apart, usual: how far it, and what is usually played, drive each pair apart [standard deviations]
     """
 
     question: Question
     rig: Rig
-    flight: Flight
-    rivals: Mapping[str, Flight]
+    trial: Trial
+    rivals: Mapping[str, Trial]
     apart: Mapping[Pair, float]
     usual: Mapping[Pair, float]
 
@@ -70,10 +70,10 @@ class Excitation:
             least = self.apart[self._hardest_first[LISTED]]
             rest = counted(len(lines) - LISTED, "more pair")
             lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
-        lines.append(f"excursion: {self._ranges(self.flight)}")
-        for name, flight in self.rivals.items():
-            if flight.beyond(self.question.limits) > 1.0:
-                lines.append(f"beyond its limits if {name} is true: {self._ranges(flight)}")
+        lines.append(f"excursion: {self._ranges(self.trial)}")
+        for name, trial in self.rivals.items():
+            if trial.beyond(self.question.limits) > 1.0:
+                lines.append(f"beyond its limits if {name} is true: {self._ranges(trial)}")
         return lines
 
     @property
@@ -89,11 +89,11 @@ class Excitation:
     def _hardest_first(self) -> list[Pair]:
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
-    def _ranges(self, flight: Flight) -> str:
+    def _ranges(self, trial: Trial) -> str:
         model = self.question.loaded.model
         units = {q.name: q.unit for q in model.outputs}
         shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
-        ranges = ((n, *flight.excursion(n)) for n in shown)
+        ranges = ((n, *trial.excursion(n)) for n in shown)
         return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
 
 
@@ -140,38 +140,38 @@ def excite(
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, tell: Progress) -> Excitation | None:
     """The best of `count` experiments; None where all go too far."""
     model, base = question.loaded.model, question.base
-    usual = rig.fly(model, rig.usual_signals(time)).log(model, question.measured)
+    usual = rig.play(model, rig.usual_signals(time)).log(model, question.measured)
     problem = build_problem(base.model, [usual], noise=question.noise, sensors=base.values)
     separation = Separation(base.model, problem, question.rivals, question.pairs)
     usually = separation.of(usual)
     best: Excitation | None = None
     for k in range(count):
         tell("trying experiments", k / count)
-        flight = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
-        if flight is None:
+        trial = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+        if trial is None:
             continue
-        apart = separation.of(flight.log(model, question.measured))
+        apart = separation.of(trial.log(model, question.measured))
         if best is None or _merit(apart) > best.score:
-            rivals = _rivals_flown(question, rig, flight) if len(question.rivals) <= FEW else {}
-            other = Excitation(question, rig, flight, rivals, apart, usually)
+            rivals = _rivals_played(question, rig, trial) if len(question.rivals) <= FEW else {}
+            other = Excitation(question, rig, trial, rivals, apart, usually)
             best = other if best is None or other.score > best.score else best
-    return best and replace(best, rivals=_rivals_flown(question, rig, best.flight))
+    return best and replace(best, rivals=_rivals_played(question, rig, best.trial))
 
 
-def _rivals_flown(question: Question, rig: Rig, flight: Flight) -> dict[str, Flight]:
-    """The same signals on the model of each rival that differs from the model in flight."""
-    models = {r.name: question.flown(r) for r in question.rivals}
-    return {name: rig.fly(m, flight.signals) for name, m in models.items() if m != question.loaded.model}
+def _rivals_played(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
+    """The same signals on the model of each rival that differs in its equations."""
+    models = {r.name: question.model_if(r) for r in question.rivals}
+    return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 
 
-def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Flight | None:
-    """A flight that stays within the limits, made smaller once if need be; None where that does not help."""
-    flight = rig.fly(question.loaded.model, signals)
-    if (beyond := flight.beyond(question.limits)) <= 1.0:
-        return flight
+def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial | None:
+    """A trial that stays within the limits, made smaller once if need be; None where that does not help."""
+    trial = rig.play(question.loaded.model, signals)
+    if (beyond := trial.beyond(question.limits)) <= 1.0:
+        return trial
     smaller = {name: signal * SLACK / beyond for name, signal in signals.items()}
-    flight = rig.fly(question.loaded.model, smaller)
-    return flight if flight.beyond(question.limits) <= 1.0 else None
+    trial = rig.play(question.loaded.model, smaller)
+    return trial if trial.beyond(question.limits) <= 1.0 else None
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -181,21 +181,21 @@ def _write(folder: Path, found: Excitation, seed: int) -> None:
     """excitation.csv, excitation.yaml and the FMUs it names."""
     from fmus.build import build
 
-    flight, model = found.flight, found.question.loaded.model
-    write_columns(folder / "excitation.csv", flight.time, flight.inputs, {q.name: q.unit for q in model.inputs})
+    trial, model = found.trial, found.question.loaded.model
+    write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in model.inputs})
     build(found.question.loaded.recipe(), folder / "plant.fmu")
-    found.rig.write(folder, flight)
+    found.rig.write(folder, trial)
     with atomic_write(folder / "excitation.yaml") as stream:
         stream.write("\n".join(_scenario(found, seed)) + "\n")
 
 
 def _scenario(found: Excitation, seed: int) -> Iterator[str]:
-    """Lines of the scenario that flies it."""
-    flight, model, rig = found.flight, found.question.loaded.model, found.rig
+    """Lines of the scenario that plays it."""
+    trial, model, rig = found.trial, found.question.loaded.model, found.rig
     yield "name: excitation"
     yield f'description: "To tell apart {", ".join(r.name for r in found.question.rivals)}."'
     yield from (f"# {line}" for line in found.distances)
-    yield f"duration: {flight.time[-1]:.9g}"
+    yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"
     yield ""
@@ -206,4 +206,4 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     yield ""
     yield "connections:"
     stated = {name: sigma**2 for name, sigma in found.question.noise.items()}
-    yield from rig.connections(model, flight, {**model.sensor_variance, **stated})
+    yield from rig.connections(model, trial, {**model.sensor_variance, **stated})

@@ -27,7 +27,7 @@ LIMIT = re.compile(r"(?P<name>[^=]+)=\s*(?P<number>\d*\.?\d+(?:[eE][-+]?\d+)?)\s
 class Question:
     """Rivals and the pairs of them that are to be told apart.
 
-    loaded:   the model that is flown
+    loaded:   the model it is played to
     base:     the model the rivals differ from, of whose logs the filter is told
     measured: outputs that will be logged; noise: their standard deviations where they are not the model's own
     limits:   how far from its start an input or output may go
@@ -41,7 +41,7 @@ class Question:
     noise: Mapping[str, float]
     limits: Mapping[str, float]
 
-    def flown(self, rival: Rival) -> Model:
+    def model_if(self, rival: Rival) -> Model:
         """The model if a rival is true; an error of a sensor does not change it."""
         sensors = {k.name for k in self.base.model.sensors}
         return self.base.model.with_values({n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors})

@@ -1,4 +1,4 @@
-"""What noise alone explains of a replay: the model against itself, seen as the log sees the craft."""
+"""What noise alone explains of a replay: the model against itself, measured as the log measures."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Replay: the recorded commands drive an FMU, freely from the first row or in windows; its outputs beside the log's.
 
-A free run over a long log is no measure for a craft whose heading and position integrate; the windows
+A free run over a long log is no measure for a model whose states integrate; the windows
 are: each starts at row k, at time t_k, from a state known by then, and runs for a horizon.
 """
 

@@ -51,7 +51,7 @@ def signals(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]
 
 
 def _turned(values: Array, unit: str) -> Array:
-    """Headings of several turns brought into one."""
+    """An angle of several turns brought into one."""
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 

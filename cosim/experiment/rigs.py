@@ -1,4 +1,4 @@
-"""Experiments that a rig can fly: signals on a few axes, and what the model does under them.
+"""Experiments that a rig can play: signals on a few axes, and what the model does under them.
 
 Any model is played open loop; one that would not stay where it is brings a rig of its own (`cosim.registry`).
 """
@@ -20,7 +20,7 @@ from plant.model import Model, Values
 
 Signals = Mapping[str, Array]
 FASTEST = 0.1  # of the sample rate
-SLOWEST = 2.0  # periods in a flight
+SLOWEST = 2.0  # periods in a trial
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Flight:
-    """A flight without noise, all by name: signals of the axes, the model's inputs, what the loop was told, outputs."""
+class Trial:
+    """A trial without noise, all by name: signals of the axes, the model's inputs, what the loop was told, outputs."""
 
     time: Array
     signals: Signals
@@ -47,14 +47,14 @@ class Flight:
         """The log it would leave."""
         units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
         outputs = {name: self.outputs[name] for name in measured}
-        return Log(Path("flight.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
+        return Log(Path("trial.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
 
     def excursion(self, name: str) -> tuple[float, float]:
         """Least and largest value of an output."""
         return float(np.min(self.outputs[name])), float(np.max(self.outputs[name]))
 
     def beyond(self, limits: Mapping[str, float]) -> float:
-        """The largest excursion from the start, in parts of what is allowed; infinite where the flight diverged."""
+        """The largest excursion from the start, in parts of what is allowed; infinite where the trial diverged."""
         if not all(np.isfinite(values).all() for values in self.outputs.values()):
             return math.inf
         seen = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / v for n, v in limits.items() if n in self.outputs)
@@ -62,9 +62,9 @@ class Flight:
 
 
 class Rig(Protocol):
-    """What flies an experiment, and writes down how a scenario flies it.
+    """What plays an experiment, and writes down how a scenario plays it.
 
-    usual: what is flown without thinking, to compare an experiment with
+    usual: what is played without thinking, to compare an experiment with
     files: what it writes beside excitation.csv, excitation.yaml and plant.fmu
     """
 
@@ -72,19 +72,19 @@ class Rig(Protocol):
     files: tuple[str, ...]
     axes: tuple[Axis, ...]
 
-    def fly(self, model: Model, signals: Signals) -> Flight:
+    def play(self, model: Model, signals: Signals) -> Trial:
         """What a model does under the signals of the axes, without noise."""
 
     def usual_signals(self, time: Array) -> Signals:
-        """Signals of what is usually flown."""
+        """Signals of what is usually played."""
 
-    def write(self, folder: Path, flight: Flight) -> None:
+    def write(self, folder: Path, trial: Trial) -> None:
         """Write `files`."""
 
     def components(self) -> Iterator[str]:
         """Lines of the scenario: components beside `plant` and `excitation`."""
 
-    def connections(self, model: Model, flight: Flight, variance: Mapping[str, float]) -> Iterator[str]:
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
         """Lines of the scenario: how they are connected; variance: of the noise of each output."""
 
 
@@ -99,12 +99,12 @@ class OpenLoop:
         slowest = min(SLOWEST / duration, fastest)
         self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
-    def fly(self, model: Model, signals: Signals) -> Flight:
+    def play(self, model: Model, signals: Signals) -> Trial:
         """Inputs played to the model."""
         rest = model.start_command()
         u = np.column_stack([start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)])
         rows = [tuple(row) for row in u.tolist()]
-        return flown(model, len(rows), lambda k, y: rows[k], signals, {})
+        return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
     def usual_signals(self, time: Array) -> Signals:
         """One input after the other at half of what it may, forth and back."""
@@ -116,26 +116,26 @@ class OpenLoop:
             for k, a in enumerate(self.axes)
         }
 
-    def write(self, folder: Path, flight: Flight) -> None:
+    def write(self, folder: Path, trial: Trial) -> None:
         """Nothing beside the inputs."""
 
     def components(self) -> Iterator[str]:
         """None beside the inputs."""
         yield from ()
 
-    def connections(self, model: Model, flight: Flight, variance: Mapping[str, float]) -> Iterator[str]:
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
         """Every input is played."""
-        yield from played(q.name for q in model.inputs)
+        yield from played_lines(q.name for q in model.inputs)
 
 
-def played(names: Iterable[str]) -> Iterator[str]:
+def played_lines(names: Iterable[str]) -> Iterator[str]:
     """Lines of the scenario: inputs played to the plant."""
     yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)
 
 
-def flown(
+def trial_of(
     model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
-) -> Flight:
+) -> Trial:
     """Step a model; `command` gives the inputs that act from row k, from the outputs there."""
     stepper = Stepper(model)
     moment = stepper.start()
@@ -148,7 +148,7 @@ def flown(
             moment = stepper.step(moment, u, model.rate)
     except (ArithmeticError, ValueError):  # math.sin of infinity: the rows from here on stay NaN
         pass
-    return Flight(
+    return Trial(
         model.rate * np.arange(count, dtype=np.float64),
         signals,
         {q.name: inputs[:, j] for j, q in enumerate(model.inputs)},
