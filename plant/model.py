@@ -194,7 +194,7 @@ class Model(Parametric):
         return model
 
     def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
-        """Initial state from start values by state name (`x`, `actuator_second_order.tilt_rate_right`)."""
+        """Initial state from start values by state name (`position`, `effect.state`)."""
         values = values or {}
         own = self.start_state(m)
         return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)

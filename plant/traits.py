@@ -35,7 +35,7 @@ class Traits:
 
 
 def rate_of(name: str, known: Container[str]) -> str | None:
-    """The signal that is the time derivative of `name` by its name: `psi_dot` of `psi`, `vx` of `x`."""
+    """The signal that is the time derivative of `name` by its name: `angle_dot` of `angle`, `vx` of `x`."""
     usual = (f"{name}_dot", f"v{name}", f"d{name}", f"der({name})")
     words = (name.replace("position", "velocity"), name.replace("angle", "rate"))
     return next((other for other in (*usual, *words) if other != name and other in known), None)

@@ -1,0 +1,107 @@
+"""The layout of the project: how large its rooms are, what may be called what, and which names stand where."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("plant", "controller", "fmus", "cosim")
+CODE = {".py", ".c", ".j2", ".css", ".js"}
+VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
+# The rooms of the craft, and the registry that knows where they are.
+CRAFT = (
+    "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
+    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/recipes.py", "cosim/simulation/report/craft/",
+    "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/registry.py",
+)  # fmt: skip
+NAMES = re.compile(r"duty_|tilt|\bpsi|_psi|x_world|Hovercraft")
+
+
+def sources() -> Iterator[Path]:
+    """Code and templates of the packages, as paths from the root."""
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*")):
+            if path.suffix in CODE and "__pycache__" not in path.parts:
+                yield path.relative_to(ROOT)
+
+
+def room(path: Path) -> str:
+    """A package directly under cosim with all beneath it, or plant, controller, fmus."""
+    return "/".join(path.parts[:2]) if path.parts[0] == "cosim" and len(path.parts) > 2 else path.parts[0]
+
+
+def test_no_room_holds_more_than_a_quarter_of_the_house() -> None:
+    lines: dict[str, int] = {}
+    for path in sources():
+        lines[room(path)] = lines.get(room(path), 0) + len((ROOT / path).read_text(encoding="utf-8").splitlines())
+    largest = max(lines, key=lambda name: lines[name])
+    assert lines[largest] <= 0.25 * sum(lines.values()), (largest, lines[largest] / sum(lines.values()))
+
+
+def test_no_room_bears_the_name_of_a_verb() -> None:
+    taken = {
+        path.stem for path in (ROOT / "cosim").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert not taken & set(VERBS)
+
+
+@pytest.mark.parametrize("verb", ["build", "check", "excite", "refine", "replay", "run"])
+def test_the_verbs_are_functions_of_the_package(verb: str) -> None:
+    assert callable(getattr(importlib.import_module("cosim"), verb))
+
+
+def test_what_the_package_does_not_have_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="levitate"):
+        importlib.import_module("cosim").levitate  # noqa: B018
+
+
+def test_the_names_of_the_craft_stand_in_its_own_rooms_alone() -> None:
+    found = [
+        f"{path}:{number}: {line.strip()}"
+        for path in sources()
+        if not path.as_posix().startswith(CRAFT)
+        for number, line in enumerate((ROOT / path).read_text(encoding="utf-8").splitlines(), 1)
+        if NAMES.search(line)
+    ]
+    assert found == []
+
+
+def test_every_path_that_the_page_of_the_house_names_is_there() -> None:
+    for document in ("docs/architecture.md", "CONTRIBUTING.md"):
+        text = (ROOT / document).read_text(encoding="utf-8")
+        for path in re.findall(r"`((?:plant|controller|fmus|cosim|tests|docs|scenarios|examples)/[\w/.]*)`", text):
+            assert (ROOT / path).exists(), f"{document}: {path}"
+
+
+def test_no_module_imports_in_a_circle() -> None:
+    grimp = pytest.importorskip("grimp")
+    graph = grimp.build_graph(*PACKAGES)
+    seen: dict[str, int] = {}
+
+    def circle(module: str, path: tuple[str, ...]) -> tuple[str, ...]:
+        if seen.get(module) == 1:
+            return (*path[path.index(module) :], module)
+        if module in seen:
+            return ()
+        seen[module] = 1
+        for imported in sorted(graph.find_modules_directly_imported_by(module)):
+            if found := circle(imported, (*path, module)):
+                return found
+        seen[module] = 2
+        return ()
+
+    for module in sorted(graph.modules):
+        assert circle(module, ()) == ()
+
+
+def test_files_that_are_made_are_not_committed() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("no checkout")
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    assert not [name for name in listed if name.endswith((".fmu", ".so", ".pyc", ".parquet"))]
