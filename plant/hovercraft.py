@@ -39,6 +39,7 @@ STATES = (
     Quantity("tilt_right", "rad", "right propeller tilt after the lag"),
     Quantity("tilt_left", "rad", "left propeller tilt after the lag"),
 )
+PSI, VX, OWN = 4, 5, len(STATES)  # places of the heading, the forward velocity, and the effects' own states
 INPUTS = (
     Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL),
     Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL),
@@ -178,9 +179,8 @@ class Hovercraft(Model):
         acceleration_terms = overrides(awake, "acceleration", HovercraftEffect)
         added = sum(len(e.states) for e in awake)
 
-        def thrusts(t: Number, state: Values) -> tuple[Number, Number]:
-            """Both thrusts [N] in ground effect."""
-            phi, right, left = state[8], state[10], state[11]
+        def thrusts(t: Number, vx: Number, phi: Number, right: Number, left: Number) -> tuple[Number, Number]:
+            """Both thrusts [N] in ground effect, from those without."""
             if own_height:
                 rise = arm * m.sin(phi)
                 right = right * ground_effect(m, z + rise, radius, exponent)
@@ -189,16 +189,16 @@ class Hovercraft(Model):
                 gain = ground_effect(m, z, radius, exponent)
                 right, left = right * gain, left * gain
             for term in thrust_terms:
-                factor_right, factor_left = term.thrust_factor(m, t, state[5])
+                factor_right, factor_left = term.thrust_factor(m, t, vx)
                 right, left = right * factor_right, left * factor_left
             return right, left
 
         def contact(t: Number, state: Values) -> tuple[Number, Number, Number, Number]:
             """Forward and rightward force [N], yaw and roll moment [N m] that the body feels."""
-            right, left = thrusts(t, state)
-            vx, vy, psi_dot, phi, phi_dot = state[5:10]
-            right_x, right_z = thrust_vector(m, right, state[12])
-            left_x, left_z = thrust_vector(m, left, state[13])
+            vx, vy, psi_dot, phi, phi_dot, thrust_right, thrust_left, tilt_right, tilt_left = state[VX:OWN]
+            right, left = thrusts(t, vx, phi, thrust_right, thrust_left)
+            right_x, right_z = thrust_vector(m, right, tilt_right)
+            left_x, left_z = thrust_vector(m, left, tilt_left)
             forward = right_x + left_x - c * vx
             rightward = -(right_z + left_z) * m.sin(phi) - c * vy
             yaw = arm * (right_x - left_x)
@@ -212,18 +212,18 @@ class Hovercraft(Model):
             return forward, rightward, yaw, roll
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
-            psi, vx, vy, psi_dot = state[4:8]
+            psi, vx, vy, psi_dot, _, phi_dot, thrust_right, thrust_left, right, left = state[PSI:OWN]
             duty_right, duty_left, tilt_right, tilt_left = command
             forward, rightward, yaw, roll = contact(t, state)
             ax, ay = forward / mass, rightward / mass
             for term in acceleration_terms:
                 d_ax, d_ay = term.acceleration(m, g, psi, vx, vy, psi_dot)
                 ax, ay = ax + d_ax, ay + d_ay
-            rate = (lag(tilt_right, state[12], tau), lag(tilt_left, state[13], tau))
+            rate = (lag(tilt_right, right, tau), lag(tilt_left, left, tau))
             extra = [0.0] * added
             for term, k in tilt_terms:
-                own = state[14 + k : 14 + k + len(term.states)]
-                rate, own_rate = term.tilt_rate(m, rate, (tilt_right, tilt_left), state[12:14], own)
+                own = state[OWN + k : OWN + k + len(term.states)]
+                rate, own_rate = term.tilt_rate(m, rate, (tilt_right, tilt_left), (right, left), own)
                 extra[k : k + len(own)] = own_rate
             return (
                 vx,
@@ -233,18 +233,19 @@ class Hovercraft(Model):
                 ax,
                 ay,
                 yaw / izz,
-                state[9],
+                phi_dot,
                 roll / ixx,
-                lag(thrust_out_of_ground(m, duty_right, offset, slope, g), state[10], tau),
-                lag(thrust_out_of_ground(m, duty_left, offset, slope, g), state[11], tau),
+                lag(thrust_out_of_ground(m, duty_right, offset, slope, g), thrust_right, tau),
+                lag(thrust_out_of_ground(m, duty_left, offset, slope, g), thrust_left, tau),
                 *rate,
                 *extra,
             )
 
         def output(t: Number, state: Values, command: Values) -> Values:
-            x, y, x_world, y_world, psi, vx, vy, psi_dot, phi, phi_dot = state[:10]
+            vx, vy, psi_dot, phi, phi_dot, thrust_right, thrust_left, tilt_right, tilt_left = state[VX:OWN]
             ax = contact(t, state)[0] / mass
-            return (x, y, x_world, y_world, psi, phi, vx, vy, psi_dot, phi_dot, ax, *thrusts(t, state), *state[12:14])
+            right, left = thrusts(t, vx, phi, thrust_right, thrust_left)
+            return (*state[:VX], phi, vx, vy, psi_dot, phi_dot, ax, right, left, tilt_right, tilt_left)
 
         return Equations(derivative, output)
 

@@ -119,6 +119,37 @@ ONE_CHANGE = {
     "suspect misspelt": (FORCED, FORCED + '; suspect = {"inertio": ("torque",)}', "forced", 'mean "inertia"?'),
     "input misspelt": (FORCED, FORCED + '; suspect = {"stiffness": ("torqe",)}', "forced", 'no input "torqe"; did you'),
     "variance misspelt": ('"rate": 1e-4', '"rte": 1e-4', "sensor_variance =", 'no output "rte"; did you mean "rate"?'),
+    "what is logged misspelt": (
+        FORCED,
+        f'{FORCED}\n    measured = ("angel",)',
+        "measured =",
+        'no output "angel"; did you mean "angle"?',
+    ),
+    "excursion of nothing known": (
+        FORCED,
+        f'{FORCED}\n    excursion = {{"torqe": 1.0}}',
+        "excursion =",
+        'no input or output "torqe"; did you mean "torque"?',
+    ),
+    "excursion of no size": (
+        FORCED,
+        f'{FORCED}\n    excursion = {{"torque": 0.0}}',
+        "excursion =",
+        "it is a number above 0",
+    ),
+    "a frame of names alone": (FORCED, f'{FORCED}\n    planar = ("x", "y")', "planar =", "planar is a PlanarFrame("),
+    "limits the wrong way round": (
+        '"motor torque commanded")',
+        '"motor torque commanded", bounds=(1.0, -1.0))',
+        "inputs =",
+        "write the lower one first",
+    ),
+    "a start beyond its limits": (
+        '"motor torque commanded")',
+        '"motor torque commanded", bounds=(1.0, 2.0))',
+        "inputs =",
+        "torque starts at 0, beyond its bounds",
+    ),
     "variance of nothing": ('"rate": 1e-4', '"rate": 0.0', "sensor_variance =", "it is a number above 0"),
     "rival misspelt": (
         FORCED,

@@ -19,6 +19,7 @@ from fmus.ports import model_ports
 from fmus.units import parse
 from plant.delay import Delay
 from plant.model import Effect, Model, overrides
+from plant.planar import PlanarFrame
 from plant.quantities import Parameter, Quantity, parameters_of
 from plant.sensors import SensorError
 
@@ -30,7 +31,7 @@ def checked(kind: type[Model], source: Source) -> Model:
     """The model with its default parameters; InputError with every fault of its class."""
     _refuse(source, _shape(kind))
     declared = [*_effects(kind), *_sensors(kind), *_delays(kind)]
-    names = [*_unique(kind), *_names(kind), *_numbers(kind), *_units(kind)]
+    names = [*_unique(kind), *_names(kind), *_numbers(kind), *_limits(kind), *_units(kind)]
     values = [fault for owner in (kind, *kind.catalogue, *kind.sensors) for fault in _values(owner)]
     faults = [source.fault(*found) for found in (*declared, *names, *values)]
     if not values:
@@ -70,13 +71,16 @@ def _shape(kind: type[Model]) -> Found:
             continue
         for owner in given:
             yield from _labelled(owner)
-    for name in ("forced", "calibrated"):
+    for name in ("forced", "calibrated", "measured"):
         if not _all(getattr(kind, name), str):
             yield kind, name, f'{name} is a tuple of names, with a comma even after a single one: ("name",)'
     for name, key, value in _MAPPINGS:
         given = getattr(kind, name)
         if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):
             yield kind, name, f"{name} is a dictionary: {_WRITTEN[name]}"
+    if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
+        names = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
+        yield kind, "planar", f"planar is a PlanarFrame({names}) of outputs, or None"
     yield from _undecorated((kind, *_classes(kind)))
 
 
@@ -85,6 +89,7 @@ _MAPPINGS: tuple[tuple[str, type, Any], ...] = (
     ("drawn_against", str, tuple),
     ("sensor_variance", str, (int, float)),
     ("start_variance", str, (int, float)),
+    ("excursion", str, (int, float)),
     ("told_apart_by", frozenset, str),
 )
 _WRITTEN = {
@@ -92,6 +97,7 @@ _WRITTEN = {
     "drawn_against": '{"effect": ("signal",)}',
     "sensor_variance": '{"output": variance}',
     "start_variance": '{"state": variance}',
+    "excursion": '{"input or output": how far from its start}',
     "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
 }
 
@@ -151,10 +157,21 @@ def _numbers(kind: type[Model]) -> Found:
         value = getattr(kind, name)
         if not isinstance(value, (int, float)) or not value > 0.0 or value == most:
             yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
-    for attribute in ("sensor_variance", "start_variance"):
+    for attribute in ("sensor_variance", "start_variance", "excursion"):
         for name, value in getattr(kind, attribute).items():
             if not (math.isfinite(value) and value > 0.0):
                 yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
+
+
+def _limits(kind: type[Model]) -> Found:
+    """Limits of inputs and outputs in order, about the start value."""
+    for name in ("base_states", "inputs", "outputs"):
+        for q in getattr(kind, name):
+            low, high = q.bounds
+            if not low < high:
+                yield kind, name, f"{q.name} has bounds {q.bounds}; write the lower one first"
+            elif not low <= q.start <= high:
+                yield kind, name, f"{q.name} starts at {q.start:g}, beyond its bounds {q.bounds}"
 
 
 def _effects(kind: type[Model]) -> Found:
@@ -266,6 +283,9 @@ def _names(kind: type[Model]) -> Found:
         ("suspect", "input", [n for names in kind.suspect.values() for n in names], inputs),
         ("sensor_variance", "output", [*kind.sensor_variance], outputs),
         ("start_variance", "state", [*kind.start_variance], states),
+        ("measured", "output", [*kind.measured], outputs),
+        ("excursion", "input or output", [*kind.excursion], [*inputs, *outputs]),
+        ("planar", "output", [*kind.planar.names] if kind.planar else [], outputs),
         ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
         ("drawn_against", "candidate", [*kind.drawn_against], candidates),
     ]
@@ -274,7 +294,7 @@ def _names(kind: type[Model]) -> Found:
             if name not in known:
                 text = f'{attribute}: no {what} "{name}"{did_you_mean(str(name), known)}'
                 yield kind, attribute, f"{text} ({what}s: {', '.join(known) or 'none'})"
-    for attribute in ("forced", "calibrated"):
+    for attribute in ("forced", "calibrated", "measured"):
         yield from _twice(kind, attribute, getattr(kind, attribute))
     for name in kind.suspect:
         if name in kind.calibrated:
