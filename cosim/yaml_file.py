@@ -1,4 +1,4 @@
-"""YAML read with the place of every key and value, and validated so that every fault is told at once."""
+"""YAML read with the place of every key and value, and validated so that every fault is reported at once."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _is_tag(part: str | int) -> bool:
 
 
 def _known_keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
-    """Keys allowed at a place, as far as the model's annotations tell."""
+    """Keys allowed at a place, as far as the model's annotations say."""
     current: Any = model
     for step in location:
         annotation = current.model_fields[step].annotation if _has_field(current, step) else current

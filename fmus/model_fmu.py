@@ -42,8 +42,8 @@ class ModelSlave(Slave):
             self.moment = self.stepper.step(moment, self.inputs, h)
         except (ArithmeticError, ValueError) as error:  # math.sin of infinity, a float too large
             model = self.stepper.model
-            told = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
-            largest, value = max(((q.name, v) for q, v in told), key=lambda pair: abs(pair[1]))
+            values = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
+            largest, value = max(((q.name, v) for q, v in values), key=lambda pair: abs(pair[1]))
             message = f"the state is not finite any more; largest before the step: {largest} = {value:g}"
             raise ArithmeticError(message) from error
         self._publish()

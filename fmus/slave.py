@@ -37,7 +37,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = type(self).__name__
-        # the module bears the content's name, so a state of another build is told apart
+        # the module bears the content's name, so a state of another build is recognised
         self.identity = f"{type(self).__module__}.{self.modelName}"
         self.values: list[Value] = [p.start for p in self.ports]
         self.given: set[int] = set()

@@ -26,7 +26,7 @@ class Parametric:
 
     @property
     def prefix(self) -> str:
-        """What stands before a parameter's name where others are told apart from it."""
+        """What stands before a parameter's name where others must not be taken for it."""
         return ""
 
     def __post_init__(self) -> None:

@@ -182,7 +182,7 @@ class FmuBlock:
             try:
                 if self._initialized:
                     fmu.terminate()
-            except Exception as error:  # the run is over; the FMU's refusal is told, not raised
+            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
                 self.log.append(str(error))
             fmu.freeInstance()
         if self._folder is not None:

@@ -1,4 +1,4 @@
-"""`cosim excite`: the input that tells rival hypotheses apart best, and a scenario that plays it.
+"""`cosim excite`: the input that separates rival hypotheses best, and a scenario that plays it.
 
 Experiments are drawn by a seed, played without noise, and kept within limits. Written is the one that separates most
 pairs of rivals, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
@@ -28,7 +28,7 @@ EXPERIMENTS = 48
 DURATION = 40.0  # [s]
 FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
-TOLD_APART = 3.0  # standard deviations between rivals, from which a log decides
+SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
 UNSEEN = 1.0  # standard deviations up to which noise hides the difference
 CURE = "try a wider --limit, a longer --duration or more outputs --measured"
 LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
@@ -78,12 +78,12 @@ class Excitation:
 
     @property
     def warning(self) -> str:
-        """The pairs it does not tell apart, empty where there are none."""
-        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < TOLD_APART]):
+        """The pairs it does not separate, empty where there are none."""
+        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < SEPARATED]):
             return ""
         named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
         what = f"the best input found does not tell {', '.join(named)}"
-        return f"{what} (less than {TOLD_APART:g} standard deviations apart); {CURE}"
+        return f"{what} (less than {SEPARATED:g} standard deviations apart); {CURE}"
 
     @property
     def _hardest_first(self) -> list[Pair]:
@@ -98,10 +98,10 @@ class Excitation:
 
 
 def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
-    """How many pairs are told apart, and the distance of the nearest of them; of the farthest where none is."""
+    """How many pairs are separated, and the distance of the nearest of them; of the farthest where none is."""
     distances = [distance / beyond for distance in apart.values()]
-    told = [distance for distance in distances if distance >= TOLD_APART]
-    return len(told), min(told, default=max(distances))
+    separated = [distance for distance in distances if distance >= SEPARATED]
+    return len(separated), min(separated, default=max(distances))
 
 
 def excite(
@@ -117,27 +117,27 @@ def excite(
     progress: Progress | None = None,
 ) -> Excitation:
     """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
-    tell = progress or (lambda stage, share: None)
-    tell("reading the model", 0.0)
+    report = progress or (lambda stage, share: None)
+    report("reading the model", 0.0)
     question = ask(text, against, limits, measured)
     model = question.loaded.model
     time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
-    found = _choose(question, rig, time, seed, experiments, tell)
+    found = _choose(question, rig, time, seed, experiments, report)
     if found is None:
         message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
         raise InputError([Fault(Path(text), 0, 0, message)])
     if max(found.apart.values()) < UNSEEN:
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
-    tell("building the FMUs", 0.0)
+    report("building the FMUs", 0.0)
     _write(folder, found, seed)
     return found
 
 
-def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, tell: Progress) -> Excitation | None:
+def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """The best of `count` experiments; None where all go too far."""
     model, base = question.loaded.model, question.base
     usual = rig.play(model, rig.usual_signals(time)).log(model, question.measured)
@@ -146,7 +146,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, te
     usually = separation.of(usual)
     best: Excitation | None = None
     for k in range(count):
-        tell("trying experiments", k / count)
+        report("trying experiments", k / count)
         trial = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
         if trial is None:
             continue
@@ -193,7 +193,7 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     """Lines of the scenario that plays it."""
     trial, model, rig = found.trial, found.question.loaded.model, found.rig
     yield "name: excitation"
-    yield f'description: "To tell apart {", ".join(r.name for r in found.question.rivals)}."'
+    yield f'description: "To report apart {", ".join(r.name for r in found.question.rivals)}."'
     yield from (f"# {line}" for line in found.distances)
     yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"

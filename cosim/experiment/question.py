@@ -25,10 +25,10 @@ LIMIT = re.compile(r"(?P<name>[^=]+)=\s*(?P<number>\d*\.?\d+(?:[eE][-+]?\d+)?)\s
 
 @dataclass(frozen=True)
 class Question:
-    """Rivals and the pairs of them that are to be told apart.
+    """Rivals and the pairs of them that are to be separated.
 
     loaded:   the model it is played to
-    base:     the model the rivals differ from, of whose logs the filter is told
+    base:     the model the rivals differ from, whose filter the logs are given to
     measured: outputs that will be logged; noise: their standard deviations where they are not the model's own
     limits:   how far from its start an input or output may go
     """
@@ -121,7 +121,7 @@ def _as_fitted(
 ) -> Rival:
     """A rival as the best hypothesis has it that holds none of the others; as it is where the logs did not show it.
 
-    What they did not show was fitted to noise, to neutral as a rule, where no input could tell it from anything.
+    What they did not show was fitted to noise, to neutral as a rule, where no input could separate it from anything.
     """
     others = set(names) - {r.name}
     for h in found.candidates:
@@ -174,7 +174,7 @@ def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate
 
 
 def _groups(model: Model, known: Mapping[str, Candidate]) -> list[set[str]]:
-    """What is usually hard to tell apart, as the model says; all of it where nothing is known."""
+    """What is usually hard to separate, as the model says; all of it where nothing is known."""
     return [g for group in model.told_apart_by if len(g := set(group) & known.keys()) > 1] or [set(known)]
 
 

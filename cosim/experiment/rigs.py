@@ -35,7 +35,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial without noise, all by name: signals of the axes, the model's inputs, what the loop was told, outputs."""
+    """A trial without noise, all by name: signals of the axes, the model's inputs, references of the loop, outputs."""
 
     time: Array
     signals: Signals

@@ -57,7 +57,7 @@ def all_pairs(names: Iterable[str]) -> list[Pair]:
 
 
 class Separation:
-    """Measures inputs: `problem` has the kernel, `rivals` the hypotheses, `pairs` those that are to be told apart."""
+    """Measures inputs: `problem` has the kernel, `rivals` the hypotheses, `pairs` those that are to be separated."""
 
     def __init__(self, model: Model, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
         self.model, self.problem, self.pairs = model, problem, tuple(pairs)

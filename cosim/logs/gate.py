@@ -24,7 +24,7 @@ SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to
 SPIKE = 8.0  # times the noise
 JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
 ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
-ALIKE = 0.98  # correlation of two inputs that cannot be told apart
+ALIKE = 0.98  # correlation of two inputs that cannot be separated
 
 
 def gate(
@@ -125,7 +125,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
             yield Finding(
                 "note", "constant", name,
                 f"stands at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and what acts "
-                "through it alone cannot be told",
+                "through it alone cannot be identified",
                 {"rms": float(values.std())},
             )  # fmt: skip
         else:
@@ -139,7 +139,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
             yield Finding(
                 "note", "alike", one,
                 f"moves {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)}): "
-                "what one does cannot be told from what the other does",
+                "what one does cannot be separated from what the other does",
                 {"correlation": rho},
             )  # fmt: skip
 

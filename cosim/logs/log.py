@@ -1,4 +1,4 @@
-"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault is told with its place."""
+"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault has its place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fmus.units import alternatives, factor
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # rows at least that are lost in a pause
 
-LARGEST = 200_000_000  # bytes; read whole, so that every fault can be told
+LARGEST = 200_000_000  # bytes; read whole, so that every fault can be reported
 FAULTS_A_CELL_COLUMN = 5  # then their number
 TURN = 2.0 * math.pi
 MISSING = 1.5  # steps from row to row, from which one is missing in between

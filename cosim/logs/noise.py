@@ -8,13 +8,13 @@ import numpy as np
 
 from cosim.arrays import Array
 
-GAP = 1.5  # times the usual span of five readings, beyond which they are no neighbours
+APART = 1.5  # times the usual span of five readings, beyond which they are no neighbours
 
 
 def noise_level(values: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust against steps and outliers; NaN below 5 values.
 
-    A smooth signal leaves its fourth derivative times h⁴/6, which is told as noise.
+    A smooth signal leaves its fourth derivative times h⁴/6, which counts as noise.
     """
     return white_noise(surprise(values))
 
@@ -43,7 +43,7 @@ def surprise(values: Array) -> Array:
         return left
     near = np.lib.stride_tricks.sliding_window_view(rows, 5)
     span = near[:, 4] - near[:, 0]
-    near = near[span <= GAP * np.median(span)]
+    near = near[span <= APART * np.median(span)]
     centre, others = near[:, 2], near[:, [0, 1, 3, 4]]
     away = (others - centre[:, None]).astype(np.float64)
     weights = np.ones_like(away)

@@ -1,6 +1,6 @@
 """Whether a model of one's own declares what a refine needs of it: names, bounds, units, sensors, delays.
 
-Everything wrong is told at once, each with its line and its cure, before any log is read.
+Everything wrong is reported at once, each with its line and its cure, before any log is read.
 """
 
 from __future__ import annotations

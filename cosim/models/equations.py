@@ -34,7 +34,7 @@ def effect_faults(kind: type[Model], source: Source) -> list[Fault]:
 
 
 def _tried(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-    """The result, or the fault that tells what was raised."""
+    """The result, or the fault for what was raised."""
     try:
         return call(*arguments)
     except Exception as error:  # whatever the user's file does

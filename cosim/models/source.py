@@ -25,7 +25,7 @@ class Source:
         self._places: dict[tuple[str, str], tuple[int, int]] = {}
         try:
             tree = ast.parse(path.read_bytes())
-        except (OSError, SyntaxError, ValueError):  # told where the file is loaded
+        except (OSError, SyntaxError, ValueError):  # reported where the file is loaded
             return
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
@@ -44,12 +44,12 @@ class Source:
         """A fault for an error, at the line of this file that raised it, with the cure where it is known."""
         line, column = self._raised_at(error)
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
-        told = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
+        message = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
         if isinstance(error, TypeError) and TRUTH in text:
-            told += f"; {NO_BRANCH}"
+            message += f"; {NO_BRANCH}"
         elif isinstance(error, (TypeError, AttributeError)) and any(words in text for words in NO_NUMBER):
-            told += f"; {FROM_NAMESPACE}"
-        return Fault(self.path, line, column, told)
+            message += f"; {FROM_NAMESPACE}"
+        return Fault(self.path, line, column, message)
 
     def _raised_at(self, error: BaseException) -> tuple[int, int]:
         if isinstance(error, SyntaxError) and error.filename == str(self.path):

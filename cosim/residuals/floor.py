@@ -54,8 +54,8 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
 
     def predicted(seen: Mapping[str, Array]) -> Mapping[str, Array]:
         if horizon == FREE_RUN:  # where no start is measured, it is what it was
-            told = parameters.keys() & seen.keys()
-            return free_run(drive.on(replace(log, outputs=seen))).outputs if told else free.outputs
+            shown = parameters.keys() & seen.keys()
+            return free_run(drive.on(replace(log, outputs=seen))).outputs if shown else free.outputs
         found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)
         return {} if found is None else found.outputs
 

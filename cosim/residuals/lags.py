@@ -1,4 +1,4 @@
-"""Correlations over the lag, drawn and told alike for what a replay leaves and for what a filter does not expect."""
+"""Correlations over the lag, drawn and worded alike for what a replay leaves and for what a filter does not expect."""
 
 from __future__ import annotations
 

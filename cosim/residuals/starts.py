@@ -127,8 +127,8 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
-        told = _correct(log, carrier, sigma, state, 0, np.arange(last + 1), drive.frame)
-        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in told}
+        corrected = _correct(log, carrier, sigma, state, 0, np.arange(last + 1), drive.frame)
+        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in corrected}
     return start
 
 
@@ -142,18 +142,18 @@ def window_start(
 ) -> dict[str, float]:
     """Start of a window at row k, from what carries to there from row `since` on and the measurements up to it.
 
-    Of an FMU of ours only what the measurements tell: the rest of its state is kept, see `kept`.
+    Of an FMU of ours only what the measurements correct: the rest of its state is kept, see `kept`.
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
     oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
-    told = _correct(log, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1), drive.frame)
-    names = told if readable(parameters) else parameters
+    corrected = _correct(log, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1), drive.frame)
+    names = corrected if readable(parameters) else parameters
     return {parameters[name].name: parameters[name].value(state[name]) for name in names}
 
 
 def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
-    """Channel → its noise, by which it is weighted; told better beside a run of the model."""
+    """Channel → its noise, by which it is weighted; estimated better beside a run of the model."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
 
@@ -179,23 +179,23 @@ def _correct(
     frame: PlanarFrame | None,
 ) -> list[str]:
     """Put right the state at row `at` by what was measured at `rows`; returns the names that were."""
-    told: dict[str, float] = {}
+    corrected: dict[str, float] = {}
     slopes: dict[str, float] = {}
     for name in (n for n in log.outputs if n in carrier):
         rate = rate_of(name, carrier)
         if name in {rate_of(other, log.outputs) for other in log.outputs}:
-            continue  # told together with its integral
+            continue  # corrected together with its integral
         channels = [name, rate] if rate is not None and rate in log.outputs else [name]
         errors = [(log.outputs[c][rows] - carrier[c][rows], sigma[c], c == rate) for c in channels]
         value, slope = _parabola(log, errors, at, rows)
         if value is not None:
-            told[name] = value
+            corrected[name] = value
         if slope is not None:
             slopes[name] = slope
             if rate is not None:
-                told[rate] = slope
+                corrected[rate] = slope
     before = dict(state)
-    for name, change in told.items():
+    for name, change in corrected.items():
         if name in state:
             state[name] += change
     if (
@@ -206,8 +206,8 @@ def _correct(
     ):
         velocity = _turned(frame, before, state[frame.heading], (slopes[frame.x], slopes[frame.y]))
         state[frame.forward], state[frame.right] = velocity
-        told |= {frame.forward: 0.0, frame.right: 0.0}
-    return [name for name in told if name in state]
+        corrected |= {frame.forward: 0.0, frame.right: 0.0}
+    return [name for name in corrected if name in state]
 
 
 def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:

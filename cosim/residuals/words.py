@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from cosim.logs.finding import Finding
 from cosim.residuals.compare import ChannelSummary, Comparison
@@ -16,34 +17,72 @@ def horizon_name(horizon: float) -> str:
     return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
 
 
+@dataclass(frozen=True)
+class _Outcome:
+    """What a verdict is made of: channels, those that windows do not measure, those that miss more than noise makes.
+
+    measure: the horizon that counts [s]; lead: how far the model is off
+    """
+
+    comparison: Comparison
+    channels: Sequence[ChannelSummary]
+    measure: float
+    lost: Sequence[ChannelSummary]
+    beyond: Sequence[ChannelSummary]
+    lead: str
+
+
 def verdict(comparison: Comparison) -> str:
-    """How far the model is off, whether noise explains that, and what the rest follows."""
-    log = comparison.log
+    """How far the model is off, whether noise explains that, and what the rest follows: the first rule that applies."""
+    outcome = _outcome(comparison)
+    rules = (_not_measured, _not_in_kind, _explained, _beyond_in_free_run, _beyond_in_windows)
+    return next(sentence for rule in rules if (sentence := rule(outcome)))
+
+
+def _outcome(comparison: Comparison) -> _Outcome:
     channels = [c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels
     measure = channels[0].measure
-    over = (
-        f"a free run of {plain(float(log.time[-1] - log.time[0]))}\u00a0s"
-        if measure == FREE_RUN
-        else f"{measure:g}\u00a0s"
-    )
-    lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)"
-    lost = [c for c in channels if c.lost]
+    seconds = float(comparison.log.time[-1] - comparison.log.time[0])
+    over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
     beyond = sorted((c for c in channels if not (c.matched or c.lost)), key=lambda c: -c.excess)
-    if lost and not beyond:
-        return f"{lead}. {_no_measure(lost)}"
-    if following := [c for c in channels if c.matched and not c.explained and not beyond]:
-        return f"{lead}, which noise could explain in size, but not in kind. {_cause(comparison, following)}"
-    if not beyond:
-        return f"{lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
-    if measure == FREE_RUN:
-        worst = min(beyond, key=lambda c: c.scores[measure].fit)
-        return f"{lead}; {worst.name} fits to {amount(worst.scores[measure].fit, '%', 2)}. {_cause(comparison, beyond)}"
+    lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)"
+    return _Outcome(comparison, channels, measure, [c for c in channels if c.lost], beyond, lead)
+
+
+def _not_measured(o: _Outcome) -> str:
+    return f"{o.lead}. {_no_measure(o.lost)}" if o.lost and not o.beyond else ""
+
+
+def _not_in_kind(o: _Outcome) -> str:
+    following = [c for c in o.channels if c.matched and not c.explained]
+    if o.beyond or not following:
+        return ""
+    return f"{o.lead}, which noise could explain in size, but not in kind. {_cause(o.comparison, following)}"
+
+
+def _explained(o: _Outcome) -> str:
+    if o.beyond:
+        return ""
+    return f"{o.lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
+
+
+def _beyond_in_free_run(o: _Outcome) -> str:
+    if o.measure != FREE_RUN:
+        return ""
+    worst = min(o.beyond, key=lambda c: c.scores[FREE_RUN].fit)
+    fit = amount(worst.scores[FREE_RUN].fit, "%", 2)
+    return f"{o.lead}; {worst.name} fits to {fit}. {_cause(o.comparison, o.beyond)}"
+
+
+def _beyond_in_windows(o: _Outcome) -> str:
+    first, *others = (f"{plain(c.excess, 2)} times" for c in o.beyond)
+    names = [c.name for c in o.beyond]
     times = [
-        f"{plain(c.excess, 2)} times {'what the noise of the sensors explains ' * (c is beyond[0])}for {c.name}"
-        for c in beyond
+        f"{first} what the noise of the sensors explains for {names[0]}",
+        *(f"{times} for {name}" for times, name in zip(others, names[1:], strict=True)),
     ]
-    rest = f" {_no_measure(lost)}" if lost else ""
-    return f"{lead}. That is {_and(times)}. {_cause(comparison, beyond)}{rest}"
+    rest = f" {_no_measure(o.lost)}" if o.lost else ""
+    return f"{o.lead}. That is {_and(times)}. {_cause(o.comparison, o.beyond)}{rest}"
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:

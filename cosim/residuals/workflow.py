@@ -59,7 +59,7 @@ def write_replay(
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
     passing: the FMU is that of this package, built for this replay only.
-    rate: step the log must have [s]; without, the FMU's own step is told as a warning only.
+    rate: step the log must have [s]; without, the FMU's own step is a warning only.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
@@ -67,7 +67,7 @@ def write_replay(
         findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits)
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
-        for name in ("report.html", "residual.csv"):  # they would tell of other results
+        for name in ("report.html", "residual.csv"):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
         try:
             free = free_run(drive, start)

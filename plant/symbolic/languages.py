@@ -53,7 +53,7 @@ class C(Language):
 
     local, store = "const double {} = {};", "out[{}] = {};"
 
-    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - told once, above
+    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
         from sympy.printing.c import C99CodePrinter
 
         class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
@@ -73,7 +73,7 @@ class Python(Language):
 
     local, store = "{} = {}", "out[{}] = {}"
 
-    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - told once, above
+    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
         from sympy.printing.pycode import PythonCodePrinter
 
         class Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
