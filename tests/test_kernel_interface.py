@@ -1,4 +1,4 @@
-"""A kernel need not have been generated: one written by hand, sharing no code, filters and is fitted as the generated."""
+"""A kernel need not have been generated: one written by hand filters, and is fitted, as the generated one."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class Drive:
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """State of an FMU of ours at the first row, from `start`. It is put back, so that an FMU that cannot is refused."""
+        """State of an FMU of ours at the first row, from `start`; put back at once: one that refuses that is known."""
         self._begin(start, 0, float(self.log.time[-1]))
         self.block.start()
         self.block.remember({})
