@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Text files written whole or not at all, and what keeps them from being written."""
 
 from __future__ import annotations
 
@@ -9,19 +9,14 @@ from pathlib import Path
 from typing import TextIO
 
 from cosim.errors import Fault, InputError
+from fmus.files import draft_of
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with draft.open("w", encoding="utf-8", newline="") as stream:
-            yield stream
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
+        yield stream
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from fmus import __version__
 from fmus.description import Description, complete
 from fmus.documentation import GUID_PLACEHOLDER, model_text, write_documentation
+from fmus.files import draft_of
 from plant.model import Model
 from plant.traits import Traits
 
@@ -79,7 +80,6 @@ def about_model(model: Model, text: str) -> Description:
 
 def build(recipe: Recipe, path: Path) -> Path:
     """Write one FMU to `path`, whole or not at all; the same sources give the same bytes."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="cosim-build-") as folder:
         draft = _pack(recipe, Path(folder))
         members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
@@ -89,10 +89,8 @@ def build(recipe: Recipe, path: Path) -> Path:
         page = "documentation/index.html"
         members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
         members["modelDescription.xml"] = xml_of(recipe, xml, guid)
-        _write_zip(draft, members)
-        target = path.with_name(f".{path.name}.draft")
-        target.write_bytes(draft.read_bytes())
-        target.replace(path)
+    with draft_of(path) as target:
+        _write_zip(target, members)
     return path
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from cosim.results import Results
 from cosim.simulation.report.page import recorded, signal_panels
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.subject import figures_of
+from fmus.files import draft_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,12 +100,8 @@ def tidy(ax: Axes, label: str) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write whole or not at all, as every file of a run."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with draft_of(path) as draft:
         figure.savefig(draft, format="png", dpi=150)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
     return path
 
 
