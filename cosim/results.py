@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from cosim.arrays import Array
-from cosim.files import atomic_write
+from cosim.table import write_table
 
 CHUNK = 1000  # rows
 
@@ -40,18 +37,10 @@ class Results:
 
     def write_csv(self, path: Path) -> None:
         """Write `time` and every column; numbers as the shortest text that reads back bit for bit."""
-        with atomic_write(path) as stream:
-            csv.writer(stream, lineterminator="\n").writerow(("time", *self.columns))
-            for first in range(0, len(self.time), CHUNK):  # Python's floats take four times the room
-                part = slice(first, first + CHUNK)
-                for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
-                    stream.write(",".join(map(repr, (t, *row))) + "\n")
+        write_table(path, ("time", *self.columns), self._rows())
 
-
-def read_csv(path: Path) -> Results:
-    """Read a `results.csv` back."""
-    with path.open(newline="") as stream:
-        rows = csv.reader(stream)
-        header = next(rows)
-        table = np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, len(header))
-    return Results(table[:, 0], tuple(header[1:]), table[:, 1:])
+    def _rows(self) -> Iterator[tuple[float, ...]]:
+        for first in range(0, len(self.time), CHUNK):  # Python's floats take four times the room
+            part = slice(first, first + CHUNK)
+            for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
+                yield t, *row

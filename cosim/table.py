@@ -1,17 +1,302 @@
-"""A table of numbers as CSV: a header of names and units, one row a time."""
+"""A table of numbers as CSV, `time` first, one row a time: read with the place of every fault, written whole."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import math
+import re
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
 
 from cosim.arrays import Array
+from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
+from cosim.yaml_file import did_you_mean
+
+LARGEST = 200_000_000  # bytes; read whole, so that every fault can be told
+FAULTS_A_KIND = 5  # told of the cells of a column, then their number
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
+
+# -- what is read -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A cell of the header, `name [unit]`; line and cell count from 1, and `unit` is "" where none is written."""
+
+    line: int
+    cell: int
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a column is read.
+
+    factor: what its numbers are multiplied by
+    known:  it has a value at every row, as the time and inputs do; otherwise an empty cell is NaN
+    """
+
+    heading: Heading
+    factor: float = 1.0
+    known: bool = False
+
+    @property
+    def cell(self) -> int:
+        """Its place in a row, from 1."""
+        return self.heading.cell
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.heading.name
+
+    @property
+    def cure(self) -> str:
+        """What to do about a cell that holds something else than a finite number."""
+        return "write a number or leave the row out" if self.known else "leave the cell empty where there is no value"
+
+
+@dataclass
+class Table:
+    """A CSV as far as it could be read.
+
+    columns: name → how it was read, in the order of the header
+    values:  name → its numbers, one a row
+    lines:   of the file, one a row
+    header:  line that names the columns
+    whole:   it was read to its end
+    """
+
+    columns: dict[str, Column] = field(default_factory=dict)
+    values: dict[str, array[float]] = field(default_factory=dict)
+    lines: array[int] = field(default_factory=lambda: array("q"))
+    header: int = 1
+    whole: bool = False
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.lines)
+
+    def __getitem__(self, name: str) -> Array:
+        return np.array(self.values[name], dtype=np.float64)
+
+
+Choose = Callable[[Heading], Column | None]
+
+
+class Faults:
+    """What is wrong with one file: of a column's cells the first few of each kind, then their number."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.found: list[Fault] = []
+        self.counts: Counter[tuple[int, str]] = Counter()
+
+    def note(self, line: int, cell: int, message: str) -> None:
+        """Note a fault; line and cell count from 1, 0 is the whole file."""
+        self.found.append(Fault(self.path, line, cell, message))
+
+    def note_cell(self, line: int, cell: int, kind: str, message: str) -> None:
+        """Note a fault of which a column may have thousands; `kind` is what they are called in the plural."""
+        self.counts[cell, kind] += 1
+        if self.counts[cell, kind] <= FAULTS_A_KIND:
+            self.note(line, cell, message)
+
+    def raise_any(self) -> None:
+        """InputError where there is a fault."""
+        for (cell, kind), count in self.counts.items():
+            if count > FAULTS_A_KIND:
+                self.note(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_KIND} are shown")
+        if self.found:
+            raise InputError(self.found)
+
+
+# -- reading ------------------------------------------------------------------------------------
+
+
+def read_columns(path: Path) -> Table:
+    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault."""
+    faults = Faults(path)
+
+    def choose(heading: Heading) -> Column | None:
+        if heading.name == "time" and heading.unit not in {"", "s"}:
+            faults.note(heading.line, heading.cell, f'"time [{heading.unit}]": time is in seconds')
+        if not heading.name:
+            faults.note(heading.line, heading.cell, "the column has no name")
+        return Column(heading, known=True) if heading.name else None
+
+    table = read_table(faults, choose, "signals", "leave out columns or rows")
+    if table.whole and not table.rows and not faults.counts:
+        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
+    faults.raise_any()
+    return table
+
+
+def read_table(faults: Faults, choose: Choose, holds: str, shorter: str) -> Table:
+    """Read a CSV as far as it goes and note its faults.
+
+    choose:  how the column below a heading is read; None, a fault noted, where it is not
+    holds:   what its columns are beside the time, for a file that is empty
+    shorter: what to do about one that is too large
+    """
+    path, reader = faults.path, _Reader(faults, choose)
+    try:
+        if not path.is_file():
+            faults.note(0, 0, "is no file" if path.exists() else "no such file")
+        elif (size := path.stat().st_size) > LARGEST:
+            most = f"more than the {LARGEST / 1e6:.0f} MB a log may have"
+            faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
+        else:
+            with path.open("rb") as stream:
+                reader.read(stream, holds)
+    except OSError as error:
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
+    return reader.table
+
+
+class _NotText(Exception):
+    """A line that is not UTF-8."""
+
+
+def _lines(stream: BinaryIO) -> Iterator[str]:
+    """Lines of text; the first may begin with a byte order mark."""
+    for raw in stream:
+        try:
+            yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
+        except UnicodeDecodeError:
+            raise _NotText from None
+
+
+class _Reader:
+    """Fills a table while the header and then the cells are read."""
+
+    def __init__(self, faults: Faults, choose: Choose) -> None:
+        self.faults, self.choose = faults, choose
+        self.table = Table()
+        self.width = 0  # of the header
+        self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
+
+    def read(self, stream: BinaryIO, holds: str) -> None:
+        """Read the header and, below a time, the rows."""
+        rows = csv.reader(_lines(stream))
+        try:
+            header = next(filter(_filled, rows), None)
+            if header is None:
+                self.faults.note(1, 1, f"is empty; the first line names the columns: time, then {holds}")
+                return
+            self.table.header = rows.line_num
+            self._header(header)
+            if "time" not in self.table.columns:
+                return
+            for row in rows:
+                if _filled(row):
+                    self._row(rows.line_num, row)
+            self.table.whole = True
+        except _NotText:
+            self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save the log as plain CSV, UTF-8")
+        except csv.Error as error:
+            self.faults.note(rows.line_num, 1, f"is not CSV: {error}")
+
+    def _header(self, header: list[str]) -> None:
+        self.width = len(header)
+        if self.width == 1 and (mark := next((m for m in SEPARATORS if m in header[0]), None)):
+            cure = "separate them with commas, decimals with a point"
+            self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
+            return
+        for cell, text in enumerate(header, 1):
+            name, _, unit = text.partition("[")
+            self._heading(Heading(self.table.header, cell, name.strip(), unit.rstrip().removesuffix("]").strip()))
+        columns, values = self.table.columns, self.table.values
+        self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1]
+
+    def _heading(self, heading: Heading) -> None:
+        line, cell, name = heading.line, heading.cell, heading.name
+        if cell == 1 and name != "time":
+            message = f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
+            self.faults.note(line, 1, message)
+        elif name in self.table.columns:
+            first = self.table.columns[name].cell
+            self.faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
+        elif (column := self.choose(heading)) is not None:
+            self.table.columns[name], self.table.values[name] = column, array("d")
+
+    def _row(self, line: int, row: list[str]) -> None:
+        if len(row) != self.width:
+            self.faults.note_cell(line, 1, "rows of another length", _wrong_length(len(row), self.width))
+            return
+        time, before = self._value(line, self.table.columns["time"], row[0]), self.table.values["time"]
+        if math.isnan(time):
+            return
+        if before and time <= before[-1]:
+            message = f"time {time:g} s does not increase, {before[-1]:g} s stands before it; sort the rows"
+            self.faults.note_cell(line, 1, "times that do not increase", f"{message}, keep one of each")
+        before.append(time)
+        for column, place, values in self.signals:
+            values.append(self._value(line, column, row[place]))
+        self.table.lines.append(line)
+
+    def _value(self, line: int, column: Column, text: str) -> float:
+        """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
+        try:
+            value = float(text) if text and not text.isspace() else math.nan
+        except ValueError:
+            self.faults.note_cell(line, column.cell, *_no_number(text, column))
+            return math.nan
+        if math.isinf(value):
+            message = f'"{text.strip()}" in column {column.name} is not finite; {column.cure}'
+            self.faults.note_cell(line, column.cell, f"cells of {column.name} that are not finite", message)
+            return math.nan
+        if column.known and math.isnan(value):
+            known = f"{'the time' if column.name == 'time' else 'an input'} is known at every row"
+            message = f"{column.name} has no value here; {known}, so fill the cell or leave the row out"
+            self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
+        return value * column.factor
+
+
+def _no_number(text: str, column: Column) -> tuple[str, str]:
+    """What cells like this one are called where there are many, and what is said of it."""
+    cell, name = text.strip()[:30], column.name
+    if DECIMAL_COMMA.fullmatch(cell):
+        return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
+    return f"cells of {name} that are no number", f'"{cell}" in column {name} is no number; {column.cure}'
+
+
+def _wrong_length(cells: int, header: int) -> str:
+    """What is said of a row that has not as many cells as the header."""
+    cure = "delete the row, or leave cells empty where nothing was measured"
+    if cells == 2 * header:
+        cure = "is each number cut in two by a decimal comma? Write a point"
+    return f"has {cells} {'cell' if cells == 1 else 'cells'}, the header {header}; {cure}"
+
+
+def _filled(row: Sequence[str]) -> bool:
+    return any(cell.strip() for cell in row)
+
+
+# -- writing ------------------------------------------------------------------------------------
+
+
+def write_table(
+    path: Path, header: Sequence[str], rows: Iterable[Iterable[float]], number: Callable[[float], str] = repr
+) -> None:
+    """Write a header and rows; `number` prints a cell, by itself as the shortest text that reads back bit for bit."""
+    with atomic_write(path) as stream:
+        csv.writer(stream, lineterminator="\n").writerow(header)
+        stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
 
 
 def write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:
-    """Write `time` and columns as `name [unit]`, nine digits each, whole or not at all."""
-    with atomic_write(path) as stream:
-        stream.write(",".join(["time", *(f"{name} [{units[name]}]" for name in columns)]) + "\n")
-        for row in zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True):
-            stream.write(",".join(f"{v:.9g}" for v in row) + "\n")
+    """Write `time` and columns as `name [unit]`, nine digits each."""
+    header = ["time", *(f"{name} [{units[name]}]" for name in columns)]
+    rows = zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True)
+    write_table(path, header, rows, "{:.9g}".format)

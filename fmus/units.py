@@ -119,6 +119,14 @@ def factor(written: str, wanted: str) -> float | None:
     return here.factor / there.factor
 
 
+def computed_in(displayed: str) -> tuple[str, float]:
+    """The unit in which what is displayed in this one is computed, and value there per value here: rad for deg."""
+    for unit, (display, _) in DISPLAY.items():
+        if display == displayed:
+            return unit, factor(displayed, unit) or 1.0
+    return displayed, 1.0
+
+
 def alternatives(wanted: str) -> list[str]:
     """Units that can stand in place of `wanted`: itself, and its first part in other sizes (`mm/s2` for `m/s2`)."""
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)

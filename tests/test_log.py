@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
-from cosim.logs import log as log_module
 from cosim.logs.log import Log, read_log
 from cosim.residuals.drive import model_signals
+from cosim.table import FAULTS_A_KIND
 from fmus.units import alternatives, factor
 from plant.hovercraft import INPUTS, OUTPUTS
 from plant.traits import rate_of
@@ -191,7 +191,7 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
 def test_thousands_of_faulty_cells_are_counted_not_listed(tmp_path: Path) -> None:
     rows = "".join(f"{k},6,6,0,0,off,0\n" for k in range(5000))
     told = faults(tmp_path / "a.csv", HEADER + "\n" + rows)
-    assert len(told) == log_module.FAULTS_A_CELL_COLUMN + 1
+    assert len(told) == FAULTS_A_KIND + 1
     assert "5000 cells of psi that are no number" in told[0]
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import InputError
-from cosim.results import read_csv
 from cosim.simulation.workflow import run
+from cosim.table import read_columns
 from cosim.version import __version__
 
 ROOT = Path(__file__).parent.parent
@@ -73,11 +73,11 @@ def test_the_manifest_tells_what_the_run_was(project: Path) -> None:
 
 def test_results_have_one_row_a_communication_point_and_read_back_bit_for_bit(project: Path) -> None:
     outcome = run(project / "scenarios" / "regulate.yaml", project / "o", report=False)
-    back = read_csv(project / "o" / "results.csv")
-    assert back.columns == outcome.results.columns
-    assert len(back.time) == 501
-    assert (back.values == outcome.results.values).all()
-    assert (back.time == outcome.results.time).all()
+    back = read_columns(project / "o" / "results.csv")
+    assert tuple(back.columns) == ("time", *outcome.results.columns)
+    assert back.rows == 501
+    assert all((back[name] == outcome.results[name]).all() for name in outcome.results.columns)
+    assert (back["time"] == outcome.results.time).all()
 
 
 @pytest.mark.parametrize("scenario", ["regulate", "manoeuvre"])

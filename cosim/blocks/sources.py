@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import bisect
-import csv
-import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cosim.blocks.interface import Row, Signal
 from cosim.blocks.profile import Profile, profile_function
-from cosim.errors import Fault, InputError
-
-TO_SI = {"deg": ("rad", math.pi / 180.0), "deg/s": ("rad/s", math.pi / 180.0)}
+from cosim.table import read_columns
+from fmus.units import computed_in
 
 
 class Source:
@@ -55,70 +52,23 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
     """References from profiles; degrees become radians."""
     signals = {}
     for signal, profile in profiles.items():
-        unit, factor = TO_SI.get(profile.unit, (profile.unit, 1.0))
+        unit, factor = computed_in(profile.unit)
         signals[signal] = (unit, profile_function(profile, factor))
     return Source(name, signals)
 
 
 def playback(name: str, path: Path) -> Source:
-    """Columns of a CSV file whose first column is `time` [s]; header cells are `name` or `name [unit]`."""
-    header, columns = _read_columns(path)
-    times = columns[0]
-    signals = {}
-    for cell, values in zip(header[1:], columns[1:], strict=True):
-        signal, _, unit = cell.partition("[")
-        si, factor = TO_SI.get(unit.strip(" ]"), (unit.strip(" ]"), 1.0))
-        signals[signal.strip()] = (si, _held(times, [factor * v for v in values]))
+    """Columns of a CSV file whose first column is `time` [s]; header cells are `name` or `name [unit]`.
+
+    Degrees become radians; InputError with every fault of the file.
+    """
+    table = read_columns(path)
+    times, signals = table.values["time"], {}
+    for column in (c for c in table.columns.values() if c.name != "time"):
+        unit, factor = computed_in(column.heading.unit)
+        signals[column.name] = (unit, _held(times, [factor * v for v in table.values[column.name]]))
     return Source(name, signals)
 
 
 def _held(times: Sequence[float], values: Sequence[float]) -> Callable[[float], float]:
     return lambda t: values[max(0, bisect.bisect_right(times, t + 1e-9) - 1)]
-
-
-def _header_faults(path: Path, header: Sequence[str]) -> list[Fault]:
-    names = [cell.partition("[")[0].strip() for cell in header]
-    faults = []
-    if header[0].partition("[")[2].strip(" ]") not in {"", "s"}:
-        faults.append(Fault(path, 1, 1, f'"{header[0].strip()}": time is in seconds'))
-    for column, name in enumerate(names, 1):
-        if not name:
-            faults.append(Fault(path, 1, column, "the column has no name"))
-        elif name in names[: column - 1]:
-            faults.append(Fault(path, 1, column, f'"{name}" stands twice; keep one'))
-    return faults
-
-
-def _read_columns(path: Path) -> tuple[list[str], list[list[float]]]:
-    """Header and columns; InputError with every faulty cell."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.reader(stream))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError([Fault(path, 0, 0, f"cannot be read: {error}")]) from None
-    if len(rows) < 2 or not rows[0] or rows[0][0].partition("[")[0].strip() != "time":
-        raise InputError(
-            [Fault(path, 1, 1, 'is no log: the first column is "time" and at least one row follows the header')]
-        )
-    width, faults = len(rows[0]), _header_faults(path, rows[0])
-    table: list[list[float]] = []
-    for line, row in enumerate(rows[1:], 2):
-        if len(row) != width:
-            faults.append(Fault(path, line, 1, f"has {len(row)} cells; the header has {width}"))
-            continue
-        numbers = []
-        for column, cell in enumerate(row, 1):
-            try:
-                numbers.append(float(cell))
-            except ValueError:
-                faults.append(Fault(path, line, column, f'"{cell}" is no number'))
-                numbers.append(math.nan)
-            else:
-                if not math.isfinite(numbers[-1]):
-                    faults.append(Fault(path, line, column, f'"{cell}" is not finite; an input is known at every row'))
-        if table and numbers[0] <= table[-1][0]:
-            faults.append(Fault(path, line, 1, f"time {numbers[0]:g} s does not increase"))
-        table.append(numbers)
-    if faults:
-        raise InputError(faults)
-    return rows[0], [list(column) for column in zip(*table, strict=True)]

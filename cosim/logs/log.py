@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from array import array
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from cosim.arrays import Array, Rows
-from cosim.errors import Fault, InputError
-from cosim.logs.cells import absurd, no_number, wrong_length
+from cosim.table import Column, Faults, Heading, read_table
 from cosim.yaml_file import did_you_mean
 from fmus.units import alternatives, factor
 
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # rows at least that are lost in a pause
 
-LARGEST = 200_000_000  # bytes; read whole, so that every fault can be reported
-FAULTS_A_CELL_COLUMN = 5  # then their number
+BEYOND = 1e6  # times the usual size of a column, from which a value is none
+ORDINARY = 1e9  # in any SI unit, up to which a column that mostly rests may jump
+NEVER = 1e30  # in any SI unit
 TURN = 2.0 * math.pi
 MISSING = 1.5  # steps from row to row, from which one is missing in between
 
@@ -85,214 +82,103 @@ class Log:
 
 def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike]) -> Log:
     """Read a log of a model with these inputs and outputs; InputError with every fault."""
-    reader = _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs})
-    try:
-        if not path.is_file():
-            reader.refuse(0, 0, "is no file" if path.exists() else "no such file")
-        elif (size := path.stat().st_size) > LARGEST:
-            reader.refuse(0, 0, f"has {size / 1e6:.0f} MB, more than the {LARGEST / 1e6:.0f} MB a log may have; "
-                          "cut it into pieces and list them as logs of one study")  # fmt: skip
-        else:
-            with path.open("rb") as stream:
-                reader.read(stream)
-    except OSError as error:
-        reader.refuse(0, 0, f"cannot be read: {error.strerror}")
-    return reader.log()
-
-
-class _NotText(Exception):
-    """A line that is not UTF-8."""
-
-
-def _lines(stream: BinaryIO) -> Iterator[str]:
-    """Lines of text; the first may begin with a byte order mark."""
-    for raw in stream:
-        try:
-            yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
-        except UnicodeDecodeError:
-            raise _NotText from None
+    return _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}).log()
 
 
 class _Reader:
-    """Collects faults while the header and then the cells are read."""
+    """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
     def __init__(self, path: Path, inputs: dict[str, str], outputs: dict[str, str]) -> None:
-        self.path, self.inputs, self.outputs = path, inputs, outputs
-        self.faults: list[Fault] = []
-        self.counts: Counter[tuple[int, str]] = Counter()
-        self.places: dict[str, int] = {}  # name → cell, of the columns that are kept
-        self.factors: dict[str, float] = {}
-        self.written: dict[str, str] = {}
-        self.top = 1  # line of the header
-        self.width = 0  # of the header
-        self.columns: dict[str, array[float]] = {}
-        self.signals: list[tuple[str, int]] = []  # the same without the time
-        self.rows = 0
-        self.lines = array("q")  # of the rows
-
-    # -- faults -------------------------------------------------------------------------------
-
-    def refuse(self, line: int, cell: int, message: str) -> None:
-        """Note a fault; line and cell count from 1."""
-        self.faults.append(Fault(self.path, line, cell, message))
-
-    def refuse_head(self, cell: int, message: str) -> None:
-        """Note a fault of the header."""
-        self.refuse(self.top, cell, message)
-
-    def refuse_cell(self, line: int, cell: int, kind: str, message: str) -> None:
-        """Note a fault of which a column may have thousands: the first few, later their number."""
-        self.counts[cell, kind] += 1
-        if self.counts[cell, kind] <= FAULTS_A_CELL_COLUMN:
-            self.refuse(line, cell, message)
-
-    # -- reading ------------------------------------------------------------------------------
-
-    def read(self, stream: BinaryIO) -> None:
-        rows = csv.reader(_lines(stream))
-        try:
-            header = next(filter(_filled, rows), None)
-            if header is None:
-                self.refuse(1, 1, "is empty; the first line names the columns: time, then inputs and outputs")
-                return
-            self.top = rows.line_num
-            self._header(header)
-            if "time" not in self.places:
-                return
-            for row in rows:
-                if _filled(row):
-                    self._row(rows.line_num, row)
-        except _NotText:
-            self.refuse(rows.line_num + 1, 1, "is not UTF-8 text; save the log as plain CSV, UTF-8")
-            return
-        except csv.Error as error:
-            self.refuse(rows.line_num, 1, f"is not CSV: {error}")
-            return
-        self._check_columns()
-        self._summarise()
-
-    def _header(self, header: list[str]) -> None:
-        self.width = len(header)
-        if self.width == 1 and (mark := next((m for m in ";\t" if m in header[0]), None)):
-            shown = {";": "semicolons", "\t": "tabs"}[mark]
-            self.refuse_head(1, f"cells are separated by {shown}; separate them with commas, decimals with a point")
-            return
-        for cell, text in enumerate(header, 1):
-            name, _, rest = text.partition("[")
-            self._head(cell, name.strip(), rest.rstrip().removesuffix("]").strip())
-        self.signals = [(name, cell) for name, cell in self.places.items() if cell > 1]
-        missing = [name for name in self.inputs if name not in self.places]
-        for name in missing if "time" in self.places else ():
-            self.refuse_head(
-                1, f'input "{name}" is missing; a log holds every input of the model: {_list(self.inputs)}'
-            )
-        if not missing and not any(name in self.places for name in self.outputs) and "time" in self.places:
-            self.refuse_head(1, f"holds no output of the model; at least one of {_list(self.outputs)} is measured")
-
-    def _head(self, cell: int, name: str, unit: str) -> None:
-        """Check one cell of the header and note what its column is."""
-        known = self.inputs | self.outputs
-        if cell == 1 and name != "time":
-            self.refuse_head(1, f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}')
-        elif name in self.places:
-            self.refuse_head(cell, f'column "{name}" stands twice, first as column {self.places[name]}; keep one')
-        elif cell > 1 and name not in known:
-            hint = did_you_mean(name, known) or did_you_mean(name.rpartition(".")[2], known)
-            self.refuse_head(cell, f'unknown column "{name}"{hint} (the model has {_list(known)})')
-        else:
-            self._unit(cell, name, unit, "s" if cell == 1 else known[name])
-
-    def _unit(self, cell: int, name: str, unit: str, wanted: str) -> None:
-        self.places[name], self.written[name] = cell, unit
-        self.columns[name] = array("d")
-        scale = factor(unit, wanted)
-        if scale is None:
-            known = ", ".join(alternatives(wanted))
-            self.refuse_head(cell, f'"{unit}" is no unit of {name}, which is in {wanted}; known here: {known}')
-        self.factors[name] = 1.0 if scale is None else scale
-
-    def _row(self, line: int, row: list[str]) -> None:
-        if len(row) != self.width:
-            self.refuse_cell(line, 1, "rows of another length", wrong_length(len(row), self.width))
-            return
-        time, before = self._value(line, 1, "time", row[0]), self.columns["time"]
-        if math.isnan(time):
-            return
-        if before and time <= before[-1]:
-            message = f"time {time:g} s does not increase, {before[-1]:g} s stands before it; sort the rows"
-            self.refuse_cell(line, 1, "times that do not increase", f"{message}, keep one of each")
-        before.append(time)
-        for name, cell in self.signals:
-            self.columns[name].append(self._value(line, cell, name, row[cell - 1]))
-        self.rows += 1
-        self.lines.append(line)
-
-    def _value(self, line: int, cell: int, name: str, text: str) -> float:
-        """A cell in the unit of the model, NaN where it is empty, `nan` or faulty."""
-        value = self._number(line, cell, name, text)
-        if value != value and name not in self.outputs and text.strip().lower() in {"", "nan"}:
-            cure = "the time is known" if name == "time" else "an input is known"
-            message = f"{name} has no value here; {cure} at every row, so fill the cell or leave the row out"
-            self.refuse_cell(line, cell, f"cells of {name} without a value", message)
-        return value * self.factors[name]
-
-    def _number(self, line: int, cell: int, name: str, text: str) -> float:
-        try:
-            value = float(text) if text and not text.isspace() else math.nan
-        except ValueError:
-            self.refuse_cell(line, cell, *no_number(text, name))
-            return math.nan
-        if value in (math.inf, -math.inf):
-            message = f'"{text.strip()}" in column {name} is not finite; leave the cell empty where there is no value'
-            self.refuse_cell(line, cell, f"cells of {name} that are not finite", message)
-            return math.nan
-        return value
-
-    # -- the whole ----------------------------------------------------------------------------
-
-    def _summarise(self) -> None:
-        for (cell, kind), count in self.counts.items():
-            if count > FAULTS_A_CELL_COLUMN:
-                self.refuse(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_CELL_COLUMN} are shown")
-
-    def _check_columns(self) -> None:
-        """What only the whole column shows: too few rows, nothing measured, values that no sensor ever read."""
-        if self.rows < 2 and not self.counts:
-            seen = "no row" if self.rows == 0 else "one row"
-            self.refuse(self.top + 1, 1, f"holds {seen}; a log has at least two, and some hundred to be of use")
-            return
-        if not self.rows:
-            return
-        told = {cell for cell, _ in self.counts}
-        for name, cell in self.signals:
-            if name in self.outputs and cell not in told and np.isnan(self.columns[name]).all():
-                self.refuse_head(cell, f'column "{name}" holds no value (NaN in every row); delete the column')
-        for name, cell in self.places.items():
-            self._check_sizes(name, cell)
-
-    def _check_sizes(self, name: str, cell: int) -> None:
-        values = np.frombuffer(self.columns[name])
-        cure = "leave the cell empty" if name in self.outputs else "leave the row out"
-        for row in absurd(values):
-            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
-            self.refuse_cell(self.lines[row], cell, f"cells of {name} far beyond the rest", message)
+        self.inputs, self.outputs, self.known = inputs, outputs, inputs | outputs
+        self.faults = Faults(path)
+        self.table = read_table(
+            self.faults, self._column, "inputs and outputs", "cut it into pieces and list them as logs of one study"
+        )
 
     def log(self) -> Log:
         """The log, or InputError."""
-        if self.faults:
-            raise InputError(self.faults)
-        columns = {name: np.array(values, dtype=np.float64) for name, values in self.columns.items()}
-        known, time = self.inputs | self.outputs, columns.pop("time")
+        if "time" in self.table.columns:
+            self._check_header()
+        if self.table.whole:
+            self._check_values()
+        self.faults.raise_any()
+        columns = {name: self.table[name] for name in self.table.columns}
+        time = columns.pop("time")
         outputs, unwrapped = dict[str, Array](), dict[str, tuple[float, ...]]()
         for name in (n for n in columns if n in self.outputs):
             outputs[name] = columns[name]
-            if known[name] == "rad":
+            if self.known[name] == "rad":
                 outputs[name], jumps = _continuous(columns[name])
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
-        return Log(
-            self.path, time, {n: columns[n] for n in self.inputs}, outputs, {n: known[n] for n in columns},
-            float(f"{np.median(np.diff(time)):.9g}"), self.written, unwrapped, self.top,
-        )  # fmt: skip
+        inputs, units = {n: columns[n] for n in self.inputs}, {n: self.known[n] for n in columns}
+        written = {name: column.heading.unit for name, column in self.table.columns.items()}
+        step = float(f"{np.median(np.diff(time)):.9g}")
+        return Log(self.faults.path, time, inputs, outputs, units, step, written, unwrapped, self.table.header)
+
+    # -- header -------------------------------------------------------------------------------
+
+    def _column(self, heading: Heading) -> Column | None:
+        """How a column is read: in the unit of the model."""
+        name = heading.name
+        if heading.cell > 1 and name not in self.known:
+            hint = did_you_mean(name, self.known) or did_you_mean(name.rpartition(".")[2], self.known)
+            message = f'unknown column "{name}"{hint} (the model has {", ".join(self.known)})'
+            self.faults.note(heading.line, heading.cell, message)
+            return None
+        wanted = self.known[name] if heading.cell > 1 else "s"
+        scale = factor(heading.unit, wanted)
+        if scale is None:
+            offered = ", ".join(alternatives(wanted))
+            message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
+            self.faults.note(heading.line, heading.cell, message)
+        return Column(heading, 1.0 if scale is None else scale, known=name not in self.outputs)
+
+    def _check_header(self) -> None:
+        """Every input of the model, and one output at least."""
+        line, columns = self.table.header, self.table.columns
+        missing = [name for name in self.inputs if name not in columns]
+        for name in missing:
+            message = f'input "{name}" is missing; a log holds every input of the model: {", ".join(self.inputs)}'
+            self.faults.note(line, 1, message)
+        if not missing and not any(name in columns for name in self.outputs):
+            one = f"at least one of {', '.join(self.outputs)} is measured"
+            self.faults.note(line, 1, f"holds no output of the model; {one}")
+
+    # -- rows ---------------------------------------------------------------------------------
+
+    def _check_values(self) -> None:
+        """What only the whole column shows: too few rows, nothing measured, values that no sensor ever read."""
+        table, counts = self.table, self.faults.counts
+        if table.rows < 2 and not counts:
+            seen = "no row" if table.rows == 0 else "one row"
+            message = f"holds {seen}; a log has at least two, and some hundred to be of use"
+            self.faults.note(table.header + 1, 1, message)
+            return
+        if not table.rows:
+            return
+        faulty = {cell for cell, _ in counts}
+        for name, column in table.columns.items():
+            values = table[name]
+            if name in self.outputs and column.cell not in faulty and np.isnan(values).all():
+                message = f'column "{name}" holds no value (NaN in every row); delete the column'
+                self.faults.note(table.header, column.cell, message)
+            self._check_sizes(column, values)
+
+    def _check_sizes(self, column: Column, values: Array) -> None:
+        name, cure = column.name, "leave the row out" if column.known else "leave the cell empty"
+        for row in _absurd(values):
+            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
+            self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)
+
+
+def _absurd(values: Array) -> Rows:
+    """Rows of values so far beyond the column's usual size that they are a logger's mark, as 3.4e38 for `invalid`."""
+    size = np.abs(values)
+    seen = size[~np.isnan(size)]
+    if not seen.size:
+        return np.zeros(0, np.intp)
+    limit = min(max(BEYOND * float(np.median(seen)), ORDINARY), NEVER)
+    return np.flatnonzero(size > limit)
 
 
 def _continuous(angle: Array) -> tuple[Array, Rows]:
@@ -305,14 +191,6 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
     smooth = angle.copy()
     smooth[rows] = np.unwrap(values)
     return smooth, jumps
-
-
-def _filled(row: Sequence[str]) -> bool:
-    return any(cell.strip() for cell in row)
-
-
-def _list(names: Mapping[str, str]) -> str:
-    return ", ".join(names)
 
 
 def stretches(log: Log) -> list[Log]:
