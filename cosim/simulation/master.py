@@ -13,7 +13,8 @@ import numpy as np
 
 from cosim.errors import SimulationError
 from cosim.results import Results
-from cosim.simulation.system import System, Transfer
+from cosim.simulation.system import System
+from cosim.simulation.wiring import Transfer
 
 Copies = tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int, list[float]], ...]]
 SETTLE = 10  # sweeps after which initial values that still change are called an error

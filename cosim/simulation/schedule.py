@@ -1,0 +1,69 @@
+"""The order in which components step, and which transfers are made right before each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cosim.blocks.interface import Component
+from cosim.simulation.faults import Faults
+from cosim.simulation.order import AlgebraicLoop, Edge, stages
+from cosim.simulation.scenario import Connection, Scenario
+from cosim.simulation.wiring import Components, Transfer
+from cosim.yaml_file import did_you_mean
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A component and the transfers made right before it steps."""
+
+    component: Component
+    pulls: tuple[Transfer, ...] = ()
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Stages in the order in which they step, and transfers made at the end of a step."""
+
+    stages: tuple[Stage, ...] = ()
+    held: tuple[Transfer, ...] = ()
+
+
+def schedule(scenario: Scenario, components: Components, transfers: Sequence[Transfer], faults: Faults) -> Schedule:
+    """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none."""
+    if scenario.algorithm == "jacobi":
+        return Schedule(tuple(Stage(c) for c in components.values()), tuple(transfers))
+    if scenario.order is not None and not _names_all(scenario.order, components, faults):
+        return Schedule()
+    try:
+        order, immediate, notes = stages(components, [_edge(c) for c in scenario.connections], scenario.order)
+    except AlgebraicLoop as loop:
+        message = (
+            f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the "
+            f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
+        )
+        faults.note(("connections",), message)
+        return Schedule()
+    faults.warnings += notes
+    now = [t for t, is_now in zip(transfers, immediate, strict=True) if is_now]
+    held = tuple(t for t, is_now in zip(transfers, immediate, strict=True) if not is_now)
+    pulls = {name: tuple(t for t in now if t.name.partition(".")[0] == name) for name in order}
+    return Schedule(tuple(Stage(components[name], pulls[name]) for name in order), held)
+
+
+def _edge(connection: Connection) -> Edge:
+    target, _, variable = connection.target.partition(".")
+    return connection.source.partition(".")[0], target, variable
+
+
+def _names_all(order: Sequence[str], components: Components, faults: Faults) -> bool:
+    """Does an order given by the user name every component with inputs once, and no other?"""
+    missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
+    unknown = [name for name in order if name not in components]
+    twice = len(set(order)) != len(order)
+    for name in unknown:
+        faults.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+    if missing or twice:
+        message = f"order names every component with inputs once; missing: {', '.join(missing) or 'none'}"
+        faults.note(("order",), message)
+    return not (unknown or missing or twice)
