@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 import re
 
-DEGREES = 180 / math.pi
-DISPLAY = {
-    "rad": ("°", DEGREES),
-    "rad/s": ("°/s", DEGREES),
-    "rad/s2": ("°/s²", DEGREES),
-    "rad.s": ("° s", DEGREES),
-    "m/s2": ("m/s²", 1.0),
-    "N.m": ("N m", 1.0),
-}
+from fmus.units import DISPLAY
 
-
+DEGREES = DISPLAY["rad"][1]  # shown per radian
+ANGLE = re.compile(r"rad([./]s\d?)?")  # an angle, its rates and its sum over time
+POWER = re.compile(r"(?<=[A-Za-z])\d")
+RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "\u2212"
 MISSING = "\u2013"
 
@@ -39,10 +34,14 @@ def plain(value: float, digits: int | None = 3) -> str:
 def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
     """`value` in SI with its unit as shown: angles in degrees, pure numbers bare."""
     shown, factor = display(unit)
-    text = plain(value * factor, digits)
-    if text == MISSING or shown in ("", "1"):
-        return text
-    return text + shown if shown.startswith("°") else f"{text}\u00a0{shown}"
+    return joined(plain(value * factor, digits), shown)
+
+
+def joined(number: str, unit: str) -> str:
+    """A number and its unit, both as shown: `12°`, `3 m`, and neither after a value that is missing."""
+    if number == MISSING or not unit:
+        return number
+    return f"{number}{'' if unit.startswith('°') else chr(0xA0)}{unit}"
 
 
 def length(value: float) -> str:
@@ -78,8 +77,15 @@ def counted(count: int, noun: str) -> str:
 
 
 def display(unit: str) -> tuple[str, float]:
-    """Unit as shown, and what to multiply by; angles are shown in degrees."""
-    return DISPLAY.get(unit, (unit, 1.0))
+    """Unit as it stands behind a number, and what to multiply by: `°/s²` and 57.3 for `rad/s2`, nothing for 1."""
+    if ANGLE.fullmatch(unit):
+        return written(unit, "\u00a0").replace("rad", "°"), DEGREES
+    return written(unit, "\u00a0"), 1.0
+
+
+def written(unit: str, times: str = "·") -> str:
+    """A unit as one writes it, `N·s²/m²` for `N.s2/m2`, nothing for a pure number; `times` joins its factors."""
+    return "" if unit == "1" else POWER.sub(lambda found: found[0].translate(RAISED), unit).replace(".", times)
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:
@@ -89,15 +95,3 @@ def finer(unit: str, size: float) -> tuple[str, float]:
     if unit == "m/s" and size < 0.05:
         return "mm/s", 1000.0
     return display(unit)
-
-
-def pretty(unit: str) -> str:
-    """A unit as it is printed: degrees, `N s²/m²` for `N.s2/m2`, nothing for 1."""
-    shown = display(unit)[0]
-    raised = re.sub(r"(?<=[A-Za-z])[23]", lambda found: "²" if found[0] == "2" else "³", shown)
-    return "" if shown == "1" else raised.replace(".", "\u00a0")
-
-
-def shown(unit: str) -> str:
-    """A unit as it is read: `N·s²/m²`, nothing for a pure number."""
-    return "" if unit == "1" else unit.replace(".", "·").replace("2", "²").replace("4", "⁴")

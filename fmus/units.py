@@ -8,19 +8,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
-FORCE = {"kg": 1, "m": 1, "s": -2}
-PRESSURE = {"kg": 1, "m": -1, "s": -2}
-VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
-RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
-DEGREE = 180.0 / math.pi
-# display unit, and display value per value
-DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
-# superscripts; the signs for ohm and micro that look like the Greek letters
-ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
-TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
-STANDARD_GRAVITY = 9.80665  # [m/s²]
-
 
 class Unit(NamedTuple):
     """Exponents of SI base units, and value in SI = factor·value."""
@@ -39,6 +26,12 @@ def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[
     sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
 
+
+LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
+FORCE = {"kg": 1, "m": 1, "s": -2}
+PRESSURE = {"kg": 1, "m": -1, "s": -2}
+VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
+RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
 
 # The order within a dimension is that in which sizes are offered to who has written none of them.
 SYMBOLS: dict[str, Unit] = {
@@ -70,6 +63,13 @@ SYMBOLS: dict[str, Unit] = {
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
+# Other ways to write a symbol: superscripts, the signs for ohm and micro that look like the Greek letters.
+ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
+TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
+STANDARD_GRAVITY = 9.80665  # [m/s²]
+# What people are shown: unit → display unit, and display value per value.
+DEGREE = 180.0 / math.pi
+DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
 
 
 def parse(text: str) -> Unit | None:
@@ -87,24 +87,6 @@ def parse(text: str) -> Unit | None:
             for name, count in unit.exponents.items():
                 exponents[name] = exponents.get(name, 0) + power * count
     return Unit({name: count for name, count in exponents.items() if count}, size)
-
-
-def unit_definitions(names: set[str]) -> Element:
-    """The `UnitDefinitions` element for the units in use; ValueError where one is none."""
-    root = Element("UnitDefinitions")
-    for name in sorted(names):
-        unit = parse(name)
-        if unit is None:
-            raise ValueError(f'unknown unit "{name}"')
-        node = SubElement(root, "Unit", name=name)
-        base = {k: str(v) for k, v in unit.exponents.items()}
-        if unit.factor != 1.0:
-            base["factor"] = repr(unit.factor)
-        SubElement(node, "BaseUnit", base)
-        if name in DISPLAY:
-            display, factor = DISPLAY[name]
-            SubElement(node, "DisplayUnit", name=display, factor=repr(factor))
-    return root
 
 
 def factor(written: str, wanted: str) -> float | None:
@@ -135,3 +117,21 @@ def alternatives(wanted: str) -> list[str]:
         exponents = SYMBOLS[head[0]].exponents
         found += [s + wanted[head.end() :] for s, u in SYMBOLS.items() if u.exponents == exponents and s != head[0]]
     return [unit for unit in (*found, "g") if unit == wanted or factor(unit, wanted) is not None]
+
+
+def unit_definitions(names: set[str]) -> Element:
+    """The `UnitDefinitions` element for the units in use; ValueError where one is none."""
+    root = Element("UnitDefinitions")
+    for name in sorted(names):
+        unit = parse(name)
+        if unit is None:
+            raise ValueError(f'unknown unit "{name}"')
+        node = SubElement(root, "Unit", name=name)
+        base = {k: str(v) for k, v in unit.exponents.items()}
+        if unit.factor != 1.0:
+            base["factor"] = repr(unit.factor)
+        SubElement(node, "BaseUnit", base)
+        if name in DISPLAY:
+            display, factor = DISPLAY[name]
+            SubElement(node, "DisplayUnit", name=display, factor=repr(factor))
+    return root

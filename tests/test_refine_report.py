@@ -40,7 +40,7 @@ from cosim.refinement.verdict import Verdict, judge
 from cosim.refinement.workflow import refine
 from cosim.residuals.statistics import excess_left
 from cosim.residuals.windows import Replay
-from cosim.text import pretty
+from cosim.text import display, written
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log
@@ -466,7 +466,14 @@ def test_bins_hold_every_row_once_and_none_too_few() -> None:
     ("unit", "printed"), [("N.s2/m2", "N\u00a0s²/m²"), ("rad/s2", "°/s²"), ("1", ""), ("kg.m2", "kg\u00a0m²"), ("", "")]
 )
 def test_units_are_printed_as_one_writes_them(unit: str, printed: str) -> None:
-    assert pretty(unit) == printed
+    assert display(unit)[0] == printed
+
+
+@pytest.mark.parametrize(
+    ("unit", "in_sentences"), [("N.m.s/rad", "N·m·s/rad"), ("N.s2/m2", "N·s²/m²"), ("kg.m2", "kg·m²"), ("1", "")]
+)
+def test_units_in_sentences_join_their_factors_by_dots(unit: str, in_sentences: str) -> None:
+    assert written(unit) == in_sentences
 
 
 def test_the_same_refine_gives_the_same_page(cart: Refinement, tmp_path: Path) -> None:

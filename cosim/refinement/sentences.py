@@ -8,7 +8,7 @@ from typing import Any
 from cosim.refinement.candidates import Candidate, Free, kind_within
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
-from cosim.text import percent, shown
+from cosim.text import percent, written
 from plant.model import Model
 from plant.quantities import parameters_of
 
@@ -69,7 +69,7 @@ def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> st
     units |= {p.name: p.unit for p in model.parameters}
     said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
-        values = ", ".join(_told(best, f, shown(units[f.name])) for f in c.free)
+        values = ", ".join(_told(best, f, written(units[f.name])) for f in c.free)
         gone = all(
             abs(best.fit.values[f.name] - f.neutral) <= CI95 * best.fit.sigma(f.name)
             for f in c.free

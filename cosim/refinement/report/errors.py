@@ -11,7 +11,7 @@ from cosim.refinement.outcome import Refinement
 from cosim.refinement.record import OTHER_HORIZONS
 from cosim.residuals.statistics import excess_left
 from cosim.residuals.words import horizon_name
-from cosim.text import MISSING, finer, percent, plain
+from cosim.text import MISSING, finer, joined, percent, plain
 
 PARTS = {"estimation": "Estimation logs", "validation": "Sealed validation logs"}
 NOISE = 1.2  # times the floor, up to which an error is noise
@@ -67,8 +67,7 @@ def units(r: Refinement) -> dict[str, str]:
 def error_size(value: float, unit: str, like: float) -> str:
     """An error in a unit that suits one of size `like`."""
     shown, factor = finer(unit, like)
-    text = plain(value * factor)
-    return text if text == MISSING or not shown else f"{text}{'' if shown.startswith('°') else chr(0xA0)}{shown}"
+    return joined(plain(value * factor), shown)
 
 
 def horizon(r: Refinement) -> str:

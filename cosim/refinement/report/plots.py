@@ -131,7 +131,7 @@ def against_signal(s: Shown) -> Plot:
     if s.term is not None:
         traces.append(Trace(s.effect or "term without a name", columns[2] * factor, "true"))
     title = f"{_what(s)} against {s.against.name}"
-    over = f"{s.against.name} in {shown}"
+    over = f"{s.against.name} in {shown or s.against.unit}"
     axis = make_axis(low, high, 6)
     return make_plot(Panel(title, unit or "1", traces), places, axis, limit=2 * len(places), over=over)
 
@@ -154,7 +154,7 @@ def over_time(s: Shown) -> Plot:
 
 def axis_label(s: Shown) -> str:
     """What stands under the first of the two plots."""
-    shown = " · ".join(display(u)[0] for u in s.against.unit.split(" · "))
+    shown = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{shown or '1'}]"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.refinement.candidates import Candidate, Free
 from cosim.refinement.outcome import Refinement
 from cosim.refinement.sentences import CI95
-from cosim.text import display, plain, pretty
+from cosim.text import amount, display, joined, plain
 from plant.quantities import parameters_of
 
 SHOWN_SINGLES = 8
@@ -111,9 +111,7 @@ def _short(name: str, owners: Sequence[str]) -> str:
 
 
 def _value(value: float, unit: str, digits: int = 4) -> str:
-    shown, factor = pretty(unit), display(unit)[1]
-    text = plain(value * factor, digits)
-    return text if not shown else f"{text}{'' if shown.startswith('°') else chr(0xA0)}{shown}"
+    return amount(value, unit, digits)
 
 
 # -- parameters -------------------------------------------------------------------------------
@@ -199,7 +197,7 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
 
 def _drift(value: float, unit: str) -> str:
     text, factor = ("mm/s", 1000.0) if unit == "m/s" else display(unit)
-    return f"{plain(value * factor, 2)}{'' if text.startswith('°') else chr(0xA0)}{text}"
+    return joined(plain(value * factor, 2), text)
 
 
 def _share(q: float) -> float:

@@ -88,5 +88,5 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
         shown_unit, factor = display(unit)
         traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(Panel(", ".join(components), shown_unit or "no unit", traces))
+        panels.append(Panel(", ".join(components), shown_unit or unit or "no unit", traces))
     return panels
