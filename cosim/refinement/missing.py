@@ -1,9 +1,10 @@
 """The acceleration a model lacks, row by row, and what a hypothesis puts in its place.
 
 Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, each
-forced equation gets an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) finds it:
+forced equation gets an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) estimates it:
     δ⁺ = F·δ + (f(x̄) − x̄⁺) + h·d      d⁺ = φ·d + w      y − g(x̄) = C·δ + v
-d forgets itself within MEMORY; its variance is that which makes it as large as the process noise the base fit found.
+d decorrelates within MEMORY; its variance is that which makes it as large as the process noise of the base fit, or as
+process noise that is plainly detected (`NoiseRange.plain`) where the fit has less.
 Claimed: a step of the model with the hypothesis less a step of the model without, over the step.
 """
 
@@ -20,11 +21,9 @@ from cosim.refinement.fit import DIFFERENCE, Fit
 from cosim.refinement.problem import SKIPPED, Problem
 
 MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
-LEAST_LOG_Q = -9.0  # d may be this large even where the fit found nothing: a few mN on the craft
-STATE_LOG_Q = -16.0  # what else moves the forced states
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, looked at
-NUDGE = 1e-4  # of a state, for differences; steps are smooth on this scale
+NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +66,10 @@ class Steps:
 
 
 def missing(problem: Problem, base: Filter, index: int) -> Missing:
-    """Smooth the input that the base fit lacks on a log."""
+    """Smooth the input that the base fit lacks on a log, in the state's unit per second."""
     layout, data = problem.layout, problem.logs[index]
     equations = layout.forced
-    log_q = np.maximum(base.log_q, LEAST_LOG_Q)
+    log_q = loosened(problem, base.log_q)
     run = problem.run({**problem.values, **base.values}, log_q, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
@@ -80,10 +79,15 @@ def missing(problem: Problem, base: Filter, index: int) -> Missing:
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
 
 
+def loosened(problem: Problem, log_q: Array) -> Array:
+    """ln q of a filter that follows what an equation lacks: in each at least what is plainly detected."""
+    return np.maximum(log_q, problem.noise.plain)
+
+
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     """What the claim adds to each forced equation at the rows of `missing`.
 
-    Both steps start from the refined estimate of what is measured, each from its own of what is not (tilts, memory).
+    Both steps start from the refined estimate of what is measured, each from its own of the rest.
     """
     layout, data = problem.layout, problem.logs[index]
     runs = [problem.run({**problem.values, **f.values}, f.log_q, index, states=True) for f in (base, after)]
@@ -132,7 +136,7 @@ class _Linear:
 def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int) -> _Linear:
     """Differences of single steps, for the states that noise reaches."""
     reached = list(problem.layout.stochastic)
-    size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), 0.1)
+    size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     n, ny = len(reached), problem.logs[0].y.shape[1]
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
     b, g = np.zeros((rows, n)), np.zeros((rows, ny))
@@ -157,7 +161,7 @@ def _smooth(problem: Problem, model: _Linear, q: Array, h: float, y: Array) -> t
     x, P = np.zeros(n + m), np.zeros((n + m, n + m))
     P[:n, :n], P[n:, n:] = problem.P0, np.diag(variance)
     Q = np.zeros_like(P)
-    Q[places, places] = np.exp(STATE_LOG_Q) * h
+    Q[places, places] = np.exp(problem.noise.smallest) * h  # all else is left to d
     Q[n:, n:] = np.diag(variance * (1.0 - phi * phi))
     ahead, spread = np.zeros((rows, n + m)), np.zeros((rows, n + m, n + m))
     after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)

@@ -18,7 +18,6 @@ from cosim.residuals.statistics import Whiteness, lags_of, rmse, whiteness
 from cosim.text import MISSING, plain
 
 STEMS = 50  # of an autocorrelation
-SURE = -16.0  # ln q of a filter that trusts its equations
 STYLES = ("s1", "true")
 
 
@@ -40,9 +39,12 @@ def modes(r: Refinement) -> tuple[str, str]:
 
 
 def innovations(r: Refinement) -> list[WhitenessRow]:
-    """One-step errors over what the filter expects, channel by channel in the order of the logs."""
+    """One-step errors over what the filter expects, channel by channel in the order of the logs.
+
+    A filter trusts its equations where their process noise is too small for any log to show.
+    """
     after, logs = r.variants["after"], range(len(r.problem.logs))
-    pair = [(after, np.full(len(after.log_q), SURE)), (after, after.log_q)]
+    pair = [(after, r.problem.noise.smallest), (after, after.log_q)]
     if r.verdict.claimed:
         pair[0] = (r.variants["before"], after.log_q)
     both = [[_innovations(r, dict(v.values), q, k) for k in logs] for v, q in pair]

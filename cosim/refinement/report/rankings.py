@@ -185,13 +185,16 @@ def _digits(value: float, sigma: float) -> int:
 
 def noise_rows(r: Refinement) -> list[NoiseRow]:
     """√q is how far the state drifts in one second for what its equation does not say."""
-    noise = r.verdict.residual.get("process_noise", {})
+    noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
     unit = {q.name: q.unit for q in r.study.loaded.model.states}
     rows = []
-    for name, q in noise.items():
-        before, after = math.sqrt(q["before"]), math.sqrt(q["after"])
-        shown = [_drift(v, unit.get(name, "")) for v in (before, after)]
-        rows.append(NoiseRow(name, shown[0], shown[1], _share(q["before"]), _share(q["after"]), _words(q)))
+    for k, name in enumerate(r.problem.layout.forced):
+        if name in noise:
+            before, after = noise[name]["before"], noise[name]["after"]
+            drifts = [_drift(math.sqrt(q), unit.get(name, "")) for q in (before, after)]
+            bars = [_width(q, size.smallest[k], size.largest[k]) for q in (before, after)]
+            words = _words(noise[name], size.quiet[k])
+            rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))
     return rows
 
 
@@ -200,13 +203,15 @@ def _drift(value: float, unit: str) -> str:
     return joined(plain(value * factor, 2), text)
 
 
-def _share(q: float) -> float:
-    """Width of a bar over ln q from the fit's floor at −18 to 2."""
-    return round(100 * min(1.0, max(0.0, (math.log(max(q, 1e-12)) + 18.0) / 20.0)), 1)
+def _width(q: float, smallest: float, largest: float) -> float:
+    """Width of a bar [%]: ln q between the limits of a fit of this equation."""
+    log_q = math.log(q) if q > 0.0 else smallest
+    return round(100 * min(1.0, max(0.0, (log_q - smallest) / (largest - smallest))), 1)
 
 
-def _words(q: Mapping[str, Any]) -> str:
-    was = q["before"] > math.exp(-14.0)
+def _words(q: Mapping[str, Any], quiet: float) -> str:
+    """Whether an equation is complete; it was deficient where its process noise was more than quiet [ln q]."""
+    was = q["before"] > math.exp(quiet)
     if q["inflated"]:
         return "deficient; the claim leaves some" if q["after"] < 0.5 * q["before"] else "deficient still"
     return "was deficient, is complete" if was else "complete"

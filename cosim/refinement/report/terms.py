@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.refinement.candidates import Candidate
 from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.missing import LEAST_LOG_Q, LOGS, Filter, Missing, Steps, at_best, claimed, missing
+from cosim.refinement.missing import LOGS, Filter, Missing, Steps, at_best, claimed, loosened, missing
 from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import Problem
 from cosim.refinement.report.dependence import Signal, choose, nameless, signals
@@ -150,9 +150,7 @@ def _reading(
     rows = []
     for index in logs:
         data = problem.logs[index]
-        run = problem.run(
-            {**problem.values, **with_it.values}, np.maximum(with_it.log_q, LEAST_LOG_Q), index, states=True
-        )
+        run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.log_q), index, states=True)
         clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
         wrong = Steps(problem, index, with_it.values)
         for k in range(round(1.0 / data.step), min(len(data.u), 3000) - 1):
