@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cosim.refinement.attribution import RIVAL, SIGNIFICANT_IN_NOISE
 from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.judgement import RIVAL, SIGNIFICANT_IN_NOISE
 from cosim.refinement.sentences import cannot_tell, claim, experiment_for, unexplained
 from cosim.refinement.verdict import Verdict
 from cosim.residuals.statistics import COUNTS_FROM, excess_left

@@ -24,10 +24,10 @@ NOTHING = 1e-12  # of the residual's square, below which a term cannot be seen a
 
 @dataclass(frozen=True)
 class Promise:
-    """gain: of log-likelihood; told: largest χ² of a usual size; values: estimates, linear in the sizes."""
+    """gain: of log-likelihood; identifiable: largest χ² of a usual size; values: estimates, linear in the sizes."""
 
     gain: float
-    told: float
+    identifiable: float
     values: Mapping[str, float]
 
 

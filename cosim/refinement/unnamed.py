@@ -8,9 +8,7 @@ stands for all.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +16,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.refinement.fit import Fit
 from cosim.refinement.missing import LOGS, Filter, at_best, claimed, missing
+from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
 from cosim.refinement.screen import ScoreTest
 
@@ -59,8 +58,7 @@ def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
         return Unnamed(equation, signal, gain, float(taken * steps[equation]), gain), row
 
     names = [name for name in layout.parameters if name.startswith("unnamed.")]
-    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        found = [(u, row) for u, row in pool.map(term, names) if u.gain > 0.0]
+    found = [(u, row) for u, row in in_parallel(term, names) if u.gain > 0.0]
     terms = sorted((u for name in forced for u in _distinct([f for f in found if f[0].equation == name])), key=_promise)
     if terms and terms[0].most > NOTICED:
         terms[0] = replace(terms[0], share=_share(problem, at, terms[0]))
