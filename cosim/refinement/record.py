@@ -7,11 +7,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.measure import Evidence, rmse
+from cosim.refinement.problem import Problem
 from cosim.refinement.sentences import CI95
+from cosim.refinement.study import Study
 from cosim.refinement.verdict import Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
 from cosim.version import __version__
@@ -28,6 +32,8 @@ Likelihood = Annotated[  # null where the filter diverged
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
 Part = Literal["estimation", "validation"]
+Floors = Mapping[Part, dict[str, float]]
+Replayed = Mapping[str, Mapping[Part, Mapping[float, Evidence]]]  # before, recalibrated, after → set of logs → horizon
 Parts = dict[Part, Channels]
 
 
@@ -156,6 +162,43 @@ class Record(_Entry):
         description="log-likelihood that the claim gains on each log, as the other logs have it"
     )
     seconds: Finite = Field(description="time it took")
+
+
+def record(
+    study: Study, a: Attribution, verdict: Verdict, problem: Problem, replayed: Replayed, floors: Floors, seconds: float
+) -> Record:
+    """What refine.json holds."""
+    own = study.loaded.model.horizon
+
+    def errors(horizon: float) -> Errors:
+        sizes = {
+            name: {part: known(rmse(found[horizon])) for part, found in parts.items()}
+            for name, parts in replayed.items()
+        }
+        return Errors(**sizes)
+
+    return Record(
+        study=str(study.path),
+        verdict=verdict.name,
+        sentence=verdict.sentence,
+        effects=effects(study.loaded.model, verdict.claimed, a.tried) if verdict.claimed else [],
+        rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
+        experiment=verdict.experiment,
+        nearest=list(verdict.rivals) if verdict.name == "unexplained" else [],
+        candidates=ranking(a, verdict),
+        hidden=list(a.hidden),
+        measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
+        sensor_noise=dict(zip(problem.layout.outputs, np.sqrt(problem.r).tolist(), strict=True)),
+        warnings=list(study.warnings),
+        residual=residual(verdict),
+        horizon=own if math.isfinite(own) else "free run",
+        error=errors(own),
+        horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
+        noise_floor=floors["validation" if "validation" in floors else "estimation"],
+        noise_floors=floors,
+        held_out_gain=a.held_out,
+        seconds=seconds,
+    )
 
 
 class _Untitled(GenerateJsonSchema):

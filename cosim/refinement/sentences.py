@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cosim.refinement.candidates import Candidate, Free, kind_within
+from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
-from cosim.text import percent, written
+from cosim.text import percent, plain, written
 from plant.model import Model
 from plant.quantities import parameters_of
 
@@ -56,6 +57,20 @@ def unexplained(
     else:
         text = otherwise
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
+
+
+def misses(channel: str, times: float, base: Fit) -> str:
+    """By how much the model as it stands misses a channel, and how far recalibration had to go to mend that."""
+    moved = ", ".join(
+        f"{f.name} {plain(f.prior[0])} → {plain(base.values[f.name])}"
+        for f in base.free
+        if f.prior and abs(base.values[f.name] - f.prior[0]) > 2 * f.prior[1]
+    )
+    further = f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else ""
+    return (
+        f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
+        "No candidate accounts for that."
+    )
 
 
 def follows(signal: str) -> str:

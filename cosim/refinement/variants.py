@@ -44,7 +44,7 @@ def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedMode
     return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
 
 
-def _variants(
+def variants_of(
     study: Study, a: Attribution, verdict: Verdict, refined: LoadedModel, given_fmu: Path, refined_fmu: Path
 ) -> dict[str, Variant]:
     """The model before, recalibrated and after, each with the filter that starts its replays."""

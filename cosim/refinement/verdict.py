@@ -43,37 +43,67 @@ class Verdict:
 
 
 def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequence[str]) -> Verdict:
-    """Claim only where score, significance and held-out likelihood agree and nothing nameless is left."""
+    """Claim only where score, significance and held-out likelihood agree and nothing nameless is left.
+
+    Of these rules the first that applies decides.
+    """
     residual = _residual(a, unnamed, forced)
-    kinds = {c.kind for c in a.best.candidates}
-    effects = sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
-    # a log at rest may show a biased sensor; of forces it says nothing
-    too_little = len(a.hidden) > max(1.0, BLIND * effects) or (len(a.hidden) == effects == 1 and not kinds)
-    if too_little and kinds != {"sensor"}:
-        rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
-        sentence = excites_too_little(len(a.hidden), effects)
-        return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, sentence)
-    if not kinds:
-        if not a.quiet or (unnamed and unnamed[0].most > NOTICED):
-            return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
+    nameless = unnamed[0].most if unnamed else 0.0
+    nothing_gains = not a.best.candidates
+    if _excites_too_little(a):
+        return _undecided(a, residual)
+    if nothing_gains and (not a.quiet or nameless > NOTICED):
+        return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
+    if nothing_gains:
         return Verdict("no_effect", None, (), "", residual, nothing(a.hidden))
-    if a.held_out <= 0 or _disputed(a, unnamed[0].most if unnamed else 0.0):
+    if a.held_out <= 0 or _disputed(a, nameless):
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
-    if a.rivals:
-        common = _common(a)
-        names = tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in common))
-        if len(names) > 1:
-            experiment = experiment_for(model, names)
-            certain = [c for c in a.best.candidates if c.name in common]
-            sentence = cannot_tell(names, experiment, claim(a.best, certain, model) if certain else "")
-            return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
-    left = unnamed[0] if unnamed and unnamed[0].most > DISPUTES else None
+    if len(_rivalling(a)) > 1:
+        return _ambiguous(a, model, residual)
+    left = unnamed[0] if nameless > DISPUTES else None
     sentence = claim(a.best, a.best.candidates, model) + left_over(left, a.base.score - a.best.score)
-    return Verdict(_found(a.best.candidates, model), a.best, (), "", residual, sentence)
+    return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence)
 
 
-def _found(candidates: Sequence[Candidate], model: Model) -> Name:
-    """What one says was found, by its kind."""
+def _excites_too_little(a: Attribution) -> bool:
+    """Too many effects would not show in these logs, present or not; a sensor's error may show even at rest."""
+    effects, kinds = _effects_tried(a), {c.kind for c in a.best.candidates}
+    only_one = len(a.hidden) == effects == 1 and not kinds
+    return (len(a.hidden) > max(1.0, BLIND * effects) or only_one) and kinds != {"sensor"}
+
+
+def _effects_tried(a: Attribution) -> int:
+    return sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
+
+
+def _undecided(a: Attribution, residual: Mapping[str, Any]) -> Verdict:
+    """Nothing is claimed of logs that excite too little."""
+    rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
+    sentence = excites_too_little(len(a.hidden), _effects_tried(a))
+    return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, sentence)
+
+
+def _rivalling(a: Attribution) -> tuple[str, ...]:
+    """What the best and its rivals do not have in common."""
+    return tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in _common(a)))
+
+
+def _common(a: Attribution) -> set[str]:
+    """What every rival has too."""
+    return set(a.best.names).intersection(*(h.names for h in a.rivals))
+
+
+def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Verdict:
+    """The best is claimed until an experiment separates it from its rivals; what they share is certain."""
+    names, common = _rivalling(a), _common(a)
+    experiment = experiment_for(model, names)
+    certain = [c for c in a.best.candidates if c.name in common]
+    sentence = cannot_tell(names, experiment, claim(a.best, certain, model) if certain else "")
+    return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
+
+
+def _name_of(candidates: Sequence[Candidate], model: Model) -> Name:
+    """The verdict that claims these candidates, by their kind."""
     kinds = {kind_within(c, model) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
@@ -89,11 +119,6 @@ def _disputed(a: Attribution, nameless: float) -> bool:
     half_mended = any(LEFT < share < MENDED for share in left)
     noticed, remains = (NOTICED, REMAINS) if half_mended else (DISPUTES, DISPUTED)
     return nameless > noticed and nameless > remains * (a.base.score - a.best.score)
-
-
-def _common(a: Attribution) -> set[str]:
-    """What every rival has too."""
-    return set(a.best.names).intersection(*(h.names for h in a.rivals))
 
 
 def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
