@@ -138,26 +138,26 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
     problem = filtering(problem, variant.model, logs)
-    layout = problem.layout
-    p = problem.numbers(variant.values)
+    p, q = problem.numbers(variant.values), problem.densities(variant.log_q)
     missed = []
-    noisy = layout.forced_places
-    q = np.zeros(len(layout.stochastic))
-    q[list(layout.noisy)] = np.exp(variant.log_q)
     for index, log in enumerate(logs):
-        data = problem.logs[index]
-        first = problem.run(variant.values, variant.log_q, index, states=True)
+        first = problem.run(variant.values, variant.log_q, index, states=True).states[0]
         for _ in range(-(-DRAWS // len(logs))):
-            kicks = np.zeros((len(data.u), len(layout.states)))
-            kicks[:, noisy] = rng.standard_normal((len(data.u), len(noisy))) * np.sqrt(
-                np.exp(variant.log_q) * data.step
-            )
-            truth = problem.kernel.simulate(data, p, first.states[0], np.zeros(layout.memory), kicks)
-            sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
-            drawn = replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
-            seen = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
-            missed.append(_missed(variant, problem, log, drawn, seen))
+            drawn = _drawn(problem, problem.logs[index], variant, first, rng)
+            filtered = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
+            missed.append(_missed(variant, problem, log, drawn, filtered))
     return _root_mean_squares(problem, missed)
+
+
+def _drawn(problem: Problem, data: Data, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
+    """A log as the model would have made it from a first state, with process noise and sensor noise drawn anew."""
+    layout, rows = problem.layout, len(data.u)
+    noisy = layout.forced_places
+    kicks = np.zeros((rows, len(layout.states)))
+    kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(np.exp(variant.log_q) * data.step)
+    truth = problem.kernel.simulate(data, problem.numbers(variant.values), first, np.zeros(layout.memory), kicks)
+    sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
+    return replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
 
 
 def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:

@@ -215,14 +215,16 @@ class Problem:
         """Values of the parameters in the kernel's order."""
         return np.array([values[name] for name in self.layout.parameters])
 
+    def densities(self, log_q: Array) -> Array:
+        """q of every stochastic state, its unit squared per second: e^(ln q) where noise enters, else 0."""
+        q = np.zeros(len(self.layout.stochastic))
+        q[list(self.layout.noisy)] = np.exp(log_q)
+        return q
+
     def run(self, values: Mapping[str, float], log_q: Array, index: int, *, states: bool = False) -> Filtered:
         """Filter one log."""
-        layout = self.layout
-        q = np.zeros(len(layout.stochastic))
-        q[list(layout.noisy)] = np.exp(log_q)
-        return self.kernel.run(
-            self.logs[index], self.numbers(values), self.x0[index], self.P0, q, self.r, states=states
-        )
+        p, q = self.numbers(values), self.densities(log_q)
+        return self.kernel.run(self.logs[index], p, self.x0[index], self.P0, q, self.r, states=states)
 
     def scored(self, values: Mapping[str, float], log_q: Array, only: Sequence[int] | None = None) -> Scored:
         """Filter all logs, or some."""
