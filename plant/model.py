@@ -79,6 +79,10 @@ def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...
     return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
 
 
+def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
+    return {f"{kind.name}.{p.name}": p for kind in kinds for p in parameters_of(kind)}
+
+
 class Equations(NamedTuple):
     """The body, bound to a namespace and to parameter values.
 
@@ -169,6 +173,16 @@ class Model(Parametric):
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the base model."""
         return parameters_of(self)
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """Every parameter that `with_values` knows: of the base model by name, of the catalogue `effect.parameter`."""
+        return {p.name: p for p in self.parameters} | _prefixed(self.catalogue)
+
+    @property
+    def sensor_parameters(self) -> dict[str, Parameter]:
+        """The parameters of the errors that the sensors may have, by `sensor.parameter`."""
+        return _prefixed(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
         """Another model with the effect added, or put in place of one of the same kind."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.arrays import Array
 
+NORMAL_95 = 1.96  # standard deviations within which 95 % of a normal distribution lie
 APART = 1.5  # times the usual span of five readings, beyond which they are no neighbours
 
 

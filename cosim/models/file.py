@@ -21,7 +21,6 @@ from cosim.models.source import Source
 from cosim.registry import BASE, BASE_NAME, MODELS, resolve
 from cosim.yaml_file import YamlFile, did_you_mean
 from plant.model import Model
-from plant.quantities import parameters_of
 
 if TYPE_CHECKING:
     from fmus.build import Recipe
@@ -68,7 +67,7 @@ class LoadedModel:
     @property
     def values(self) -> dict[str, float]:
         """Sensor parameters by name, those without error included."""
-        clean = {f"{k.name}.{p.name}": float(p.default) for k in self.model.sensors for p in parameters_of(k)}
+        clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
         return {**clean, **self.sensors}
 
     def recipe(self) -> Recipe:
@@ -149,10 +148,11 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
     """Unknown names, and values out of bounds."""
-    known = {p.name: p for p in model.parameters}
-    known |= {f"{k.name}.{p.name}": p for k in model.catalogue for p in parameters_of(k)}
-    sensors = {f"{k.name}.{p.name}": p for k in model.sensors for p in parameters_of(k)}
-    for section, names, given in (("parameters", known, content.parameters), ("sensors", sensors, content.sensors)):
+    sections = (
+        ("parameters", model.declared, content.parameters),
+        ("sensors", model.sensor_parameters, content.sensors),
+    )
+    for section, names, given in sections:
         for name, value in given.items():
             if name not in names:
                 message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'

@@ -32,12 +32,11 @@ class Candidate:
 
 def neutral_values(model: Model) -> dict[str, float]:
     """Every number the kernel takes: base parameters, effects as the model has them, sensors without error."""
-    values = {p.name: float(getattr(model, p.name)) for p in model.parameters if not isinstance(p.default, bool)}
-    present = {type(e): e for e in model.effects}
-    for kind in (*model.catalogue, *model.sensors):
-        owner = present.get(kind) or kind()
-        values |= {f"{kind.name}.{p.name}": float(getattr(owner, p.name)) for p in parameters_of(kind)}
-    return values
+    own = {p.name: getattr(model, p.name) for p in model.parameters}
+    own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
+    declared = model.declared | model.sensor_parameters
+    switches = {p.name for p in model.parameters if isinstance(p.default, bool)}
+    return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}
 
 
 def base_parameters(model: Model, values: Mapping[str, float], loose: Sequence[str] = ()) -> list[Free]:
@@ -71,8 +70,7 @@ def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]
 
 def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
     """A base parameter, within a range of its value; of one that is 0 or negative, of the size at which it is seen."""
-    p = next(p for p in model.parameters if p.name == name)
-    value = values[name]
+    p, value = model.declared[name], values[name]
     scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
     least, most = BASE_RANGE if value > 0.0 else (-BASE_RANGE[1], BASE_RANGE[1])
     low, high = (max(p.bounds[0], least * scale), min(p.bounds[1], most * scale))

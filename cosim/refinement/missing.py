@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.refinement.fit import DIFFERENCE, Fit
-from cosim.refinement.problem import SKIPPED, Problem
+from cosim.refinement.problem import UNSCORED, Problem
 
 MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
 MOST_ROWS = 3000  # of a log, smoothed
@@ -74,7 +74,7 @@ def missing(problem: Problem, base: Filter, index: int) -> Missing:
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
     value, sigma = _smooth(problem, model, np.exp(log_q), data.step, data.y[:rows])
-    kept = slice(min(round(SKIPPED / data.step), rows - 1), rows - 1)
+    kept = slice(min(round(UNSCORED / data.step), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
 
@@ -101,7 +101,7 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
         plain = without.step(k, here, runs[0].memory[k])[0]
         fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
         found[k] = (fuller - plain)[forced] / data.step
-    return found[min(round(SKIPPED / data.step), rows - 1) : rows - 1]
+    return found[min(round(UNSCORED / data.step), rows - 1) : rows - 1]
 
 
 def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:

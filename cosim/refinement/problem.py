@@ -18,11 +18,11 @@ from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
 
-SKIPPED = 1.0  # [s] of each log that the filter may use to find its state, unscored
+UNSCORED = 1.0  # [s] of each log, in which the filter settles
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, that tell the range of the process noise
 
 SAME = 0.5  # of NLL, by which fewer substeps may change it
-FIRST = 0.2  # [s] within which a measurement still tells the state at the start
+STARTING = 0.2  # [s] within which a measurement still counts as of the start
 
 
 def build_problem(
@@ -109,7 +109,7 @@ def own_run(problem: Problem, index: int) -> Simulated:
 def _seen_first(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """State → its first measurement, of the states that an output shows and that are measured near the start."""
     shown, found = _shown(model), {}
-    early = data.y[: round(FIRST / data.step) + 1]
+    early = data.y[: round(STARTING / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
         if name in shown and len(column):
@@ -198,13 +198,13 @@ class Problem:
     @property
     def samples(self) -> int:
         """Number of scored measurements."""
-        return int(sum(np.isfinite(log.y[round(SKIPPED / log.step) :]).sum() for log in self.logs))
+        return int(sum(np.isfinite(log.y[round(UNSCORED / log.step) :]).sum() for log in self.logs))
 
     @cached_property
     def noise(self) -> NoiseRange:
         """How large process noise can be."""
         step = self.logs[0].step
-        rows = round((SKIPPED + max(RANGE_FROM, RANGE_ROWS * step)) / step)
+        rows = round((UNSCORED + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
         seen = [np.isfinite(log.y).any(axis=0) for log in logs]
         taken = [k for k in range(len(logs)) if k == 0 or np.any(seen[k] & ~seen[0])]  # what the first does not measure
@@ -231,7 +231,7 @@ class Problem:
         errors, variances = [], []
         for index in range(len(self.logs)) if only is None else only:
             filtered = self.run(values, log_q, index)
-            first = round(SKIPPED / self.logs[index].step)
+            first = round(UNSCORED / self.logs[index].step)
             valid = ~np.isnan(self.logs[index].y[first:].ravel())
             errors.append(filtered.errors[first:].ravel()[valid])
             variances.append(filtered.variances[first:].ravel()[valid])

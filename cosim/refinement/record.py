@@ -11,16 +11,15 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.measure import Evidence, rmse
 from cosim.refinement.problem import Problem
-from cosim.refinement.sentences import CI95
 from cosim.refinement.study import Study
 from cosim.refinement.verdict import Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
 from cosim.version import __version__
 from plant.model import Model
-from plant.quantities import parameters_of
 
 SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
@@ -221,13 +220,12 @@ def known(channels: Mapping[str, float]) -> dict[str, float]:
 
 def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
     """What was added, most important first: that whose loss alone would cost most."""
-    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
-    units |= {p.name: p.unit for p in model.parameters}
+    declared = model.declared | model.sensor_parameters
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
 
     def estimate(name: str) -> Estimate:
-        value, half = float(claimed.fit.values[name]), float(CI95 * claimed.fit.sigma(name))
-        return Estimate(value=value, unit=units[name], ci95=(value - half, value + half))
+        value, half = float(claimed.fit.values[name]), float(NORMAL_95 * claimed.fit.sigma(name))
+        return Estimate(value=value, unit=declared[name].unit, ci95=(value - half, value + half))
 
     return [
         EffectEntry(name=c.name, parameters={n.partition(".")[2] or "value": estimate(n) for n in c.parameters})

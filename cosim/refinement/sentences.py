@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.candidates import Candidate, Free, kind_within
 from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
 from cosim.text import percent, plain, written
 from plant.model import Model
-from plant.quantities import parameters_of
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
-CI95 = 1.96
 NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 
@@ -80,13 +79,12 @@ def follows(signal: str) -> str:
 
 def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
     """What these candidates of the best hypothesis are, with their values and intervals."""
-    units = {f"{k.name}.{p.name}": p.unit for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)}
-    units |= {p.name: p.unit for p in model.parameters}
+    declared = model.declared | model.sensor_parameters
     said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
-        values = ", ".join(_told(best, f, written(units[f.name])) for f in c.free)
+        values = ", ".join(_told(best, f, written(declared[f.name].unit)) for f in c.free)
         gone = all(
-            abs(best.fit.values[f.name] - f.neutral) <= CI95 * best.fit.sigma(f.name)
+            abs(best.fit.values[f.name] - f.neutral) <= NORMAL_95 * best.fit.sigma(f.name)
             for f in c.free
             if f.neutral is not None
         )
@@ -102,7 +100,7 @@ def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> st
 
 def _told(best: Hypothesis, f: Free, unit: str) -> str:
     """A parameter with its interval, where that is narrower than its bounds are apart."""
-    name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], CI95 * best.fit.sigma(f.name)
+    name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not told by these logs"
     return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()

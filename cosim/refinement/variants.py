@@ -14,7 +14,6 @@ from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.study import Study
 from cosim.refinement.verdict import Verdict
 from plant.model import Model
-from plant.quantities import parameters_of
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedMode
     """
     if claimed is None:
         return loaded
-    sensors = {f"{k.name}.{p.name}" for k in loaded.model.sensors for p in parameters_of(k)}
+    sensors = loaded.model.sensor_parameters
     moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free}
     parameters = dict(loaded.parameters)
     if not claimed.of_sensors:  # of which the plant knows nothing

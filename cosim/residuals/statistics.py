@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.logs.noise import NORMAL_95
 
 FREE_RUN = math.inf  # as a horizon [s]
-NORMAL_95 = 1.959964  # two-sided 95 % of the standard normal
 LJUNG_BOX_LAGS = 20
 COUNTS_FROM = 2.0  # times the noise floor, from which an error before has an excess that can fall
 STANDS_OUT = 2.0  # times the 95 % band: four standard errors, by chance once in 10⁴ lags

@@ -19,15 +19,15 @@ BINS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
-    """A signal at the rows of some logs, one after the other."""
+class Regressor:
+    """What a missing acceleration may depend on, at the rows of some logs, one after the other."""
 
     name: str
     unit: str
     values: Array
 
 
-def signals(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Signal]:
+def regressors(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Regressor]:
     """Time, states that are filtered, commands, their rates, sums and differences, products of velocities.
 
     parts: index of a log in the problem, and what was smoothed of it
@@ -35,15 +35,15 @@ def signals(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]
     names = problem.layout.states
     time = np.concatenate([m.time for _, m in parts])
     states = np.vstack([m.states for _, m in parts])
-    found = [Signal("time", "s", time)]
+    found = [Regressor("time", "s", time)]
     base = [q for q in model.base_states if q.name in names]
     reached = {names[k] for k in problem.layout.stochastic}
     for q in base:
         if q.name in reached:
-            found.append(Signal(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
+            found.append(Regressor(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
     speeds = [s for s in found if s.unit in {"m/s", "rad/s"}]
     products = [
-        Signal(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
+        Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
         for a, b in combinations(speeds, 2)
         if a.unit != b.unit
     ]
@@ -55,7 +55,7 @@ def _turned(values: Array, unit: str) -> Array:
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 
-def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Signal]:
+def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Regressor]:
     """Commands that move, and of two of one unit the mean and the half difference, each with its rate."""
     columns, rates = [], []
     for index, m in parts:
@@ -75,8 +75,8 @@ def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing
                 name = f"{word} of commands {a.name}, {b.name}"
                 pairs.append((name, a.unit, 0.5 * u[:, i] + sign * u[:, j], 0.5 * du[:, i] + sign * du[:, j]))
     both = [*plain, *pairs]
-    return [Signal(n, unit, v) for n, unit, v, _ in both] + [
-        Signal(f"rate of {n}", f"{unit}/s", dv) for n, unit, _, dv in both
+    return [Regressor(n, unit, v) for n, unit, v, _ in both] + [
+        Regressor(f"rate of {n}", f"{unit}/s", dv) for n, unit, _, dv in both
     ]
 
 
@@ -107,7 +107,7 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
     return found
 
 
-def choose(known: Mapping[str, Signal], suggested: Sequence[str], values: Array) -> Signal:
+def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
     """The signal of which `values` are most nearly a function, among those that the form of a term suggests."""
     names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
     return known[max(names, key=lambda n: explained(values, known[n].values))]
@@ -115,7 +115,7 @@ def choose(known: Mapping[str, Signal], suggested: Sequence[str], values: Array)
 
 def nameless(
     model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]], signal: str, coefficient: float
-) -> tuple[Signal, Array] | None:
+) -> tuple[Regressor, Array] | None:
     """The signal that a term without a name depends on, and the term at the rows of some logs."""
     import sympy
 
@@ -140,4 +140,4 @@ def nameless(
             columns[name].append(column)
     free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols]
     chosen = free[0] if free else "time"
-    return Signal(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(found)
+    return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(found)

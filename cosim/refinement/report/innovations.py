@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.outcome import Refinement
-from cosim.refinement.problem import SKIPPED
+from cosim.refinement.problem import UNSCORED
 from cosim.refinement.report.plots import POINTS, side_by_side
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, make_plot, time_axis
@@ -59,7 +60,7 @@ def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> Wh
     tests = [whiteness(_joined(parts, lags), lags) for parts in both]
     time = (first.start + first.step * np.arange(len(first.y), dtype=np.float64))[-len(both[0][0]) :]
     traces = [Trace(n, parts[0], s) for n, parts, s in zip(names, both, STYLES, strict=True)]
-    edge = np.full(time.size, 1.96)
+    edge = np.full(time.size, NORMAL_95)
     panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
     plots = (make_plot(panel, time, time_axis(time), limit=POINTS), _autocorrelation(channel, tests, names, first.step))
     return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
@@ -67,7 +68,7 @@ def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> Wh
 
 def _innovations(r: Refinement, values: dict[str, float], log_q: Array, index: int) -> Array:
     run = r.problem.run({**r.problem.values, **values}, log_q, index)
-    first = min(round(SKIPPED / r.problem.logs[index].step), max(0, len(run.errors) - 2))
+    first = min(round(UNSCORED / r.problem.logs[index].step), max(0, len(run.errors) - 2))
     scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
     return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.measure import Evidence
 from cosim.refinement.outcome import Refinement
 from cosim.refinement.record import Part
@@ -114,7 +115,7 @@ def against_signal(s: Shown) -> Plot:
     low, high = extent([x]) or (0.0, 1.0)
     wing, least = 0.004 * (high - low), max(1, min(round(LEAST / s.step), x.size // DOTS))
     for rows in bins(x, DOTS, least):
-        mean, around = float(s.found[rows].mean()), 1.96 * _standard_error(s, rows)
+        mean, around = float(s.found[rows].mean()), NORMAL_95 * _standard_error(s, rows)
         at = float(x[rows].mean())
         bars.append((np.full(3, at), np.array([mean - around, mean + around, np.nan])))
         caps.append((np.array([at - wing, at + wing, at]), np.array([mean, mean, np.nan])))

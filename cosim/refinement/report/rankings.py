@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.candidates import Candidate, Free
 from cosim.refinement.outcome import Refinement
-from cosim.refinement.sentences import CI95
 from cosim.text import amount, display, joined, plain
-from plant.quantities import parameters_of
+from plant.quantities import Parameter
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15
@@ -84,7 +84,7 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
     chosen = tuple(row["names"]) == tuple(claimed)
     declared = _declared(r)
     fitted = ", ".join(
-        f"{_short(n, row['names'])} = {_value(float(v), declared[n][1] if n in declared else '')}"
+        f"{_short(n, row['names'])} = {_value(float(v), declared[n].unit if n in declared else '')}"
         for n, v in row["parameters"].items()
     )
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
@@ -117,13 +117,10 @@ def _value(value: float, unit: str, digits: int = 4) -> str:
 # -- parameters -------------------------------------------------------------------------------
 
 
-def _declared(r: Refinement) -> dict[str, tuple[Any, str]]:
-    """Every parameter by name: its declaration and unit."""
+def _declared(r: Refinement) -> dict[str, Parameter]:
+    """Every parameter by name."""
     model = r.study.loaded.model
-    found = {p.name: (p, p.unit) for p in model.parameters}
-    return found | {
-        f"{k.name}.{p.name}": (p, p.unit) for k in (*model.catalogue, *model.sensors) for p in parameters_of(k)
-    }
+    return model.declared | model.sensor_parameters
 
 
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
@@ -147,11 +144,12 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
 
 
 def _parameter_row(r: Refinement, free: Free, value: float, candidates: Sequence[Candidate]) -> ParameterRow:
-    declaration, unit = _declared(r).get(free.name, (None, ""))
+    declaration = _declared(r)[free.name]
+    unit = declaration.unit
     hypothesis = r.verdict.claimed or r.attribution.base
     sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
-    shaping = declaration is not None and "." in free.name and declaration.neutral is None
-    low, high = value - CI95 * sigma, value + CI95 * sigma
+    shaping = "." in free.name and declaration.neutral is None
+    low, high = value - NORMAL_95 * sigma, value + NORMAL_95 * sigma
     least, most = min(known, low), max(known, high)
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
@@ -177,7 +175,7 @@ def _digits(value: float, sigma: float) -> int:
     """Digits that show two of the interval."""
     if not (math.isfinite(value) and math.isfinite(sigma)) or value == 0 or sigma <= 0:
         return 4
-    return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(CI95 * sigma)) + 2))
+    return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(NORMAL_95 * sigma)) + 2))
 
 
 # -- process noise ----------------------------------------------------------------------------

@@ -10,10 +10,10 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.refinement.candidates import Candidate
 from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.missing import LOGS, Filter, Missing, Steps, at_best, claimed, loosened, missing
+from cosim.refinement.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
 from cosim.refinement.outcome import Refinement
-from cosim.refinement.problem import Problem
-from cosim.refinement.report.dependence import Signal, choose, nameless, signals
+from cosim.refinement.problem import UNSCORED, Problem
+from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from plant.model import Model
 
 VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
@@ -32,7 +32,7 @@ class Shown:
     kind: str
     where: str
     unit: str
-    against: Signal
+    against: Regressor
     time: Array
     found: Array
     sigma: Array
@@ -94,7 +94,7 @@ def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it
     terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
-    against = choose(signals(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
+    against = choose(regressors(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
     return _picture(model, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
 
 
@@ -110,7 +110,7 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     first = next(iter(residual.get("terms", ())), None)
     found = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
     if first is None or found is None:
-        against = choose(signals(model, problem, parts), (), value[:, column])
+        against = choose(regressors(model, problem, parts), (), value[:, column])
         return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
     term = at_best(problem, best, logs, column, found[1], value[:, column])
     picture = _picture(model, parts, "", "nameless", column, found[0], value, sigma, term)
@@ -123,7 +123,7 @@ def _picture(
     effect: str,
     kind: str,
     column: int,
-    against: Signal,
+    against: Regressor,
     value: Array,
     sigma: Array,
     term: Array | None,
@@ -153,13 +153,13 @@ def _reading(
         run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.log_q), index, states=True)
         clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
         wrong = Steps(problem, index, with_it.values)
-        for k in range(round(1.0 / data.step), min(len(data.u), 3000) - 1):
+        for k in range(round(UNSCORED / data.step), min(len(data.u), MOST_ROWS) - 1):
             there, said = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
             rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, said - there))
     table = np.array(rows)
     table = table[np.isfinite(table).all(axis=1)]
     unit = next(q.unit for q in model.outputs if q.name == kind.output)
-    against = Signal(f"{kind.output} as the refined model says it is", unit, table[:, 2])
+    against = Regressor(f"{kind.output} as the refined model says it is", unit, table[:, 2])
     sigma = np.full(len(table), float(np.sqrt(problem.r[channel])))
     return Shown(
         c.name, "sensor", kind.output, unit, against, table[:, 1], table[:, 3], sigma, table[:, 4],
