@@ -26,7 +26,7 @@ class Parametric:
 
     @property
     def prefix(self) -> str:
-        """What stands before a parameter's name where others must not be taken for it."""
+        """What stands before a parameter's name where there are parameters of others beside it."""
         return ""
 
     def __post_init__(self) -> None:
@@ -42,8 +42,9 @@ class Effect(Parametric):
     name:   how the catalogue and the FMU (`name.parameter`) call it
     states: continuous states the effect adds to the model's
     memory: what it remembers between substeps; each has a start value `name.memory_start`
-    delay:  the parameter [s] by which the whole command is late, of an effect that remembers a history of commands,
-            one quantity of `memory` an input, and comes first; who has the whole log looks the command up there
+    delay:  a parameter [s]: the whole command acts so much later. Such an effect comes before all others and remembers
+            a history of commands, with one quantity in `memory` for each input; where the whole log is at hand,
+            the late command is looked up there instead
     starts: parameter values from which a fit starts as well, where its likelihood has more than one hill
     """
 
@@ -103,16 +104,18 @@ class Model(Parametric):
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]] = ()
-    # what is known of a real one: errors its sensors may have, variance of each measured output, variance at the start
-    # of a log of states that nothing measures (without: as far as the model's own run takes them), the states whose
-    # equations may lack something, parameters to recalibrate, and further ones that may be wrong where inputs vary
+    # What is known of a real one, in order: errors that its sensors may have; variance of each measured output; at the
+    # start of a log, variance of each state that nothing measures (without it: the range of the model's own run,
+    # squared); states whose equations may lack something; parameters that every fit recalibrates; further parameters
+    # that may be wrong.
     sensors: ClassVar[tuple[type[Any], ...]] = ()
     sensor_variance: ClassVar[Mapping[str, float]] = {}
     start_variance: ClassVar[Mapping[str, float]] = {}
     forced: ClassVar[tuple[str, ...]] = ()
     calibrated: ClassVar[tuple[str, ...]] = ()
-    suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # parameter → inputs that must vary for it to be told
-    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → what an experiment needs that separates them
+    # parameter → inputs that must vary in the logs, or it is not identifiable
+    suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → the experiment that separates them, in words
     drawn_against: ClassVar[
         Mapping[str, tuple[str, ...]]
     ] = {}  # effect or parameter → signals its form says to look at

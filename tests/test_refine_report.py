@@ -253,7 +253,7 @@ def test_the_data_show_dry_friction_to_one_who_does_not_know_of_it(cart: Refinem
     for sign in (-1, 1):
         rows = sign * found.against.values > 8 * SMOOTH
         # 0.2 m/s² of friction; a mean over seconds is known to σ/√(seconds/0.3), about 0.01, and turns blur as much
-        assert found.found[rows].mean() == pytest.approx(-sign * DRY / MASS, abs=0.03)
+        assert found.estimated[rows].mean() == pytest.approx(-sign * DRY / MASS, abs=0.03)
     assert found.correlation > 0.9
     assert found.share > 0.8
 
@@ -319,7 +319,7 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     (found,) = shown(r)
     assert (found.against.name, found.share) == ("v", 0.6)
     assert found.term is not None
-    speed, lacking = found.against.values, found.found
+    speed, lacking = found.against.values, found.estimated
     # dry friction as a drag: the slope is that of the least squares
     assert np.polyfit(speed, found.term, 1) == pytest.approx(
         [lacking @ speed / (speed @ speed), 0.0], rel=1e-9, abs=1e-9

@@ -61,7 +61,7 @@ class Attributor:
         self.claim = CLAIM_IN_NOISE if is_noisy(search.problem, base.fit) else CLAIM
         alone = [(c,) for c in self.candidates]
         singles = search.fit_all(alone, base, "trying every effect, sensor and parameter", self.claim)
-        best = self._better(singles, base, self.claim, alone=False)
+        best = self._better(singles, base, self.claim, final=False)
         if best is not base:
             best = self._extended(best, singles, base)
         self.progress("fitting the best to the end", 0.0)
@@ -116,17 +116,18 @@ class Attributor:
         return again, self._better(alike, again, self.claim)
 
     def _better(
-        self, options: Sequence[Hypothesis], than: Hypothesis, gain: float, *, alone: bool = True
+        self, options: Sequence[Hypothesis], than: Hypothesis, gain: float, *, final: bool = True
     ) -> Hypothesis:
-        """The best option that gains enough and is significant in each of its parts; else `than`.
+        """The best option that gains enough and of which every part is significant; else `than`.
 
-        One that leaves process noise must stand out from it, unless it is not `alone`: what it leaves may be another's.
+        Where an option leaves process noise, its intervals are too narrow and its parts must be further from neutral.
+        That is not asked of an option that is still to be extended: the noise may be an effect's that joins it later.
         """
         neutral = self.search.problem.values
         for h in sorted(options, key=lambda h: h.score):
             if than.score - h.score < gain:
                 break
-            least = SIGNIFICANT_IN_NOISE if alone and is_noisy(self.search.problem, h.fit) else SIGNIFICANT
+            least = SIGNIFICANT_IN_NOISE if final and is_noisy(self.search.problem, h.fit) else SIGNIFICANT
             if all(significant(h, c, neutral, least) for c in h.candidates):
                 return h
             if all(significant(h, c, neutral) for c in h.candidates):

@@ -69,7 +69,7 @@ def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]
 
 
 def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
-    """A base parameter, within a range of its value; of one that is 0 or negative, of the size at which it is seen."""
+    """A base parameter, within a range of its value; of one that is 0 or negative, of its usual size."""
     p, value = model.declared[name], values[name]
     scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
     least, most = BASE_RANGE if value > 0.0 else (-BASE_RANGE[1], BASE_RANGE[1])
@@ -82,7 +82,7 @@ def _free(p: Parameter, name: str) -> Free:
 
 
 def _start(p: Parameter, value: float) -> float:
-    """One-sided parameters start at a size that is seen, two-sided ones at neutral, between the signs."""
+    """One-sided parameters start at a size that is detected, two-sided ones at neutral, between the signs."""
     one_sided = p.neutral is not None and p.neutral == p.bounds[0]
     return p.typical if one_sided and p.typical else value
 

@@ -63,7 +63,7 @@ class Fit:
 
 
 def inverse(information: Array) -> Array:
-    """Pseudo-inverse; of each parameter in its own unit, or it would drop those that are told least in theirs."""
+    """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
     unscaled: Array = np.linalg.pinv(information / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -83,8 +83,9 @@ def fit(
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
-    A fit that has had a fair number of iterations and does not promise to come below `goal` is given up where it is;
-    above `reached`, an objective that some values of these parameters have, not while its pace would bring it there.
+    A fit is given up where it is when, after `fair` iterations, the quadratic model promises no objective below `goal`.
+    While the objective is above `reached`, which some values of these parameters are known to reach, that model says
+    little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time.
     """
     return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, reached)
 
@@ -119,7 +120,7 @@ class _Scoring:
             gradient, information = self._derivatives()
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
-            if before > reached:  # far from the optimum, where the quadratic model says little
+            if before > reached:
                 hope = max(hope, pace * (iterations - done))
             if done >= fair and before - hope > goal:
                 break
@@ -154,7 +155,10 @@ class _Scoring:
         return scored.nll + self._penalty(theta)
 
     def _derivatives(self) -> tuple[Array, Array]:
-        """Gradient and information, each parameter in units of its size."""
+        """Gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes.
+
+        ∂e and ∂ln s are one-sided differences, towards the inside where a parameter is at its upper limit.
+        """
         e, s = self.scored.errors, self.scored.variances
         de, dls = np.empty((len(self.theta), len(e))), np.empty((len(self.theta), len(e)))
         for i, h in enumerate(self.difference):

@@ -50,12 +50,12 @@ def replays(
     """
     problem = filtering(problem, variant.model, logs)
     own = variant.model.horizon
-    found: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
+    played: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         filtered = problem.run(variant.values, variant.log_q, index, states=True)
         corrected = without_sensor_errors(log, variant)
         with Drive(corrected, variant.fmu) as drive:
-            for horizon, evidence in found.items():
+            for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
                 starts = {k: {**variant.parameters, **start} for k, start in given.items()}
@@ -66,7 +66,7 @@ def replays(
                     if horizon == own:
                         raise
                     break  # a failed FMU is not called again
-    return found
+    return played
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
@@ -101,14 +101,14 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
 def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
     """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
     shaping = overrides(variant.model.awake, "shape", Effect)
-    found: dict[tuple[int, int], Any] = {}
+    waiting: dict[tuple[int, int], Any] = {}
     for place, effect in enumerate(shaping):
         if effect.delay:
             row = int(log.grid[k])
             late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
             rows = range(max(0, math.floor(row - late)), row) or [row]
-            found[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
-    return found
+            waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return waiting
 
 
 def without_sensor_errors(log: Log, variant: Variant) -> Log:
@@ -160,7 +160,7 @@ def _drawn(problem: Problem, data: Data, variant: Variant, first: Array, rng: np
     return replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
 
 
-def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filtered) -> Array:
+def _missed(variant: Variant, problem: Problem, log: Log, data: Data, filtered: Filtered) -> Array:
     """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
 
     Each starts from the state that the filter knew by then.
@@ -172,7 +172,7 @@ def _missed(variant: Variant, problem: Problem, log: Log, data: Data, seen: Filt
     for output, _, gain in _lines(variant):
         if output in gains:
             gains[output] *= gain
-    readings = data.y - _predicted(problem, data, problem.numbers(variant.values), seen, rows, length)
+    readings = data.y - _predicted(problem, data, problem.numbers(variant.values), filtered, rows, length)
     return np.asarray(readings / np.array(list(gains.values())))
 
 
@@ -185,12 +185,12 @@ def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, f
     }
 
 
-def _predicted(problem: Problem, data: Data, p: Array, seen: Filtered, rows: Sequence[int], length: int) -> Array:
+def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
     """Outputs of replays as the kernel runs them; NaN where none predicts."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)
         part = replace(data, u=data.u[: end + 1], y=data.y[: end + 1])
-        run = problem.kernel.simulate(part, p, seen.states[k], seen.memory[k], first=k)
+        run = problem.kernel.simulate(part, p, filtered.states[k], filtered.memory[k], first=k)
         predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
     return predicted

@@ -22,7 +22,7 @@ from cosim.refinement.problem import UNSCORED, Problem
 
 MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
 MOST_ROWS = 3000  # of a log, smoothed
-LOGS = 2  # the first of a study, looked at
+LOGS = 2  # the first of a study, that are smoothed
 NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
 
 
@@ -94,14 +94,14 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     without, with_it = (Steps(problem, index, f.values) for f in (base, after))
     shared, forced = list(layout.stochastic), layout.forced_places
     rows = min(len(data.u), MOST_ROWS)
-    found = np.full((rows, len(forced)), np.nan)
+    added = np.full((rows, len(forced)), np.nan)
     for k in range(rows - 1):
         here = runs[0].states[k].copy()
         here[shared] = runs[1].states[k][shared]
         plain = without.step(k, here, runs[0].memory[k])[0]
         fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
-        found[k] = (fuller - plain)[forced] / data.step
-    return found[min(round(UNSCORED / data.step), rows - 1) : rows - 1]
+        added[k] = (fuller - plain)[forced] / data.step
+    return added[min(round(UNSCORED / data.step), rows - 1) : rows - 1]
 
 
 def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
@@ -146,9 +146,9 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
         for j, state in enumerate(reached):
             moved = states[k].copy()
             moved[state] += size[j]
-            there, seen = steps.step(k, moved, memory[k])
+            there, read = steps.step(k, moved, memory[k])
             F[k, :, j] = (there - ahead)[reached] / size[j]
-            C[k, :, j] = (seen - g[k]) / size[j]
+            C[k, :, j] = (read - g[k]) / size[j]
     return _Linear(F, b, C, g)
 
 
@@ -157,7 +157,7 @@ def _smooth(problem: Problem, model: _Linear, q: Array, h: float, y: Array) -> t
     layout = problem.layout
     n, m, rows = model.F.shape[1], len(layout.noisy), len(y)
     places = list(layout.noisy)
-    phi, variance = np.exp(-h / MEMORY), q / (2.0 * MEMORY)  # white noise of density q, as seen at low frequency
+    phi, variance = np.exp(-h / MEMORY), q / (2.0 * MEMORY)  # white noise of density q, at low frequency
     x, P = np.zeros(n + m), np.zeros((n + m, n + m))
     P[:n, :n], P[n:, n:] = problem.P0, np.diag(variance)
     Q = np.zeros_like(P)
@@ -188,12 +188,12 @@ def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Arra
     """Condition on the measurements of a row that are there."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
-    seen = np.isfinite(e)
-    if not seen.any():
+    measured = np.isfinite(e)
+    if not measured.any():
         return x, P
-    H = wide[seen]
-    S = H @ P @ H.T + np.diag(r[seen])
+    H = wide[measured]
+    S = H @ P @ H.T + np.diag(r[measured])
     K = np.linalg.solve(S, H @ P).T
-    x = x + K @ (e[seen] - H @ x)
+    x = x + K @ (e[measured] - H @ x)
     P = P - K @ H @ P
     return x, 0.5 * (P + P.T)

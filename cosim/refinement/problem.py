@@ -19,7 +19,7 @@ from plant.model import Model
 from plant.namespaces import SCALAR
 
 UNSCORED = 1.0  # [s] of each log, in which the filter settles
-RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, that tell the range of the process noise
+RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
 
 SAME = 0.5  # of NLL, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
@@ -50,7 +50,7 @@ def build_problem(
 
 
 def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
-    """A log as the filter sees it: equal steps; where a row is missing the command is held and nothing is measured."""
+    """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured."""
     grid = log.grid
     rows = int(grid[-1]) + 1
     held = np.searchsorted(grid, np.arange(rows), side="right") - 1
@@ -64,7 +64,8 @@ def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
 
 def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
     """The model's own start, with what is measured within the first 0.2 s in its place."""
-    start = dict(zip((s.name for s in model.states), model.start(), strict=True)) | _seen_first(model, data, measured)
+    own = dict(zip((s.name for s in model.states), model.start(), strict=True))
+    start = own | _first_measured(model, data, measured)
     return np.array([start.get(name, 0.0) for name in states])
 
 
@@ -74,8 +75,8 @@ def start_covariance(model: Model, problem: Problem) -> Array:
     Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
     """
     layout = problem.layout
-    seen = set.intersection(*(set(_seen_first(model, data, layout.outputs)) for data in problem.logs))
-    known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in seen}
+    measured = set.intersection(*(set(_first_measured(model, data, layout.outputs)) for data in problem.logs))
+    known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     known = {**model.start_variance, **known}
     names = layout.uncertain
     if not known.keys() >= set(names):
@@ -85,16 +86,16 @@ def start_covariance(model: Model, problem: Problem) -> Array:
 
 
 def _range(problem: Problem) -> Array:
-    """Of each state, how far apart the ends are between which the model's own run moves; 0 at rest, or astray.
+    """Of each state, the range within which the model's own run moves; 0 at rest.
 
-    A run that leaves what was measured by more than the range of that, as one of an unstable model, tells nothing.
+    0 also where the run is further from what was measured than that itself moves, as the run of an unstable model is.
     """
     runs = [own_run(problem, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
-        seen = np.isfinite(log.y)
-        apart = np.abs(np.where(seen, run.outputs - np.where(seen, log.y, 0.0), 0.0)).max(axis=0)
-        measured = np.where(seen, log.y, -np.inf).max(axis=0) - np.where(seen, log.y, np.inf).min(axis=0)
-        if not np.all((apart <= measured) | ~seen.any(axis=0)):  # also where it has run to infinity
+        there = np.isfinite(log.y)
+        apart = np.abs(np.where(there, run.outputs - np.where(there, log.y, 0.0), 0.0)).max(axis=0)
+        span = np.where(there, log.y, -np.inf).max(axis=0) - np.where(there, log.y, np.inf).min(axis=0)
+        if not np.all((apart <= span) | ~there.any(axis=0)):  # also where it has run to infinity
             return np.zeros(len(problem.layout.states))
     low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
     return np.asarray(high - low)
@@ -106,15 +107,15 @@ def own_run(problem: Problem, index: int) -> Simulated:
     return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], memory)
 
 
-def _seen_first(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
+def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """State → its first measurement, of the states that an output shows and that are measured near the start."""
-    shown, found = _shown(model), {}
+    shown, first = _shown(model), {}
     early = data.y[: round(STARTING / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
         if name in shown and len(column):
-            found[name] = float(column[0])
-    return found
+            first[name] = float(column[0])
+    return first
 
 
 def _shown(model: Model) -> set[str]:
@@ -206,8 +207,9 @@ class Problem:
         step = self.logs[0].step
         rows = round((UNSCORED + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
-        seen = [np.isfinite(log.y).any(axis=0) for log in logs]
-        taken = [k for k in range(len(logs)) if k == 0 or np.any(seen[k] & ~seen[0])]  # what the first does not measure
+        measured = [np.isfinite(log.y).any(axis=0) for log in logs]
+        # the first log, and those that measure what it does not
+        taken = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
         short = replace(self, logs=[logs[k] for k in taken], x0=[self.x0[k] for k in taken])
         return noise_range(lambda log_q: short.scored(self.values, log_q).variances, len(self.layout.noisy))
 

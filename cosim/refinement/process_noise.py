@@ -1,7 +1,7 @@
-"""How large process noise can be, told by what it does to the innovations: no number here has a unit of some model.
+"""How large process noise can be, measured by what it does to the innovations: no number here has a unit of a model.
 
 Noise on one forced state raises the variance s of the innovations. Where the mean of ln s rises by less than SMALLEST,
-no log can show it; where it rises by PLAIN, it is plainly seen and still leaves the sensors their say.
+no log can show it; where it rises by PLAIN, it is plainly detected and still leaves the sensors their say.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class NoiseRange:
 
 
 def noise_range(variances: Callable[[Array], Array], count: int) -> NoiseRange:
-    """Find the range; `variances` gives those of the innovations at the ln q of the `count` forced states."""
+    """The range; `variances` gives those of the innovations at the ln q of the `count` forced states."""
     nothing = np.full(count, GRID[0])
     least = np.log(variances(nothing))
     levels = np.empty((4, count))

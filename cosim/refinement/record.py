@@ -90,7 +90,7 @@ class NamelessTerm(_Entry):
     model_config = ConfigDict(extra="allow")
 
     equation: str = Field(description="the state")
-    signal: str = Field(description="the basis, such as `vx·|vx|` or `command tilt_right`; `1`: a constant")
+    signal: str = Field(description="the basis, such as `v·|v|` or `command force`; `1`: a constant")
     gain: Finite = Field(description="log-likelihood it promises")
     coefficient: Finite = Field(
         description="in the state's unit per second, per unit of the basis; no estimate, only the first step of a fit"
@@ -105,13 +105,13 @@ class Residual(_Entry):
     equation: str | None = Field(description="the state whose equation is deficient; null where none is")
     signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
     share: Finite | None = Field(
-        description="of the mean square of the input that equation lacks, as a smoother finds it beside the best "
+        description="of the mean square of the input that equation lacks, as a smoother estimates it beside the best "
         "hypothesis on the first two logs, what the first of `terms` at its best size takes away beyond what that "
         "hypothesis' own parameters could, 0 … 1; null without a term"
     )
     process_noise: dict[str, ProcessNoise] = Field(description="state → process noise")
     terms: list[NamelessTerm] = Field(
-        description="most promising first; of those that the logs do not tell apart the simplest"
+        description="most promising first; of those that the logs do not distinguish the simplest"
     )
 
 
@@ -128,7 +128,7 @@ class Errors(_Entry):
 
 
 class Record(_Entry):
-    """What `cosim refine` found in a study."""
+    """The outcome of `cosim refine` on a study."""
 
     model_config = ConfigDict(title="refine.json")
 
@@ -138,8 +138,8 @@ class Record(_Entry):
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
     effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
-    rivals: list[str] = Field(description="names the data cannot tell apart, where the verdict is `ambiguous`")
-    experiment: str = Field(description="the input that would tell rivals apart, else empty")
+    rivals: list[str] = Field(description="names the data cannot distinguish, where the verdict is `ambiguous`")
+    experiment: str = Field(description="the input that would separate rivals, else empty")
     nearest: list[str] = Field(description="what comes closest, where the verdict is `unexplained`")
     candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
@@ -171,7 +171,7 @@ def record(
 
     def errors(horizon: float) -> Errors:
         sizes = {
-            name: {part: known(rmse(found[horizon])) for part, found in parts.items()}
+            name: {part: known(rmse(played[horizon])) for part, played in parts.items()}
             for name, parts in replayed.items()
         }
         return Errors(**sizes)
@@ -261,7 +261,7 @@ def residual(verdict: Verdict) -> Residual:
     return Residual.model_validate(verdict.residual)
 
 
-if __name__ == "__main__":  # python -m cosim.refine.record > cosim/refine/refine.schema.json
+if __name__ == "__main__":  # python -m cosim.refinement.record > cosim/refinement/refine.schema.json
     import json
 
     print(json.dumps(schema(), indent=2, ensure_ascii=False))

@@ -18,8 +18,8 @@ from cosim.refinement.problem import Problem
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
-JUMP, SEEN = 0.5, 1.0  # of that difference's square, and of one that can be seen
-NOTHING = 1e-12  # of the residual's square, below which a term cannot be seen at all
+JUMP, DETECTED = 0.5, 1.0  # of that difference's square, and of one that can be detected
+NOTHING = 1e-12  # of the residual's square, below which a term cannot be detected at all
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Promise:
 
 
 class ScoreTest:
-    """Filters once more for each parameter that is free at a fit; then tells what a term promises beside them."""
+    """Filters once more for each parameter that is free at a fit; then computes what a term promises beside them."""
 
     def __init__(self, problem: Problem, at: Fit) -> None:
         self.problem = problem
@@ -60,9 +60,9 @@ class ScoreTest:
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Promised gain of terms together, and how many steps of each they would take."""
-        seen = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
-        taken = -np.linalg.lstsq(seen.T, self.residual, rcond=1e-8)[0]
-        fitted = seen.T @ taken
+        detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
+        taken = -np.linalg.lstsq(detected.T, self.residual, rcond=1e-8)[0]
+        fitted = detected.T @ taken
         return 0.5 * float(fitted @ fitted), taken
 
     def promise(self, c: Candidate) -> Promise | None:
@@ -73,7 +73,7 @@ class ScoreTest:
             steps = [{n: SHARE * d for n, d in away.items()}, *({n: SHARE * d} for n, d in away.items())]
             jump = self.row({n: TINY * d for n, d in away.items()})
             rows = [self.row(s) for s in (steps if len(away) > 1 else steps[:1])]
-            if float(jump @ jump) > max(SEEN, JUMP * float(rows[0] @ rows[0])):
+            if float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0])):
                 return None
         else:
             steps = [{f.name: SHARE * f.size} for f in c.free]

@@ -1,4 +1,4 @@
-"""How much noise the sensors have, as the logs tell it: what the model says of them may be of another sensor."""
+"""How much noise the sensors have, as the logs show it: what the model says of them may be of another sensor."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Output → standard deviation of its noise in the logs [its unit], of the outputs in which noise can be told.
+    """Output → standard deviation of its noise in the logs [its unit], of the outputs in which it is identifiable.
 
     The level is that of what four neighbours do not say of a reading, so of white noise and of fast motion alike. The
-    model's own run tells how much is motion; an output in which that is much, as of a sensor slower than what it
+    model's own run says how much is motion; an output in which that is much, as of a sensor slower than what it
     measures, is left out.
     """
-    found = {}
+    levels = {}
     runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
         alike = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
-        measured, motion = (white_noise(np.concatenate([surprise(y) for y in seen])) for seen in (columns, alike))
+        measured, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, alike))
         if motion < SMOOTH * measured:
-            found[name] = math.sqrt(measured**2 - motion**2)
-    return found
+            levels[name] = math.sqrt(measured**2 - motion**2)
+    return levels
 
 
-def other_noise(problem: Problem, model: Model, told: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
+def other_noise(problem: Problem, model: Model, given: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
     """Noise of the logs where it is plainly another than the model's, to be used; and warnings of it.
 
-    told: what the study says, which holds. Where the logs are far too quiet, the model's noise stays: it may stand for
+    given: what the study says, which holds. Where the logs are far too quiet, the model's noise stays: it may stand for
     more than noise.
     """
     known = dict(zip(problem.layout.outputs, np.sqrt(problem.r).tolist(), strict=True))
-    seen = {name: level for name, level in sensor_noise(problem).items() if name not in told}
-    off = {n: level for n, level in seen.items() if not known[n] / OFF <= level <= OFF * known[n]}
+    estimated = {name: level for name, level in sensor_noise(problem).items() if name not in given}
+    off = {n: level for n, level in estimated.items() if not known[n] / OFF <= level <= OFF * known[n]}
     quiet = {n: level for n, level in off.items() if level < TOO_QUIET * known[n] and n in model.sensor_variance}
     used = {n: level for n, level in off.items() if n not in quiet and level > 0.0}
     units = {q.name: q.unit for q in model.outputs}
@@ -60,7 +60,7 @@ def other_noise(problem: Problem, model: Model, told: Mapping[str, float]) -> tu
             f"the logs show next to no noise ({_beside(quiet, known, units)}); "
             f"the model's is used, unless the study says {_line(quiet)}"
         )
-    if unknown := [n for n in known if n not in model.sensor_variance and n not in told and n not in used]:
+    if unknown := [n for n in known if n not in model.sensor_variance and n not in given and n not in used]:
         line = f"`noise: {{{', '.join(f'{n}: …' for n in unknown)}}}`"
         warnings.append(
             f"how much noise {' and '.join(unknown)} has, neither the model says (sensor_variance) nor the logs; "

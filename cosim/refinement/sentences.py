@@ -80,25 +80,25 @@ def follows(signal: str) -> str:
 def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
     """What these candidates of the best hypothesis are, with their values and intervals."""
     declared = model.declared | model.sensor_parameters
-    said: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
+    parts: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
-        values = ", ".join(_told(best, f, written(declared[f.name].unit)) for f in c.free)
+        values = ", ".join(_estimate(best, f, written(declared[f.name].unit)) for f in c.free)
         gone = all(
             abs(best.fit.values[f.name] - f.neutral) <= NORMAL_95 * best.fit.sigma(f.name)
             for f in c.free
             if f.neutral is not None
         )
         note = "; the logs show none" if kind_within(c, model) != c.kind and gone else ""
-        said[kind_within(c, model)].append(f"{c.name} ({values}{note})")
+        parts[kind_within(c, model)].append(f"{c.name} ({values}{note})")
     openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
-    text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in said.items() if names)
+    text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in parts.items() if names)
     moving = (
         "" if best.fit.converged else " The fit was still moving when it was ended: these intervals are too narrow."
     )
     return f"{text[0].upper()}{text[1:]}.{moving}"
 
 
-def _told(best: Hypothesis, f: Free, unit: str) -> str:
+def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
     """A parameter with its interval, where that is narrower than its bounds are apart."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
@@ -115,7 +115,7 @@ def left_over(term: Unnamed | None, gained: float) -> str:
 
 
 def experiment_for(model: Model, names: Sequence[str]) -> str:
-    """The input that would tell these rivals apart, as the model says."""
+    """The input that would separate these rivals, as the model says."""
     known = [(len(row & set(names)), text) for row, text in model.told_apart_by.items()]
     shared, text = max(known, default=(0, DEFAULT_EXPERIMENT))
     return text if shared > 1 else DEFAULT_EXPERIMENT

@@ -130,20 +130,20 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
 
 def _listed_twice(yaml: YamlFile, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
     """One file, or one content (name → digest), stands once: in whatever list, under whatever name."""
-    seen: dict[str, tuple[str, str]] = {}
+    listed: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
         path = os.path.realpath(yaml.path.parent / name)
         keys = [path, *([digests[name]] if name in digests else [])]
-        before = next((seen[key] for key in keys if key in seen), None)
+        before = next((listed[key] for key in keys if key in listed), None)
         if before is not None:
             other, where = before
             cure = "keep one" if where == part else "a validation log is never fitted on"
             again = f"is listed for {where} {'twice' if where == part else 'too'}"
-            what = again if path in seen else f"holds the same as {other}, which is listed for {where}"
+            what = again if path in listed else f"holds the same as {other}, which is listed for {where}"
             place = ("logs", part, n if part == "estimation" else n - len(logs.estimation))
             yield yaml.fault(place, f"{name} {what}; {cure}")
         for key in keys:
-            seen.setdefault(key, (name, part))
+            listed.setdefault(key, (name, part))
 
 
 def _digest(log: Log) -> str:

@@ -2,8 +2,8 @@
 
 At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state promises a gain of ½·g²/F, with F the
 information of c after the other free parameters are accounted for. No term is fitted; those that promise most say in
-which equation the misfit sits and on which signal it depends. Of terms that these logs do not tell apart the simplest
-stands for all.
+which equation the misfit sits and on which signal it depends. Of terms that these logs do not
+distinguish the simplest stands for all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
 from cosim.refinement.screen import ScoreTest
 
-SMALL = 0.1  # of a disturbance that is plainly seen within a second, for the difference of a term
+SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
 NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
 ALIKE = 0.95  # correlation of what two terms change, from which one stands for both
 
@@ -58,8 +58,9 @@ def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
         return Unnamed(equation, signal, gain, float(taken * steps[equation]), gain), row
 
     names = [name for name in layout.parameters if name.startswith("unnamed.")]
-    found = [(u, row) for u, row in in_parallel(term, names) if u.gain > 0.0]
-    terms = sorted((u for name in forced for u in _distinct([f for f in found if f[0].equation == name])), key=_promise)
+    promising = [(u, row) for u, row in in_parallel(term, names) if u.gain > 0.0]
+    distinct = (u for name in forced for u in _distinct([p for p in promising if p[0].equation == name]))
+    terms = sorted(distinct, key=_promise)
     if terms and terms[0].most > NOTICED:
         terms[0] = replace(terms[0], share=_share(problem, at, terms[0]))
     return terms
@@ -69,9 +70,9 @@ def _promise(u: Unnamed) -> float:
     return -u.most
 
 
-def _distinct(found: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
+def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
     """Of terms of one equation that change the same, one: the simplest of those that promise about as much."""
-    left = [(u, row / np.linalg.norm(row)) for u, row in found]
+    left = [(u, row / np.linalg.norm(row)) for u, row in promising]
     kept = []
     while left:
         best, direction = max(left, key=lambda term: term[0].gain)
@@ -84,7 +85,7 @@ def _distinct(found: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
 
 
 def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
-    """1 − Σ(d − t)²/Σd²: d the input that the equation lacks, as a smoother finds it, t the term at its best size.
+    """1 − Σ(d − t)²/Σd²: d the input that the equation lacks, as a smoother estimates it, t the term at its best size.
 
     On the first logs. None where a filter has diverged.
     """

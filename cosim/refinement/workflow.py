@@ -140,7 +140,7 @@ def _write(path: Path, written: Record) -> None:
 
 
 def _publish(scratch: Path, folder: Path, variants: Mapping[str, Variant]) -> dict[str, Variant]:
-    """Move the results to where they stay, refine.json last; an earlier report goes, which would tell of others."""
+    """Move the results to where they stay, refine.json last; an earlier report goes: it is of other results."""
     (folder / "report.html").unlink(missing_ok=True)
     for name in RESULTS:
         (scratch / name).replace(folder / name)

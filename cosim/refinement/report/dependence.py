@@ -35,19 +35,19 @@ def regressors(model: Model, problem: Problem, parts: Sequence[tuple[int, Missin
     names = problem.layout.states
     time = np.concatenate([m.time for _, m in parts])
     states = np.vstack([m.states for _, m in parts])
-    found = [Regressor("time", "s", time)]
+    known = [Regressor("time", "s", time)]
     base = [q for q in model.base_states if q.name in names]
     reached = {names[k] for k in problem.layout.stochastic}
     for q in base:
         if q.name in reached:
-            found.append(Regressor(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
-    speeds = [s for s in found if s.unit in {"m/s", "rad/s"}]
+            known.append(Regressor(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
+    speeds = [s for s in known if s.unit in {"m/s", "rad/s"}]
     products = [
         Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
         for a, b in combinations(speeds, 2)
         if a.unit != b.unit
     ]
-    return {s.name: s for s in (*found, *products, *_commands(model, problem, parts))}
+    return {s.name: s for s in (*known, *products, *_commands(model, problem, parts))}
 
 
 def _turned(values: Array, unit: str) -> Array:
@@ -95,16 +95,16 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
     """Rows in each of `count` equal stretches of x; neighbours that hold fewer than `least` rows are joined."""
     low, high = float(x.min()), float(x.max())
     places = np.minimum((count * (x - low) / (high - low or 1.0)).astype(int), count - 1)
-    found: list[Rows] = []
+    joined: list[Rows] = []
     waiting = np.zeros(0, dtype=np.intp)
     for k in range(count):
         waiting = np.concatenate((waiting, np.flatnonzero(places == k)))
         if waiting.size >= least:
-            found.append(waiting)
+            joined.append(waiting)
             waiting = waiting[:0]
     if waiting.size:  # the last ones, too few to stand alone
-        found[-1:] = [np.concatenate((*found[-1:], waiting))]
-    return found
+        joined[-1:] = [np.concatenate((*joined[-1:], waiting))]
+    return joined
 
 
 def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
@@ -129,15 +129,15 @@ def nameless(
     units = ["s", *(q.unit for q in model.base_states), *(q.unit for q in model.inputs)]
     unit_of = dict(zip(called, units, strict=True))
     columns: dict[str, list[Array]] = {name: [] for name in called}
-    names, found = problem.layout.states, []
+    names, values = problem.layout.states, []
     for index, m in parts:
         data = problem.logs[index]
         first = round((m.time[0] - data.start) / data.step)
         u = data.u[first : first + len(m.time)]
         x = [m.states[:, names.index(q.name)] for q in model.base_states]
-        found.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
+        values.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
         for name, column in zip(called, (m.time, *x, *u.T), strict=True):
             columns[name].append(column)
     free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols]
     chosen = free[0] if free else "time"
-    return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(found)
+    return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(values)

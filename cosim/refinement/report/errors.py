@@ -72,20 +72,20 @@ def error_size(value: float, unit: str, like: float) -> str:
 
 def horizon(r: Refinement) -> str:
     """How long the model runs by itself: `2 s`, or `a whole run`."""
-    found = [played.horizon for _, played in r.evidence["before"]["estimation"]]
-    return "a whole run" if not found or math.isinf(found[0]) else horizon_name(found[0])
+    horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
+    return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
 
 def error_tables(r: Refinement) -> list[ErrorTable]:
     """One table for each set of logs there is."""
-    error, found = r.record["error"], []
+    error, tables = r.record["error"], []
     for part, title in PARTS.items():
         if part not in error["before"]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
         note = "What was learnt from." if part == "estimation" else "Opened once, when all was decided."
-        found.append(ErrorTable(title, note, rows))
-    return found
+        tables.append(ErrorTable(title, note, rows))
+    return tables
 
 
 def horizon_table(r: Refinement) -> HorizonTable:

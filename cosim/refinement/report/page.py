@@ -209,7 +209,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _fmu(r: Refinement) -> Path:
-    """In full: a scenario's paths are seen from the scenario."""
+    """In full: the paths in a scenario start at the scenario."""
     return (r.folder / "plant.fmu").resolve()
 
 

@@ -52,7 +52,7 @@ class Run:
 
 def runs(r: Refinement) -> list[Run]:
     """The first estimation and the first sealed log."""
-    found = []
+    drawn = []
     words: dict[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
     for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
@@ -61,8 +61,8 @@ def runs(r: Refinement) -> list[Run]:
             floor = r.record["noise_floors"].get(part, {})
             pairs = [_pair(r, before, after, name, floor.get(name, 0.0)) for name in list(log.outputs)[:CHANNELS]]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
-            found.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
-    return found
+            drawn.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
+    return drawn
 
 
 def _pair(r: Refinement, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
@@ -92,7 +92,7 @@ def _broken(values: Array, starts: Rows, between: Array | float) -> Array:
 
 
 def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band | None:
-    """Every other replay as a shade over the whole height, so that each restart is seen."""
+    """Every other replay as a shade over the whole height, so that each restart shows."""
     span = extent([trace.values for trace in panel.traces])
     if span is None or starts.size < 2:
         return None
@@ -115,7 +115,7 @@ def against_signal(s: Shown) -> Plot:
     low, high = extent([x]) or (0.0, 1.0)
     wing, least = 0.004 * (high - low), max(1, min(round(LEAST / s.step), x.size // DOTS))
     for rows in bins(x, DOTS, least):
-        mean, around = float(s.found[rows].mean()), NORMAL_95 * _standard_error(s, rows)
+        mean, around = float(s.estimated[rows].mean()), NORMAL_95 * _standard_error(s, rows)
         at = float(x[rows].mean())
         bars.append((np.full(3, at), np.array([mean - around, mean + around, np.nan])))
         caps.append((np.array([at - wing, at + wing, at]), np.array([mean, mean, np.nan])))
@@ -141,15 +141,15 @@ def over_time(s: Shown) -> Plot:
     """A close-up of the first log, where the claim moves most."""
     unit, factor = _fitting(s)
     count = max(2, min(s.first, round(CLOSE_UP / s.step)))
-    signal = s.found if s.term is None else s.term
+    signal = s.estimated if s.term is None else s.term
     power = np.convolve((signal[: s.first] - signal[: s.first].mean()) ** 2, np.ones(count), "valid")
     first = int(np.argmax(power)) if power.size else 0
     rows = slice(first, first + count)
-    found, width = s.found[rows] * factor, 2.0 * s.sigma[rows] * factor
-    traces = [Trace("data", found, "estimate")]
+    estimated, width = s.estimated[rows] * factor, 2.0 * s.sigma[rows] * factor
+    traces = [Trace("data", estimated, "estimate")]
     if s.term is not None:
         traces.append(Trace(s.effect or "term without a name", s.term[rows] * factor, "true"))
-    panel = Panel(f"{_what(s)} over time", unit or "1", traces, Band("±2σ", found - width, found + width))
+    panel = Panel(f"{_what(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
     return make_plot(panel, s.time[rows], time_axis(s.time[rows]), limit=POINTS)
 
 
@@ -171,7 +171,7 @@ def _standard_error(s: Shown, rows: Rows) -> float:
     """Of a mean over rows that are alike within the memory of the smoother; a slope within them is no error."""
     alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES / s.step)
     count = max(1.0, rows.size / alike)
-    x, y = s.against.values[rows], s.found[rows]
+    x, y = s.against.values[rows], s.estimated[rows]
     spread = float(x.var())
     scatter = float(y.var()) - (float(np.mean((x - x.mean()) * (y - y.mean()))) ** 2 / spread if spread else 0.0)
     return float(np.sqrt((np.mean(s.sigma[rows] ** 2) + max(0.0, scatter)) / count))
@@ -179,7 +179,7 @@ def _standard_error(s: Shown, rows: Rows) -> float:
 
 def rows_shown(s: Shown) -> str:
     """How much data stands behind a picture."""
-    return f"{counted(s.found.size, 'row')} of the estimation logs"
+    return f"{counted(s.estimated.size, 'row')} of the estimation logs"
 
 
 # -- shared ------------------------------------------------------------------------------------

@@ -24,7 +24,8 @@ class Shown:
     """What one claim explains.
 
     what, unit: the quantity that is missing; where: the state or channel it is missing in
-    found, sigma: what the data say, row by row, without the claim; term: what the claim says (None: nothing is claimed)
+    estimated, sigma: what the data say, row by row, without the claim
+    term:       what the claim says; None: nothing is claimed
     first:      rows of the first log
     """
 
@@ -34,7 +35,7 @@ class Shown:
     unit: str
     against: Regressor
     time: Array
-    found: Array
+    estimated: Array
     sigma: Array
     term: Array | None
     first: int
@@ -43,7 +44,7 @@ class Shown:
 
     @property
     def what(self) -> str:
-        """What was found: `acceleration missing from vx`."""
+        """What was estimated: `acceleration missing from speed`."""
         if self.kind == "sensor":
             return f"error of {self.where}"
         return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
@@ -51,18 +52,22 @@ class Shown:
     @property
     def correlation(self) -> float:
         """Of what the data say with what the claim says."""
-        if self.term is None or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2)) or not np.std(self.found):
+        if (
+            self.term is None
+            or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2))
+            or not np.std(self.estimated)
+        ):
             return float("nan")
-        return float(np.corrcoef(self.found, self.term)[0, 1])
+        return float(np.corrcoef(self.estimated, self.term)[0, 1])
 
     @property
     def share(self) -> float:
         """Share of the mean square of what the data say that the claim takes away."""
         if self.recorded is not None:
             return self.recorded
-        power = float(np.mean(self.found**2))
+        power = float(np.mean(self.estimated**2))
         return float("nan") if self.term is None or not power else 1.0 - float(
-            np.mean((self.found - self.term) ** 2)
+            np.mean((self.estimated - self.term) ** 2)
         ) / power  # fmt: skip
 
 
@@ -72,15 +77,15 @@ def shown(r: Refinement) -> list[Shown]:
     logs = range(min(LOGS, len(r.problem.logs)))
     if claim is None:
         return [_left(r, logs)] if r.verdict.name == "unexplained" else []
-    found = []
+    pictures = []
     for candidate in claim.candidates:
         with_it = Filter(claim.fit.values, claim.fit.log_q)
         without = Filter(base.fit.values, base.fit.log_q)
         if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
             without = Filter(_without(claim, candidate, r.problem.values), base.fit.log_q)
         picture = _reading if candidate.kind == "sensor" else _term
-        found.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
-    return found
+        pictures.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
+    return pictures
 
 
 def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
@@ -108,12 +113,12 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])
     first = next(iter(residual.get("terms", ())), None)
-    found = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
-    if first is None or found is None:
+    drawn = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
+    if first is None or drawn is None:
         against = choose(regressors(model, problem, parts), (), value[:, column])
         return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
-    term = at_best(problem, best, logs, column, found[1], value[:, column])
-    picture = _picture(model, parts, "", "nameless", column, found[0], value, sigma, term)
+    term = at_best(problem, best, logs, column, drawn[1], value[:, column])
+    picture = _picture(model, parts, "", "nameless", column, drawn[0], value, sigma, term)
     return replace(picture, effect=first["signal"], recorded=residual.get("share"))
 
 
@@ -154,8 +159,8 @@ def _reading(
         clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
         wrong = Steps(problem, index, with_it.values)
         for k in range(round(UNSCORED / data.step), min(len(data.u), MOST_ROWS) - 1):
-            there, said = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
-            rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, said - there))
+            there, read = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
+            rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, read - there))
     table = np.array(rows)
     table = table[np.isfinite(table).all(axis=1)]
     unit = next(q.unit for q in model.outputs if q.name == kind.output)
