@@ -45,9 +45,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 
 def context(r: Refinement) -> Mapping[str, Any]:
     """Everything the template names."""
-    white = innovations(r)
-    singles, more, pairs = ranked(r)
-    claimed = r.verdict.claimed is not None
     return {
         "name": f"Study {r.study.path.resolve().parent.name}",
         "description": f"{r.study.loaded.model.title}: what measured logs say the model lacks.",
@@ -55,7 +52,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
         "second": second_sentence(r),
         "badges": _badges(r),
-        "claimed": claimed,
+        "claimed": r.verdict.claimed is not None,
         "rivals": _rivals(r),
         "warnings": r.record["warnings"],
         "tables": error_tables(r),
@@ -65,17 +62,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "terms": [_term(s) for s in shown(r)],
         "term_lead": _term_lead(r),
         "runs": runs(r),
-        "whiteness": white,
-        "coloured": [w for w in white if w.tells] or white,
-        "quiet": [w for w in white if not w.tells] if any(w.tells for w in white) else [],
-        "modes": modes(r),
-        "innovation_lead": _innovation_lead(claimed),
-        "singles": singles,
-        "more": more,
-        "pairs": pairs[:SHOWN_PAIRS],
-        "pairs_count": len(pairs),
-        "pairs_open": claimed and len(r.verdict.claimed.candidates) > 1 if r.verdict.claimed else False,
-        "ranking_lead": _ranking_lead(r),
+        **_whiteness(r),
+        **_ranking(r),
         "parameters": parameter_tables(r),
         "noise": noise_rows(r),
         "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
@@ -83,6 +71,32 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
         "provenance": _provenance(r),
         "version": __version__,
+    }
+
+
+def _whiteness(r: Refinement) -> Mapping[str, Any]:
+    """The innovations; channels that are white before and after are folded away where others are not."""
+    white = innovations(r)
+    coloured = [w for w in white if w.tells]
+    return {
+        "whiteness": white,
+        "coloured": coloured or white,
+        "quiet": [w for w in white if not w.tells] if coloured else [],
+        "modes": modes(r),
+        "innovation_lead": _innovation_lead(r.verdict.claimed is not None),
+    }
+
+
+def _ranking(r: Refinement) -> Mapping[str, Any]:
+    """The hypotheses tried: the best single ones, the others, and the best of several candidates together."""
+    singles, more, pairs = ranked(r)
+    return {
+        "singles": singles,
+        "more": more,
+        "pairs": pairs[:SHOWN_PAIRS],
+        "pairs_count": len(pairs),
+        "pairs_open": r.verdict.claimed is not None and len(r.verdict.claimed.candidates) > 1,
+        "ranking_lead": _ranking_lead(r),
     }
 
 
