@@ -19,7 +19,7 @@ from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
 
-LARGEST = 200_000_000  # bytes; read whole, so that every fault can be told
+MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
 FAULTS_A_KIND = 5  # told of the cells of a column, then their number
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
@@ -153,8 +153,8 @@ def read_table(faults: Faults, choose: Choose, holds: str, shorter: str) -> Tabl
     try:
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
-        elif (size := path.stat().st_size) > LARGEST:
-            most = f"more than the {LARGEST / 1e6:.0f} MB a log may have"
+        elif (size := path.stat().st_size) > MOST_BYTES:
+            most = f"more than the {MOST_BYTES / 1e6:.0f} MB a log may have"
             faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
         else:
             with path.open("rb") as stream:

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any
 
 import fmpy
+import pytest
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
@@ -129,3 +130,14 @@ class Instance:
         state = self.call("deSerializeFMUstate", data)
         self.call("setFMUstate", state)
         self.call("freeFMUstate", state)
+
+
+def refused(fmu: Path, values: dict[str, Any], call: Any) -> str:
+    """Make a call that must fail, and say what the FMU said. The instance is not touched again."""
+    with Instance(fmu) as instance:
+        instance.begin(values)
+        with pytest.raises(FMICallException) as caught:
+            call(instance)
+        assert caught.value.status in (3, 4)  # Error or Fatal, never a Discard that hosts swallow
+        assert instance.log, "no reason given"
+        return instance.log[-1]

@@ -8,8 +8,8 @@ from typing import Any
 
 import jsonschema
 
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.record import SCHEMA
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
 from tests.blind.truth import write
 from tests.blind.truth_study import Study

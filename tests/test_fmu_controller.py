@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmpy.fmi1 import FMICallException
 
 from controller.gains import Settings
 from controller.loop import Loop
-from tests.hosts_fmpy import Instance
+from tests.hosts_fmpy import Instance, refused
 
 ROOT = Path(__file__).resolve().parent.parent
 STEP = 0.02  # [s], Fig 4.8
@@ -160,16 +159,6 @@ def test_reset_leads_back_to_the_start(controller_fmu: Path) -> None:
 # -- guards -------------------------------------------------------------------------------------
 
 
-def refused(fmu: Path, values: dict[str, Any], call: Any) -> str:
-    """Make a call that must fail, and say what the FMU said. The instance is not touched again."""
-    with Instance(fmu) as instance:
-        instance.begin(values)
-        with pytest.raises(FMICallException) as caught:
-            call(instance)
-        assert caught.value.status in (3, 4)  # Error or Fatal, never a Discard that hosts swallow
-        return instance.log[-1]
-
-
 def step(h: float, inputs: dict[str, float] | None = None) -> Any:
     def call(controller: Instance) -> None:
         controller.call("exitInitializationMode")
@@ -244,7 +233,7 @@ READ = """
 import sys
 from pathlib import Path
 from fmpy.fmi1 import FMICallException
-from tests.hosts_fmpy import Instance
+from tests.hosts_fmpy import refused, Instance
 with Instance(Path(sys.argv[1])) as controller:
     controller.initialize()
     try:

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmpy.fmi1 import FMICallException
 
 from plant.hovercraft import OUTPUTS, STATES, Hovercraft
 from plant.integrate import Moment, Stepper
-from tests.hosts_fmpy import Instance, extracted
+from tests.hosts_fmpy import Instance, extracted, refused
 
 STEP = 0.02  # [s], Fig 4.8
 GROUND_EFFECT = 1.142024  # Γ at z = 0.095 m, eq 4.28
@@ -269,17 +268,6 @@ def test_the_plant_runs_on_the_standard_library_alone(plant_fmu: Path) -> None:
 
 
 # -- guards -------------------------------------------------------------------------------------
-
-
-def refused(fmu: Path, values: dict[str, Any], call: Any) -> str:
-    """Make a call that must fail, and say what the FMU said. The instance is not touched again."""
-    with Instance(fmu) as instance:
-        instance.begin(values)
-        with pytest.raises(FMICallException) as caught:
-            call(instance)
-        assert caught.value.status in (3, 4)  # Error or Fatal, never a Discard that hosts swallow
-        assert instance.log, "no reason given"
-        return instance.log[-1]
 
 
 def started(call: Any) -> Any:

@@ -26,9 +26,9 @@ from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
 from cosim.refinement import measure, workflow
 from cosim.refinement.candidates import neutral_values
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import build_problem
 from cosim.refinement.record import SCHEMA, schema
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.page import write_refine_report
 from cosim.refinement.study import read_study
 from cosim.refinement.verdict import Name

@@ -22,10 +22,10 @@ from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import candidates
 from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import build_problem
 from cosim.refinement.proof import proven
 from cosim.refinement.record import SCHEMA, ranking, schema
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained
 from cosim.refinement.report.errors import second_sentence
 from cosim.refinement.report.innovations import innovations

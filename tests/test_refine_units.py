@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.refinement.outcome import Refinement
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.rankings import noise_rows
 from cosim.refinement.workflow import refine

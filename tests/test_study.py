@@ -74,7 +74,7 @@ def test_one_file_under_two_names_is_told_at_each_place(tmp_path: Path, flown: b
 def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "e.csv").write_bytes(flown)
     (tmp_path / "v.csv").write_bytes(2 * flown)
-    monkeypatch.setattr(table, "LARGEST", len(flown))
+    monkeypatch.setattr(table, "MOST_BYTES", len(flown))
     opened = Path.open
 
     def small(path: Path, *arguments: object, **keywords: object) -> object:

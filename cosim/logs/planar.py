@@ -12,7 +12,7 @@ from plant.planar import PlanarFrame
 
 TURNED = 9.0  # times as far sideways as its mirror image, from which an axis is turned round
 LEAST = 20  # places
-APART = 0.2  # [s] from place to place
+SPACING = 0.2  # [s] from place to place
 
 
 def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
@@ -20,7 +20,7 @@ def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         return
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
-    good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(APART / log.step))]
+    good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
     if good.size < LEAST:
         return
     dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])

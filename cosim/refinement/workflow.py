@@ -22,10 +22,10 @@ from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import Candidate, candidates
 from cosim.refinement.hypotheses import Attribution
 from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import Problem, build_problem, coarsened, varied_inputs
 from cosim.refinement.proof import held_against_replays
 from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.sensor_noise import other_noise
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.unnamed import unnamed_terms

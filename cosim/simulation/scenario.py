@@ -16,14 +16,14 @@ from pydantic import (
 from cosim.blocks.profile import Profile
 from cosim.yaml_file import NotNegative, Number, Part, Positive
 
-LARGEST = 1e308  # about what a double holds; larger integers are no numbers of FMI
+LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
 
 
 def _scalar(value: Any) -> Any:
     """A start value: a finite number, true or false, or text (a number with a unit, or the value of a string)."""
-    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST):
+    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
     raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
 

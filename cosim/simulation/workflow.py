@@ -73,7 +73,15 @@ def run(
     record["warnings"] += [
         f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())
     ]
-    (folder / "report.html").unlink(missing_ok=True)  # it would tell of others
+    _write(folder, results, record, report=report, figures=figures)
+    if failure is not None:
+        raise failure
+    return Outcome(results, record, folder)
+
+
+def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
+    """What a run leaves, whether or not it came to its end."""
+    (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
     results.write_csv(folder / "results.csv")
     write_manifest(folder / "manifest.json", record)
     if report:
@@ -84,6 +92,3 @@ def run(
         from cosim.simulation.report import write_figures
 
         write_figures(folder / "figures", results, record)
-    if failure is not None:
-        raise failure
-    return Outcome(results, record, folder)

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.record import OTHER_HORIZONS
+from cosim.refinement.refinement import Refinement
 from cosim.residuals.statistics import excess_left
 from cosim.residuals.words import horizon_name
 from cosim.text import MISSING, finer, joined, percent, plain

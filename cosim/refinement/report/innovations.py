@@ -9,8 +9,8 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import UNSCORED
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import POINTS, side_by_side
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, make_plot, time_axis

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.files import atomic_write
 from cosim.logs.log import Log
-from cosim.refinement.outcome import Refinement
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import error_tables, horizon, horizon_table, second_sentence
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs

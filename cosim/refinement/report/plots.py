@@ -10,8 +10,8 @@ import numpy as np
 from cosim.arrays import Array, Rows
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.measure import Evidence
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.record import Part
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
 from cosim.refinement.report.terms import Shown
 from cosim.report.panels import Band, Panel, Trace

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.candidates import Candidate, Free
-from cosim.refinement.outcome import Refinement
+from cosim.refinement.refinement import Refinement
 from cosim.text import amount, display, joined, plain
 from plant.quantities import Parameter
 

@@ -11,8 +11,8 @@ from cosim.arrays import Array
 from cosim.refinement.candidates import Candidate
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
-from cosim.refinement.outcome import Refinement
 from cosim.refinement.problem import UNSCORED, Problem
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from plant.model import Model
 

@@ -18,10 +18,10 @@ from cosim.report.panels import Panel, Trace, by_unit
 from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
-from cosim.simulation.report.outcome import criteria, failed, outcome
 from cosim.simulation.report.recorded import Run, mapping, number, texts
 from cosim.simulation.report.rows import badges, connections, provenance, starts
 from cosim.simulation.report.subject import Subject, subject_of
+from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.report.tables import Badge, Row
-from cosim.simulation.report.outcome import Criterion, failed
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.verdicts import Criterion, failed
 from cosim.text import amount, counted
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.report.tables import Grid, Row
+from cosim.simulation.report.craft.account import SYMBOLS
 from cosim.simulation.report.craft.judgement import Response, effort, error_rms, responses, saturation
 from cosim.simulation.report.craft.lines import QUANTITIES
 from cosim.simulation.report.craft.roles import SIDES, Craft
-from cosim.simulation.report.craft.sentences import SYMBOLS
-from cosim.simulation.report.outcome import failed
 from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.verdicts import failed
 from cosim.text import MISSING, amount, length, percent
 
 SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}

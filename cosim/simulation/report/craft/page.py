@@ -12,7 +12,7 @@ from cosim.report.drawing import Drawing
 from cosim.report.panels import Panel
 from cosim.report.svg import Plot
 from cosim.report.tables import Grid
-from cosim.simulation.report.craft import sentences
+from cosim.simulation.report.craft import account
 from cosim.simulation.report.craft.figures_of_merit import ResponseRow, error_grid, response_rows, tiles, tilt_grid
 from cosim.simulation.report.craft.lines import error_panels, shown_columns, state_panels, tilt_panels
 from cosim.simulation.report.craft.roles import Craft, find_crafts
@@ -76,13 +76,13 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
     return CraftPage(
         name=craft.name,
         estimator=craft.estimator or "",
-        motion=sentences.motion_sentence(craft, called),
+        motion=account.motion_sentence(craft, called),
         states=states,
         errors=drawing.with_values(error_panels(craft)),
         tilts=drawing.with_values(tilt_panels(craft)),
-        belief=sentences.belief_sentence(craft),
-        band=sentences.band_sentence(craft),
-        tilt=sentences.tilt_sentence(craft),
+        belief=account.belief_sentence(craft),
+        band=account.band_sentence(craft),
+        tilt=account.tilt_sentence(craft),
         readouts=[readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
         responses=response_rows(craft),
         grids=[grid for grid in (error_grid(craft), tilt_grid(craft)) if grid],
