@@ -20,7 +20,7 @@ from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
 
 MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
-FAULTS_A_KIND = 5  # told of the cells of a column, then their number
+FAULTS_A_KIND = 5  # reported of the cells of a column, then their number
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 

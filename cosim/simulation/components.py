@@ -9,7 +9,7 @@ from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Component
 from cosim.blocks.sources import playback, reference
 from cosim.errors import FmuError, InputError
-from cosim.simulation.faults import Faults, Place
+from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.start_values import Misfit, kind_of, settable, typed
@@ -18,16 +18,16 @@ from cosim.yaml_file import did_you_mean
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
 
-def build_components(file: ScenarioFile, designed: Designed, faults: Faults) -> dict[str, Component]:
+def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
     """Every component by name, in the order of the file; one with a fault is left out."""
     found: dict[str, Component] = {}
     for name, component in file.scenario.components.items():
         try:
-            block = _component(file, name, component, designed.get(name, {}), faults)
+            block = _component(file, name, component, designed.get(name, {}), diagnosis)
         except InputError as error:
-            faults.found += error.faults
+            diagnosis.found += error.faults
         except FmuError as error:
-            faults.note(("components", name, "fmu"), str(error), exit_code=3)
+            diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:
             found |= {name: block} if block is not None else {}
     return found
@@ -38,46 +38,48 @@ def _component(
     name: str,
     component: FmuComponent | ReferenceComponent | PlaybackComponent,
     designed: Mapping[str, float],
-    faults: Faults,
+    diagnosis: Diagnosis,
 ) -> Component | None:
     if isinstance(component, ReferenceComponent):
         return reference(name, component.signals)
     if isinstance(component, PlaybackComponent):
         return playback(name, file.resolve(component.file))
-    return _fmu(file, name, component, designed, faults)
+    return _fmu(file, name, component, designed, diagnosis)
 
 
 def _fmu(
-    file: ScenarioFile, name: str, component: FmuComponent, designed: Mapping[str, float], faults: Faults
+    file: ScenarioFile, name: str, component: FmuComponent, designed: Mapping[str, float], diagnosis: Diagnosis
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
         made = path.name in {"plant.fmu", "controller.fmu"}
         cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
-        faults.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = read_description(path)
     given = {**designed, **component.start}
-    typed_values = {variable: _start(name, description, variable, value, faults) for variable, value in given.items()}
+    typed_values = {
+        variable: _start(name, description, variable, value, diagnosis) for variable, value in given.items()
+    }
     start = {variable: value for variable, value in typed_values.items() if value is not None}
     targets = (connection.target.partition(".") for connection in file.scenario.connections)
     connected = frozenset(variable for owner, _, variable in targets if owner == name)
     return FmuBlock(name, path, description, start, connected)
 
 
-def _start(name: str, description: Any, variable_name: str, given: Any, faults: Faults) -> Any:
+def _start(name: str, description: Any, variable_name: str, given: Any, diagnosis: Diagnosis) -> Any:
     """A start value in the type and unit of its variable; a fault and None where it does not fit."""
     where: Place = ("components", name, "start", variable_name)
     variable = next((v for v in description.modelVariables if v.name == variable_name), None)
     if variable is None:
         known = [v.name for v in description.modelVariables if settable(v)]
-        faults.note(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
+        diagnosis.note(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
         return None
     if not settable(variable):
-        faults.note(where, f"{name}.{variable_name} is {kind_of(variable)}; it takes no start value")
+        diagnosis.note(where, f"{name}.{variable_name} is {kind_of(variable)}; it takes no start value")
         return None
     value = typed(description, variable, given)
     if isinstance(value, Misfit):
-        faults.note(where, f"{name}.{variable_name} is {given!r}; {value.reason}")
+        diagnosis.note(where, f"{name}.{variable_name} is {given!r}; {value.reason}")
         return None
     return value

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cosim.blocks.interface import Component
-from cosim.simulation.faults import Faults
+from cosim.simulation.diagnosis import Diagnosis
 from cosim.simulation.order import AlgebraicLoop, Edge, stages
 from cosim.simulation.scenario import Connection, Scenario
 from cosim.simulation.wiring import Components, Transfer
@@ -29,11 +29,13 @@ class Schedule:
     held: tuple[Transfer, ...] = ()
 
 
-def schedule(scenario: Scenario, components: Components, transfers: Sequence[Transfer], faults: Faults) -> Schedule:
+def schedule(
+    scenario: Scenario, components: Components, transfers: Sequence[Transfer], diagnosis: Diagnosis
+) -> Schedule:
     """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none."""
     if scenario.algorithm == "jacobi":
         return Schedule(tuple(Stage(c) for c in components.values()), tuple(transfers))
-    if scenario.order is not None and not _names_all(scenario.order, components, faults):
+    if scenario.order is not None and not _names_all(scenario.order, components, diagnosis):
         return Schedule()
     try:
         order, immediate, notes = stages(components, [_edge(c) for c in scenario.connections], scenario.order)
@@ -42,9 +44,9 @@ def schedule(scenario: Scenario, components: Components, transfers: Sequence[Tra
             f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the "
             f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
         )
-        faults.note(("connections",), message)
+        diagnosis.note(("connections",), message)
         return Schedule()
-    faults.warnings += notes
+    diagnosis.warnings += notes
     now = [t for t, is_now in zip(transfers, immediate, strict=True) if is_now]
     held = tuple(t for t, is_now in zip(transfers, immediate, strict=True) if not is_now)
     pulls = {name: tuple(t for t in now if t.name.partition(".")[0] == name) for name in order}
@@ -56,14 +58,14 @@ def _edge(connection: Connection) -> Edge:
     return connection.source.partition(".")[0], target, variable
 
 
-def _names_all(order: Sequence[str], components: Components, faults: Faults) -> bool:
+def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
     """Does an order given by the user name every component with inputs once, and no other?"""
     missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
     unknown = [name for name in order if name not in components]
     twice = len(set(order)) != len(order)
     for name in unknown:
-        faults.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+        diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
     if missing or twice:
         message = f"order names every component with inputs once; missing: {', '.join(missing) or 'none'}"
-        faults.note(("order",), message)
+        diagnosis.note(("order",), message)
     return not (unknown or missing or twice)

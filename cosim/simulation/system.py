@@ -1,6 +1,6 @@
 """From a scenario to components laid out in one row of signals, in the order in which they step.
 
-Every check that needs the FMUs' descriptions is made here; all faults are told at once.
+Every check that needs the FMUs' descriptions is made here; all faults are reported at once.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.simulation.components import Designed, build_components
-from cosim.simulation.faults import Faults, Place
+from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import FmuComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.schedule import Schedule, Stage, schedule
@@ -40,38 +40,38 @@ class System:
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
     """System of a scenario; `start_values` by component are put under the scenario's own (designed gains)."""
-    scenario, faults = file.scenario, Faults(file)
-    components = build_components(file, start_values or {}, faults)
+    scenario, diagnosis = file.scenario, Diagnosis(file)
+    components = build_components(file, start_values or {}, diagnosis)
     whole = len(components) == len(scenario.components) and not file.broken
     layout = lay_out(components)
-    transfers = connect(file, components, layout, faults)
-    _check_design(file, faults)
+    transfers = connect(file, components, layout, diagnosis)
+    _check_design(file, diagnosis)
     if whole:
-        _check_criteria(scenario, layout.columns, faults)
+        _check_criteria(scenario, layout.columns, diagnosis)
     plan = Schedule()
     if whole and len(transfers) == len(scenario.connections):
-        plan = schedule(scenario, components, transfers, faults)
-    faults.raise_any()
-    warnings = (*faults.warnings, *unconnected(file, components))
+        plan = schedule(scenario, components, transfers, diagnosis)
+    diagnosis.raise_any()
+    warnings = (*diagnosis.warnings, *unconnected(file, components))
     fmus = {name: (c.path, c.description) for name, c in components.items() if isinstance(c, FmuBlock)}
     return System(
         plan.stages, plan.held, layout.columns, layout.units, scenario.seed, scenario.start_time, warnings, fmus
     )
 
 
-def _check_design(file: ScenarioFile, faults: Faults) -> None:
+def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """What is designed is an FMU of the scenario."""
     design = file.scenario.design
     if design is None or design.component in file.broken:
         return
     if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        faults.note(("design",), f'design is for component "{design.component}", which is no FMU of components')
+        diagnosis.note(("design",), f'design is for component "{design.component}", which is no FMU of components')
 
 
-def _check_criteria(scenario: Scenario, columns: Collection[str], faults: Faults) -> None:
+def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:
     """Criteria look at signals that there are."""
     for kind, k, criterion in scenario.goals:
         where: Place = ("criteria", kind, *(() if k is None else (k,)))
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
             if isinstance(signal, str) and signal not in columns:
-                faults.note((*where, key), f'no signal "{signal}"{did_you_mean(signal, columns)}')
+                diagnosis.note((*where, key), f'no signal "{signal}"{did_you_mean(signal, columns)}')

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.noise import gaussian, stream
-from cosim.simulation.faults import Faults, Place
+from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import Connection, FmuComponent, Noise
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
@@ -16,7 +16,7 @@ Components = Mapping[str, Component]
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """Where signals stand in the row: component after component, inputs before outputs.
 
     first:   component → place of its first signal
@@ -45,7 +45,7 @@ class Transfer:
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
 
-def lay_out(components: Components) -> Layout:
+def lay_out(components: Components) -> RowLayout:
     """The row of these components' signals."""
     first: dict[str, int] = {}
     units: dict[str, str] = {}
@@ -53,40 +53,40 @@ def lay_out(components: Components) -> Layout:
         first[name] = len(units)
         for signal in (*component.inputs, *component.outputs):
             units[f"{name}.{signal.name}"] = signal.unit
-    return Layout(first, tuple(units), units)
+    return RowLayout(first, tuple(units), units)
 
 
-def connect(file: ScenarioFile, components: Components, layout: Layout, faults: Faults) -> list[Transfer]:
+def connect(file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> list[Transfer]:
     """Transfers of the connections, in their order; one with a faulty end is left out."""
-    _check_sources(file, faults)
+    _check_sources(file, diagnosis)
     lines = zip(file.connection_lines, file.scenario.connections, strict=True)
-    found = (_transfer(file, components, layout, k, connection, faults) for k, connection in lines)
+    found = (_transfer(file, components, layout, k, connection, diagnosis) for k, connection in lines)
     return [transfer for transfer in found if transfer is not None]
 
 
 def _transfer(
-    file: ScenarioFile, components: Components, layout: Layout, k: int, connection: Connection, faults: Faults
+    file: ScenarioFile, components: Components, layout: RowLayout, k: int, connection: Connection, diagnosis: Diagnosis
 ) -> Transfer | None:
-    source = _end(file, components, ("connections", k, "from"), connection.source, "outputs", faults)
-    target = _end(file, components, ("connections", k, "to"), connection.target, "inputs", faults)
+    source = _end(file, components, ("connections", k, "from"), connection.source, "outputs", diagnosis)
+    target = _end(file, components, ("connections", k, "to"), connection.target, "inputs", diagnosis)
     if source is None or target is None:
         return None
     (source_component, i, source_signal), (target_component, j, target_signal) = source, target
     if not source_signal.agrees(target_signal):
         ends = f"{connection.source} [{source_signal.unit}] to {connection.target} [{target_signal.unit}]"
-        faults.note(("connections", k), f"unit mismatch: {ends}")
+        diagnosis.note(("connections", k), f"unit mismatch: {ends}")
     at = layout.first[source_component.name] + len(source_component.inputs) + i
     noise = connection.noise if file.scenario.noise else None
     return Transfer(at, layout.first[target_component.name] + j, connection.target, noise)
 
 
 def _end(
-    file: ScenarioFile, components: Components, where: Place, text: str, side: str, faults: Faults
+    file: ScenarioFile, components: Components, where: Place, text: str, side: str, diagnosis: Diagnosis
 ) -> tuple[Component, int, Signal] | None:
     """One end of a connection among a component's `side`, its inputs or outputs: component, number and signal."""
     name, _, variable = text.partition(".")
     if name not in file.scenario.components and name not in file.broken:
-        faults.note(where, f'no component "{name}"{did_you_mean(name, file.scenario.components)}')
+        diagnosis.note(where, f'no component "{name}"{did_you_mean(name, file.scenario.components)}')
         return None
     component = components.get(name)
     if component is None or name in file.broken:  # its own fault is told already
@@ -102,17 +102,17 @@ def _end(
         known = [s.name for s in signals]
         message = f'{name} has no {side[:-1]} "{variable}" of type Real{did_you_mean(variable, known)}'
         message += f" (its {side}: {', '.join(known) or 'none'})"
-    faults.note(where, message)
+    diagnosis.note(where, message)
     return None
 
 
-def _check_sources(file: ScenarioFile, faults: Faults) -> None:
+def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """An input has one source."""
     seen: dict[str, str] = {}
     for k, connection in zip(file.connection_lines, file.scenario.connections, strict=True):
         if connection.target in seen:
             both = f"{seen[connection.target]} and {connection.source}"
-            faults.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
+            diagnosis.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
         seen.setdefault(connection.target, connection.source)
 
 

@@ -1,4 +1,4 @@
-"""What is found wrong or worth telling while the parts of a scenario are put together."""
+"""What is wrong, or worth a warning, while the parts of a scenario are put together."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from cosim.simulation.scenario_file import ScenarioFile
 Place = tuple[str | int, ...]  # keys that lead to a part of the scenario
 
 
-class Faults:
-    """Collects faults, those of the file's form first, and warnings, until all are told at once."""
+class Diagnosis:
+    """Collects faults, those of the file's form first, and warnings, until all are reported at once."""
 
     def __init__(self, file: ScenarioFile) -> None:
         self.file = file
