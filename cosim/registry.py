@@ -15,7 +15,8 @@ from typing import Any
 class Page:
     """A page about components that have these variables.
 
-    subject: `module:function` of (run, drawing), the `Subject` it shows; figures: of (run, folder), the files it drew
+    subject: `module:function` of (run, drawing), the `Subject` it shows; figures: of (run, folder), the
+             files it drew, or "" for those of any run
     """
 
     variables: frozenset[str]
@@ -30,7 +31,7 @@ class Known:
     model:   its class
     recipe:  of its FMU, from parameter values
     built:   file → recipe: what `cosim build` makes without a model named; beside: FMUs made with any model of it
-    rig:     what flies its experiments
+    rig:     what plays its experiments
     design:  the designer of its controller, behind `design:` of a scenario
     """
 
@@ -79,7 +80,7 @@ def known(kind: type) -> Known | None:
 
 
 def rig_of(kind: type, otherwise: Any) -> Any:
-    """What flies experiments of a class of models."""
+    """What plays experiments of a class of models."""
     entry = known(kind)
     return resolve(entry.rig) if entry and entry.rig else otherwise
 

@@ -35,7 +35,7 @@ class Designer(Protocol):
     def depends_on(self, model: Model | None) -> Mapping[str, Any]:
         """What a design depends on beside its options: numbers of a model, or without one the controller's own.
 
-        Raises ValueError where it flies no such model.
+        Raises ValueError where it designs for no such model.
         """
 
     def values(self, options: Mapping[str, Any], model: Model | None) -> dict[str, float]:

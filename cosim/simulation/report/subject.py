@@ -42,6 +42,6 @@ def subject_of(run: Run, drawing: Drawing) -> Subject | None:
 def figures_of(run: Run, folder: Path) -> list[Path]:
     """Figures that are registered for a component with these variables; none without."""
     drawn: list[Path] = []
-    if page := registry.page_for(run.variables.values()):
+    if (page := registry.page_for(run.variables.values())) and page.figures:
         drawn = registry.resolve(page.figures)(run, folder)
     return drawn
