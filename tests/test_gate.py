@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +172,20 @@ def test_a_log_is_as_fast_as_its_model_or_a_whole_number_faster(
 def test_a_slow_log_is_only_a_warning_where_the_model_does_not_insist(tmp_path: Path, flight: Flight) -> None:
     log = log_of(tmp_path / "a.csv", columns(flight))
     assert [f.severity for f in gate(log, 0.01, strict=False) if f.kind == "rate"] == ["warning"]
+
+
+def test_in_a_slow_log_a_pause_and_a_short_run_are_slower_too(tmp_path: Path) -> None:
+    def kinds(step: float, rows: int, hole: int) -> set[str]:
+        kept = np.delete(np.arange(rows), np.arange(50, 50 + hole))
+        log = log_of(tmp_path / "a.csv", {n: v[: kept.size] for n, v in measured(fly(times(20.0))).items()})
+        return {f.kind for f in gate(replace(log, time=step * kept, step=step)) if f.severity == "warning"}
+
+    # 30 s and three rows lost of one every half second are no more than 3 s and three rows of one every 20 ms
+    assert kinds(0.5, 61, 3) >= {"dropouts", "short"}
+    assert "gaps" not in kinds(0.5, 61, 3)
+    for step, rows, hole in ((0.5, 401, 12), (0.02, 601, 30)):
+        assert "gaps" in kinds(step, rows, hole)
+        assert "short" not in kinds(step, rows, hole)
 
 
 def test_jitter_is_measured(tmp_path: Path) -> None:

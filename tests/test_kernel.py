@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns = measured(fly(times(3.0)), IMU, noise=1.0)
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
-    return as_data(Hovercraft(), log_of(tmp_path_factory.mktemp("log") / "a.csv", columns), IMU)
+    lags = Layout((), (), (), tuple(IMU), (), (), settle=0.8)  # as the craft's four
+    return as_data(Hovercraft(), log_of(tmp_path_factory.mktemp("log") / "a.csv", columns), lags)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -101,6 +103,16 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     late = errors(RadioCraft(), **{"late_radio.time": 0.053})
     np.testing.assert_allclose(late, errors(Hovercraft(), **{"actuator_delay.time": 0.053}), rtol=0, atol=SAME)
     assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
+
+
+def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(jitted: JitKernel, table: Model, tmp_path: Path) -> None:
+    # a lag has forgotten all but 1e-4 of its start after ln(1e4) time constants; a table on a rail has none
+    assert jitted.layout.settle == pytest.approx(math.log(1e4) * Hovercraft().lag, rel=1e-9)
+    assert generate(table, [table.outputs[0].name], Python()).layout.settle == 0.0
+    log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
+    slower = replace(jitted.layout, settle=5.0)
+    rows = [as_data(Hovercraft(), log, layout).settle for layout in (jitted.layout, slower)]
+    assert rows == [40, 50]  # by when the log is scored no filter waits any longer
 
 
 @NEEDS_C

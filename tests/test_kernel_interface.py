@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cosim.arrays import Array
-from cosim.kernel.arrays import SETTLE
 from cosim.kernel.interface import Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
 from cosim.refinement.candidates import Free
@@ -60,7 +59,7 @@ class ByHand:
         for k in range(rows):
             if k:
                 x = self._ahead(data, p, x, k)
-                P = P0[0, 0] if k <= SETTLE / data.step else self._transition(data, p) ** 2 * P + q[0] * data.step
+                P = P0[0, 0] if k <= data.settle else self._transition(data, p) ** 2 * P + q[0] * data.step
             if math.isfinite(data.y[k, 0]):
                 errors[k], variances[k] = data.y[k, 0] - x, P + r[0]
                 x, P = x + P / (P + r[0]) * (data.y[k, 0] - x), P - P * P / (P + r[0])

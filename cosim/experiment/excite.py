@@ -193,7 +193,7 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     """Lines of the scenario that plays it."""
     trial, model, rig = found.trial, found.question.loaded.model, found.rig
     yield "name: excitation"
-    yield f'description: "To report apart {", ".join(r.name for r in found.question.rivals)}."'
+    yield f'description: "To separate {", ".join(r.name for r in found.question.rivals)}."'
     yield from (f"# {line}" for line in found.distances)
     yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"

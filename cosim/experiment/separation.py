@@ -67,9 +67,9 @@ class Separation:
 
     def of(self, log: Log) -> dict[Pair, float]:
         """Distance [standard deviations] of each pair on a log of the model without noise."""
-        measured = self.problem.layout.outputs
-        data = replace(as_data(self.model, log, measured), substeps=self.substeps)
-        start = start_state(self.model, data, measured, self.problem.layout.states)
+        layout = self.problem.layout
+        data = replace(as_data(self.model, log, layout), substeps=self.substeps)
+        start = start_state(self.model, data, layout.outputs, layout.states)
         seen = _Innovations(replace(self.problem, logs=[data], x0=[start]), self.log_q)
         shift = {name: seen.at(r.values) for name, r in self.rivals.items()}
         own = {name: seen.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}

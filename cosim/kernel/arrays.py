@@ -9,8 +9,6 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.kernel.interface import Data, Filtered, Layout, Simulated
 
-SETTLE = 0.8  # [s] until the lags have forgotten their unknown start; so long no state is believed to be known better
-
 
 class ArrayKernel:
     """What compiled kernels share. An array without rows stands for what is not given or not wanted."""
@@ -65,5 +63,4 @@ def constants(layout: Layout) -> Mapping[str, float | tuple[int, ...]]:
         "NM": layout.memory,
         "DELAY": layout.delay,
         "STOCHASTIC": layout.stochastic,
-        "SETTLE": SETTLE,
     }

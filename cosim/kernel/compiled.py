@@ -21,6 +21,7 @@ class _Log(ctypes.Structure):
     _fields_ = (
         ("rows", ctypes.c_int),
         ("substeps", ctypes.c_int),
+        ("settle", ctypes.c_int),
         ("step", ctypes.c_double),
         ("start", ctypes.c_double),
         ("u", ctypes.c_void_p),
@@ -38,11 +39,11 @@ class CompiledKernel(ArrayKernel):
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
-        log = _Log(len(u), data.substeps, data.step, data.start, u.ctypes.data, y.ctypes.data)
+        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, y.ctypes.data)
         return int(self._library.filter(ctypes.byref(log), *map(_address, (*given, *room))))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
-        log = _Log(len(u), data.substeps, data.step, data.start, u.ctypes.data, None)
+        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, None)
         self._library.simulate(ctypes.byref(log), first, *map(_address, (*given, *room)))
 
 

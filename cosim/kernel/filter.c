@@ -54,7 +54,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             double before = t - log->step;
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
-                if (s == 0 && k <= SETTLE / log->step) memcpy(P, P0, sizeof P); /* the lags still forget their start */
+                if (s == 0 && k <= log->settle) memcpy(P, P0, sizeof P); /* lags still forget their start */
                 else if (s == 0) {
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);

@@ -17,7 +17,6 @@ if TYPE_CHECKING:  # stand above and below: step.py; numbers of outputs and stoc
 
     NY = NS = 0
     STOCHASTIC = np.zeros(0, np.intp)
-    SETTLE = 0.0
 
     def jacobian(t: float, x: Array, u: Array, p: Array, out: Array) -> None:
         """A, of the stochastic states, row by row."""
@@ -118,6 +117,7 @@ def filter(
     step: float,
     start: float,
     substeps: int,
+    settle: int,
     log_u: Array,
     log_y: Array,
     p: Array,
@@ -142,8 +142,8 @@ def filter(
             before = t - step
             for s in range(substeps):
                 act(log_u, substeps, k, s, delay, memory, p, u, shaped)
-                if s == 0 and k <= SETTLE / step:
-                    P[:] = P0  # the lags still forget their start
+                if s == 0 and k <= settle:
+                    P[:] = P0  # lags still forget their start
                 elif s == 0:
                     predict(before, step, substeps, x, u, p, q, P, square)
                 rk4(before + s * h, h, x, u, p, work)

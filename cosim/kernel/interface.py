@@ -23,6 +23,7 @@ class Layout:
     noisy:      places, within `stochastic`, of the states that process noise enters
     memory:     number of remembered values
     delay:      place of the delay among the parameters, -1 where the model has none
+    settle:     [s] until states that process noise does not reach have forgotten an unknown start
     """
 
     parameters: tuple[str, ...]
@@ -33,6 +34,7 @@ class Layout:
     noisy: tuple[int, ...]
     memory: int = 0
     delay: int = -1
+    settle: float = 0.0
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -55,6 +57,7 @@ class Data:
     """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing.
 
     substeps: RK4 steps from row to row
+    settle:   rows after the first over which the covariance stays P0, for so long no state is known better
     """
 
     step: float
@@ -62,6 +65,7 @@ class Data:
     u: Array
     y: Array
     substeps: int
+    settle: int = 0
 
 
 @dataclass(frozen=True)

@@ -88,11 +88,12 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
     if time.size < 2:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     area = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / BLOCK), prepend=-1.0))
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (BLOCK * log.slowness)), prepend=-1.0))
     change, integral, length = np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
     if edges.size < 2:
         return change, integral, length
-    whole = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1]) < PAUSE  # over it the integral is a guess
+    longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
+    whole = longest < PAUSE * log.slowness  # over it the integral is a guess
     return change[whole], integral[whole], length[whole]
 
 

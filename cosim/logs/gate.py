@@ -13,7 +13,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
-from cosim.logs.log import GAP, MISSING, Log
+from cosim.logs.log import MISSING, Log
 from cosim.logs.noise import noise_level, surprise
 from cosim.text import amount, counted, percent, plain
 from plant.traits import Traits
@@ -39,7 +39,12 @@ def gate(
     strict: a log slower than `rate` is a fault, not a warning
     traits: what the model says of its signals, None where none is known
     """
-    found = [*_timing(log), *_rate(log, rate, strict), *_inputs(log), *_outputs(log), *frames(log, traits)]
+    clock = [*_timing(log), *_rate(log, rate, strict)]
+    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits)]
+    if any(
+        f.severity == "fault" for f in clock
+    ):  # by a clock in other units every rate is off: no second fault
+        found = [f for f in found if f.kind != "scale"]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
 
 
@@ -76,7 +81,7 @@ def _timing(log: Log) -> Iterator[Finding]:
         )  # fmt: skip
     holes = np.flatnonzero(ratio > MISSING)
     missing = np.rint(ratio[holes]) - 1.0
-    gaps = dt[holes] > GAP
+    gaps = dt[holes] > log.pause
     for kind, chosen in (("dropouts", holes[~gaps]), ("gaps", holes[gaps])):
         if chosen.size:
             rows = int(np.maximum(1.0, missing[gaps if kind == "gaps" else ~gaps]).sum())
@@ -89,8 +94,9 @@ def _timing(log: Log) -> Iterator[Finding]:
                 {"rows": rows, "places": chosen.size, "first": float(log.time[chosen[0]]), "longest": longest},
             )  # fmt: skip
     duration = float(log.time[-1] - log.time[0])
-    if duration < SHORT:
-        yield Finding("warning", "short", "time", f"the log lasts {amount(duration, 's')}; 20 s and more tell more",
+    if duration < SHORT * log.slowness:
+        more = plain(2.0 * SHORT * log.slowness)
+        yield Finding("warning", "short", "time", f"the log lasts {amount(duration, 's')}; {more} s and more tell more",
                       {"duration": duration})  # fmt: skip
     if abs(log.time[0]) > 1e6:
         yield Finding("note", "epoch", "time", f"time starts at {log.time[0]:.0f} s; a model whose effects depend on "

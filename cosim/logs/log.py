@@ -17,9 +17,9 @@ from cosim.table import Column, Faults, Heading, read_table
 from cosim.yaml_file import did_you_mean
 from fmus.units import alternatives, factor
 
+SLOWEST = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # rows at least that are lost in a pause
-
 BEYOND = 1e6  # times the usual size of a column, from which a value is none
 ORDINARY = 1e9  # in any SI unit, up to which a column that mostly rests may jump
 NEVER = 1e30  # in any SI unit
@@ -68,6 +68,16 @@ class Log:
     def rows(self) -> int:
         """Number of rows."""
         return self.time.size
+
+    @property
+    def slowness(self) -> int:
+        """Of its step, see `slowness`."""
+        return slowness(self.step)
+
+    @property
+    def pause(self) -> float:
+        """[s] without a row, from which on neither commands nor state are known."""
+        return max(GAP, LOST * self.step)
 
     @cached_property
     def grid(self) -> Rows:
@@ -193,9 +203,17 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
     return smooth, jumps
 
 
+def slowness(step: float) -> int:
+    """How many times longer everything lasts in a log with rows slower than 50 ms, so that it spans as many rows.
+
+    Who logs a tank every half second means a slow tank: a second, or a memory of 0.15 s, would be two rows or none.
+    """
+    return max(1, math.ceil(step / SLOWEST - 0.1))
+
+
 def stretches(log: Log) -> list[Log]:
     """A log cut at its pauses, over which neither commands nor state are known; each stretch is a log of its own."""
-    cuts = np.flatnonzero(np.diff(log.time) > max(GAP, LOST * log.step)) + 1
+    cuts = np.flatnonzero(np.diff(log.time) > log.pause) + 1
     if not cuts.size:
         return [log]
     found = []

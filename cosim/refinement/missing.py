@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.logs.log import slowness
 from cosim.refinement.fit import DIFFERENCE, Fit
-from cosim.refinement.problem import UNSCORED, Problem
+from cosim.refinement.problem import Problem, unscored
 
-MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few samples
+MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few rows
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
 NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
@@ -74,7 +75,7 @@ def missing(problem: Problem, base: Filter, index: int) -> Missing:
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
     value, sigma = _smooth(problem, model, np.exp(log_q), data.step, data.y[:rows])
-    kept = slice(min(round(UNSCORED / data.step), rows - 1), rows - 1)
+    kept = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
 
@@ -101,7 +102,7 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
         plain = without.step(k, here, runs[0].memory[k])[0]
         fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
         added[k] = (fuller - plain)[forced] / data.step
-    return added[min(round(UNSCORED / data.step), rows - 1) : rows - 1]
+    return added[min(unscored(data), rows - 1) : rows - 1]
 
 
 def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
@@ -157,7 +158,8 @@ def _smooth(problem: Problem, model: _Linear, q: Array, h: float, y: Array) -> t
     layout = problem.layout
     n, m, rows = model.F.shape[1], len(layout.noisy), len(y)
     places = list(layout.noisy)
-    phi, variance = np.exp(-h / MEMORY), q / (2.0 * MEMORY)  # white noise of density q, at low frequency
+    memory = MEMORY * slowness(h)
+    phi, variance = np.exp(-h / memory), q / (2.0 * memory)  # white noise of density q, at low frequency
     x, P = np.zeros(n + m), np.zeros((n + m, n + m))
     P[:n, :n], P[n:, n:] = problem.P0, np.diag(variance)
     Q = np.zeros_like(P)

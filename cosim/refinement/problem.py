@@ -11,14 +11,14 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.kernel.backend import kernel
 from cosim.kernel.interface import Data, Filtered, Kernel, Layout, Simulated
-from cosim.logs.log import Log
+from cosim.logs.log import Log, slowness
 from cosim.refinement.candidates import neutral_values
 from cosim.refinement.process_noise import NoiseRange, noise_range
 from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
 
-UNSCORED = 1.0  # [s] of each log, in which the filter settles
+UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
 
 SAME = 0.5  # of NLL, by which fewer substeps may change it
@@ -39,7 +39,7 @@ def build_problem(
     measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
     compiled = kernel(model, measured, unnamed)
     layout = compiled.layout
-    data = [as_data(model, log, measured) for log in logs]
+    data = [as_data(model, log, layout) for log in logs]
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
     variance |= {name: sigma * sigma for name, sigma in (noise or {}).items()}
     r = np.array([variance[name] for name in measured])
@@ -49,8 +49,9 @@ def build_problem(
     return replace(problem, P0=start_covariance(model, problem))
 
 
-def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
+def as_data(model: Model, log: Log, layout: Layout) -> Data:
     """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured."""
+    measured = layout.outputs
     grid = log.grid
     rows = int(grid[-1]) + 1
     held = np.searchsorted(grid, np.arange(rows), side="right") - 1
@@ -59,11 +60,17 @@ def as_data(model: Model, log: Log, measured: Sequence[str]) -> Data:
     for j, name in enumerate(measured):
         if name in log.outputs:
             y[grid, j] = log.outputs[name]
-    return Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
+    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
+    return replace(data, settle=int(min(layout.settle / log.step, unscored(data))))
+
+
+def unscored(data: Data) -> int:
+    """Rows at the start of a log that are not scored: the filter settles."""
+    return round(UNSCORED * slowness(data.step) / data.step)
 
 
 def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """The model's own start, with what is measured within the first 0.2 s in its place."""
+    """The model's own start, with what is measured near the start of the log in its place."""
     own = dict(zip((s.name for s in model.states), model.start(), strict=True))
     start = own | _first_measured(model, data, measured)
     return np.array([start.get(name, 0.0) for name in states])
@@ -110,7 +117,7 @@ def own_run(problem: Problem, index: int) -> Simulated:
 def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """State → its first measurement, of the states that an output shows and that are measured near the start."""
     shown, first = _shown(model), {}
-    early = data.y[: round(STARTING / data.step) + 1]
+    early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
         if name in shown and len(column):
@@ -199,13 +206,13 @@ class Problem:
     @property
     def samples(self) -> int:
         """Number of scored measurements."""
-        return int(sum(np.isfinite(log.y[round(UNSCORED / log.step) :]).sum() for log in self.logs))
+        return int(sum(np.isfinite(log.y[unscored(log) :]).sum() for log in self.logs))
 
     @cached_property
     def noise(self) -> NoiseRange:
         """How large process noise can be."""
         step = self.logs[0].step
-        rows = round((UNSCORED + max(RANGE_FROM, RANGE_ROWS * step)) / step)
+        rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
         measured = [np.isfinite(log.y).any(axis=0) for log in logs]
         # the first log, and those that measure what it does not
@@ -233,7 +240,7 @@ class Problem:
         errors, variances = [], []
         for index in range(len(self.logs)) if only is None else only:
             filtered = self.run(values, log_q, index)
-            first = round(UNSCORED / self.logs[index].step)
+            first = unscored(self.logs[index])
             valid = ~np.isnan(self.logs[index].y[first:].ravel())
             errors.append(filtered.errors[first:].ravel()[valid])
             variances.append(filtered.variances[first:].ravel()[valid])

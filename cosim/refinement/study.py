@@ -154,22 +154,22 @@ def _digest(log: Log) -> str:
     return content.hexdigest()
 
 
-def least_duration(horizon: float) -> float:
-    """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored."""
-    return SKIPPED + (horizon if math.isfinite(horizon) else 0.0) + SCORED
+def least_duration(log: Log, horizon: float) -> float:
+    """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored; a slow log longer."""
+    return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
     """The stretches of a log that measure something and last long enough."""
-    least = least_duration(horizon) - 0.5 * log.step
+    least = least_duration(log, horizon) - 0.5 * log.step
     return [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
 def _too_short(log: Log, horizon: float) -> Fault:
     lasts = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
-    least = plain(least_duration(horizon), None)
+    least = plain(least_duration(log, horizon), None)
     what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
-    cure = f"it takes {least} s, and 20 s and more tell more; log longer or leave it out"
+    cure = f"it takes {least} s, and {plain(20 * log.slowness)} s and more tell more; log longer or leave it out"
     return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
 
 

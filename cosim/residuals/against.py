@@ -90,7 +90,7 @@ def delay(log: Log, measured: Array, model: Array) -> Delay | None:
     a part of a row by a parabola. None where the two have too little in common.
     """
     fast, fast_model = _fast(log, measured), _fast(log, model)
-    lags = min(round(LONGEST_DELAY / log.step), log.rows // 4)
+    lags = min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4)
     if lags < 2 or np.isfinite(fast).sum() < 8 * lags:
         return None
     rho = correlation_at_lags(fast_model, fast, lags)
@@ -101,7 +101,7 @@ def delay(log: Log, measured: Array, model: Array) -> Delay | None:
     top = 0.5 * (rho[k - 1] - rho[k + 1]) / bend if bend < 0.0 else 0.0
     # Gauss-Newton: the error of a shift is the error of the residual's part along the slope of the signal
     size, slope = float(np.nanstd(fast_model)), float(np.nanstd(np.diff(fast_model))) / log.step
-    independent = max(2.0, np.isfinite(fast).sum() * log.step / SLOW * 2.0)
+    independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW * log.slowness) * 2.0)
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
     error = max(error, 0.02 * log.step)  # the parabola is no better
     return Delay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
@@ -112,7 +112,7 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> b
 
     None where the signal has no part that is faster.
     """
-    rows = max(1, round(0.1 * SLOW / log.step))
+    rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
     changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
     fast = delay(log, *changes)
     if fast is None or fast.frequency < FASTER * slow.frequency:
@@ -122,7 +122,7 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> b
 
 def _fast(log: Log, values: Array) -> Array:
     """Deviation from the mean over SLOW seconds about each row, NaN where that is not whole."""
-    half = max(1, round(0.5 * SLOW / log.step))
+    half = max(1, round(0.5 * SLOW * log.slowness / log.step))
     out = np.full(values.size, np.nan)
     if values.size > 2 * half:
         seen = np.isfinite(values)

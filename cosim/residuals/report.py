@@ -20,7 +20,6 @@ from cosim.residuals import words
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive
 from cosim.residuals.lags import neighbours, over_lag, stem_rows, stems
-from cosim.residuals.starts import stretch
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 from cosim.text import MISSING, amount, counted, display, percent, plain, size
@@ -58,7 +57,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         return [make_plot(p, log.time, x, series.add(p), POINTS) for p in panels]
 
     windowed, measure = comparison.measure in comparison.replays, comparison.measure
-    skipped = SKIPPED * stretch(log)
+    skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
     found = comparison.findings
     return {

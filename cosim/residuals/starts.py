@@ -26,7 +26,6 @@ from plant.namespaces import SCALAR
 from plant.planar import PlanarFrame, local_vector, world_velocity
 from plant.traits import rate_of
 
-SLOWEST = 0.05  # [s] from row to row, up to which the times below hold; see `stretch`
 PAST = 0.5  # [s] before a window
 FIRST = 1.0  # [s] after the start of the log, where there is no past
 REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
@@ -112,18 +111,13 @@ def _limits(variable: Any) -> tuple[float, float]:
     return -math.inf if low is None else low, math.inf if high is None else high
 
 
-def stretch(log: Log) -> int:
-    """How many times longer everything lasts where rows are slower than 50 ms, so that it spans as many as at those."""
-    return max(1, math.ceil(log.step / SLOWEST - 0.1))
-
-
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
     """Start of the free run: what fits the first second best; states nobody measured start where the FMU does."""
     log = drive.log
     seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
     start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()}
     sigma = noise_levels(log)
-    last = max(rows_of(log, 0, FIRST * stretch(log)), min(FEWEST, log.rows - 1))
+    last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
@@ -146,7 +140,7 @@ def window_start(
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
-    oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * stretch(log)))
+    oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
     corrected = _correct(log, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1), drive.frame)
     names = corrected if readable(parameters) else parameters
     return {parameters[name].name: parameters[name].value(state[name]) for name in names}
@@ -218,7 +212,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
     ahead = bool(rows.size and rows[-1] > at)
     found: tuple[float | None, float | None] = None, None
     for reach in REACHES:
-        design, side = _equations(log, errors, at, rows, reach * stretch(log) * (FIRST if ahead else PAST))
+        design, side = _equations(log, errors, at, rows, reach * log.slowness * (FIRST if ahead else PAST))
         order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
         if side.size < order:
             break
@@ -250,7 +244,7 @@ def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
     near: Rows = np.flatnonzero(away <= reach + 1e-9)
     if near.size < LEAST:
         nearest = np.argsort(away, kind="stable")[:LEAST]
-        near = np.sort(nearest[away[nearest] <= OLDEST * stretch(log)])
+        near = np.sort(nearest[away[nearest] <= OLDEST * log.slowness])
     return near
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.logs.log import slowness
 from cosim.logs.noise import NORMAL_95
 
 FREE_RUN = math.inf  # as a horizon [s]
@@ -154,8 +155,8 @@ def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
-    """Rows in `seconds`, no more than a quarter of what there is."""
-    return max(1, min(round(seconds / step), rows // 4))
+    """Rows in `seconds`, more in a slow log, no more than a quarter of what there is."""
+    return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 
 def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:

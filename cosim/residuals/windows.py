@@ -27,7 +27,6 @@ from cosim.residuals.starts import (
     noise_levels,
     readable,
     start_parameters,
-    stretch,
     window_start,
 )
 from cosim.residuals.statistics import FREE_RUN
@@ -149,13 +148,13 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
 def _known_from(log: Log, name: str, starts: Sequence[int]) -> int:
     """First window that an output had been measured before, for as long as is left out at the start of the log."""
     seen = log.time[np.isfinite(log.outputs[name])]
-    begins = [k for k in starts if seen.size and log.time[k] >= seen[0] + SKIPPED * stretch(log) - 1e-6 * log.step]
+    begins = [k for k in starts if seen.size and log.time[k] >= seen[0] + SKIPPED * log.slowness - 1e-6 * log.step]
     return min(begins, default=log.rows)
 
 
 def horizons(log: Log) -> tuple[float, ...]:
     """HORIZONS [s], the measure last; longer where rows are slower than 50 ms, so that they span as many."""
-    return tuple(horizon * stretch(log) for horizon in HORIZONS)
+    return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
 def chains(log: Log, horizon: float) -> list[Chain]:
@@ -163,11 +162,11 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
     After a pause the state settles in short windows, for as long as is left out at the start of the log.
     """
-    found, skipped, first = [], SKIPPED * stretch(log), 0
+    found, skipped, first = [], SKIPPED * log.slowness, 0
     for part in stretches(log):
         if rows := window_rows(part, horizon, skipped):
             settle = [
-                k for k in window_rows(part, PAST * stretch(log), 0.0 if first else FIRST * stretch(log)) if k < rows[0]
+                k for k in window_rows(part, PAST * log.slowness, 0.0 if first else FIRST * log.slowness) if k < rows[0]
             ]
             edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
             found.append(Chain(tuple(first + k for k in edges), first + rows[0]))

@@ -5,6 +5,7 @@
 
 typedef struct {
     int rows, substeps;
+    int settle;           /* rows over which a filter's covariance stays as it began */
     double step, start;
     const double *u;      /* rows x NU, held from row to row */
     const double *y;      /* rows x NY, NaN where missing */

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.problem import UNSCORED
+from cosim.refinement.problem import unscored
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import POINTS, side_by_side
 from cosim.report.panels import Band, Panel, Trace
@@ -68,7 +68,7 @@ def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> Wh
 
 def _innovations(r: Refinement, values: dict[str, float], log_q: Array, index: int) -> Array:
     run = r.problem.run({**r.problem.values, **values}, log_q, index)
-    first = min(round(UNSCORED / r.problem.logs[index].step), max(0, len(run.errors) - 2))
+    first = min(unscored(r.problem.logs[index]), max(0, len(run.errors) - 2))
     scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
     return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
 

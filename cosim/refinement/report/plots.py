@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.logs.log import slowness
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.measure import Evidence
 from cosim.refinement.record import Part
@@ -113,7 +114,7 @@ def against_signal(s: Shown) -> Plot:
     x, pieces = s.against.values * scale, []
     bars, caps = [], []
     low, high = extent([x]) or (0.0, 1.0)
-    wing, least = 0.004 * (high - low), max(1, min(round(LEAST / s.step), x.size // DOTS))
+    wing, least = 0.004 * (high - low), max(1, min(round(LEAST * slowness(s.step) / s.step), x.size // DOTS))
     for rows in bins(x, DOTS, least):
         mean, around = float(s.estimated[rows].mean()), NORMAL_95 * _standard_error(s, rows)
         at = float(x[rows].mean())
@@ -140,7 +141,7 @@ def against_signal(s: Shown) -> Plot:
 def over_time(s: Shown) -> Plot:
     """A close-up of the first log, where the claim moves most."""
     unit, factor = _fitting(s)
-    count = max(2, min(s.first, round(CLOSE_UP / s.step)))
+    count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
     signal = s.estimated if s.term is None else s.term
     power = np.convolve((signal[: s.first] - signal[: s.first].mean()) ** 2, np.ones(count), "valid")
     first = int(np.argmax(power)) if power.size else 0
@@ -169,7 +170,7 @@ def _fitting(s: Shown) -> tuple[str, float]:
 
 def _standard_error(s: Shown, rows: Rows) -> float:
     """Of a mean over rows that are alike within the memory of the smoother; a slope within them is no error."""
-    alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES / s.step)
+    alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES * slowness(s.step) / s.step)
     count = max(1.0, rows.size / alike)
     x, y = s.against.values[rows], s.estimated[rows]
     spread = float(x.var())

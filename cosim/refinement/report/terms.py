@@ -11,7 +11,7 @@ from cosim.arrays import Array
 from cosim.refinement.candidates import Candidate
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
-from cosim.refinement.problem import UNSCORED, Problem
+from cosim.refinement.problem import Problem, unscored
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from plant.model import Model
@@ -158,7 +158,7 @@ def _reading(
         run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.log_q), index, states=True)
         clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
         wrong = Steps(problem, index, with_it.values)
-        for k in range(round(UNSCORED / data.step), min(len(data.u), MOST_ROWS) - 1):
+        for k in range(unscored(data), min(len(data.u), MOST_ROWS) - 1):
             there, read = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
             rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, read - there))
     table = np.array(rows)
