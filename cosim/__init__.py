@@ -29,6 +29,10 @@ _PLACES = {
 }
 
 
+def __dir__() -> list[str]:
+    return [*globals(), *_PLACES]
+
+
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

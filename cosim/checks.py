@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from cosim.blocks.fmu import read_description
 from cosim.errors import Fault, FmuError, InputError
+from cosim.files import FilePath
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
@@ -22,14 +24,14 @@ from plant.model import Model
 from plant.traits import Traits
 
 
-def check_files(files: Sequence[Path], model: str = BASE) -> list[str]:
-    """Check each file by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
+def check_files(files: FilePath | Iterable[FilePath], model: str = BASE) -> list[str]:
+    """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
 
     What is to be known and no fault, a line each; InputError with all faults of all files.
     """
     faults: list[Fault] = []
     said: list[str] = []
-    for path in files:
+    for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
         try:
             said += [f"{path}: {line}" for line in _check(path, model)]
         except InputError as error:

@@ -11,6 +11,8 @@ from typing import TextIO
 from cosim.errors import Fault, InputError
 from fmus.files import draft_of
 
+FilePath = str | os.PathLike[str]
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[TextIO]:

@@ -75,8 +75,9 @@ def page_for(components: Iterable[Collection[str]]) -> Page | None:
 
 
 def known(kind: type) -> Known | None:
-    """What is known of a class of models, by where it stands."""
-    return next((k for k in MODELS.values() if k.model == f"{kind.__module__}:{kind.__qualname__}"), None)
+    """What is known of a class of models, or of the nearest it is made from, by where that stands."""
+    places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
+    return next((k for place in places for k in MODELS.values() if k.model == place), None)
 
 
 def rig_of(kind: type, otherwise: Any) -> Any:

@@ -42,12 +42,12 @@ class Column:
     """How a column is read.
 
     factor: what its numbers are multiplied by
-    known:  it has a value at every row, as the time and inputs do; otherwise an empty cell is NaN
+    known:  what it is, "the time" or "an input", where it has a value at every row; else "", an empty cell is NaN
     """
 
     heading: Heading
     factor: float = 1.0
-    known: bool = False
+    known: str = ""
 
     @property
     def cell(self) -> int:
@@ -133,7 +133,11 @@ def read_columns(path: Path) -> Table:
             faults.note(heading.line, heading.cell, f'"time [{heading.unit}]": time is in seconds')
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
-        return Column(heading, known=True) if heading.name else None
+        return (
+            Column(heading, known="the time" if heading.name == "time" else "a column played back")
+            if heading.name
+            else None
+        )
 
     table = read_table(faults, choose, "signals", "leave out columns or rows")
     if table.whole and not table.rows and not faults.counts:
@@ -154,7 +158,7 @@ def read_table(faults: Faults, choose: Choose, holds: str, shorter: str) -> Tabl
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
         elif (size := path.stat().st_size) > MOST_BYTES:
-            most = f"more than the {MOST_BYTES / 1e6:.0f} MB a log may have"
+            most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
             faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
         else:
             with path.open("rb") as stream:
@@ -203,7 +207,7 @@ class _Reader:
                     self._row(rows.line_num, row)
             self.table.whole = True
         except _NotText:
-            self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save the log as plain CSV, UTF-8")
+            self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
         except csv.Error as error:
             self.faults.note(rows.line_num, 1, f"is not CSV: {error}")
 
@@ -257,8 +261,8 @@ class _Reader:
             self.faults.note_cell(line, column.cell, f"cells of {column.name} that are not finite", message)
             return math.nan
         if column.known and math.isnan(value):
-            known = f"{'the time' if column.name == 'time' else 'an input'} is known at every row"
-            message = f"{column.name} has no value here; {known}, so fill the cell or leave the row out"
+            known = f"{column.known} is known at every row, so fill the cell or leave the row out"
+            message = f"{column.name} has no value here; {known}"
             self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
         return value * column.factor
 

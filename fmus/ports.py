@@ -38,7 +38,7 @@ def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
 
 def quantity_port(q: Quantity, causality: Causality, start: float | None = None, name: str | None = None) -> Port:
     """Port of an input, an output or, as a parameter, of a start value."""
-    return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc, q.bounds)
+    return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc)
 
 
 def model_ports(model: Model) -> tuple[Port, ...]:

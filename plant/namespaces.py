@@ -39,7 +39,7 @@ SCALAR: Namespace = ScalarNamespace()
 
 
 def arrays() -> Namespace:
-    """NumPy arrays: a thousand craft at once."""
+    """NumPy arrays: a thousand runs at once."""
     import numpy
 
     return numpy

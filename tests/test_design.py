@@ -12,6 +12,9 @@ import pytest
 from controller.design_model import design_model
 from controller.gains import Settings
 from controller.synthesis import lqr_gain, numbers_of
+from cosim.experiment.closed_loop import ClosedLoop
+from cosim.models.file import own_model
+from cosim.registry import rig_of
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
@@ -105,6 +108,33 @@ def test_a_model_that_cannot_be_designed_for_is_a_fault_of_the_scenario(
     file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["design.model=model.yaml"])
     assert designed_values(file) == {}
     assert any(words in str(fault) for fault in file.faults)
+
+
+def test_options_of_no_designer_are_faults_wherever_they_stand(project: Path) -> None:
+    scenario = project / "scenarios" / "regulate.yaml"
+    file = ScenarioFile(scenario, ["design.lagg=0.1", "design.q=[1]"])
+    assert designed_values(file) == {}
+    told = " ".join(map(str, file.faults))
+    assert 'unknown key "lagg"; did you mean "lag"?' in told
+    assert 'unknown key "q"' in told
+
+
+def test_what_is_made_from_the_craft_is_designed_for_as_the_craft(project: Path) -> None:
+    text = "from plant.hovercraft import Hovercraft\n\n\nclass Mine(Hovercraft):\n    pass\n"
+    (project / "scenarios" / "mine.py").write_text(text)
+    scenario, base = project / "scenarios" / "regulate.yaml", model_file(project, "parameters: {}\n").name
+    mine, of_base = (
+        designed_values(ScenarioFile(scenario, [f"design={{model: {model}}}"])) for model in ("'mine.py:Mine'", base)
+    )
+    assert mine == of_base
+    assert rig_of(type(own_model("mine.py:Mine", scenario.parent)), None) is ClosedLoop
+
+
+def test_a_manifest_says_what_was_designed_for_defaults_too(project: Path) -> None:
+    scenario = project / "scenarios" / "regulate.yaml"
+    run(scenario, project / "out", ["duration=1.0", "design={R: [2, 1]}", "criteria={}"], report=False)
+    design = json.loads((project / "out" / "manifest.json").read_text())["design"]
+    assert design == {"component": "controller", "Q": [1.0, 0.5, 0.1, 0.01, 0.0], "R": [2.0, 1.0]}
 
 
 def test_a_controller_designed_for_the_refined_craft_brings_it_home(project: Path) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.test_drive import EXAMPLE, simulated
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("plant", "controller", "fmus", "cosim")
 CODE = {".py", ".c", ".j2", ".css", ".js"}
@@ -54,6 +56,21 @@ def test_no_room_bears_the_name_of_a_verb() -> None:
 @pytest.mark.parametrize("verb", ["build", "check", "excite", "refine", "replay", "run"])
 def test_the_verbs_are_functions_of_the_package(verb: str) -> None:
     assert callable(getattr(importlib.import_module("cosim"), verb))
+
+
+def test_the_verbs_take_paths_as_they_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cosim = importlib.import_module("cosim")
+    assert {"build", "check", "excite", "refine", "replay", "run"} <= {*dir(cosim)}
+    monkeypatch.chdir(tmp_path)
+    simulated(Path("v1.csv"), 1)
+    (plant,) = cosim.build("built", f"{EXAMPLE / 'drive.py'}:Drive")
+    assert cosim.check(str(plant)) == cosim.check([plant]) == []
+    cosim.replay("v1.csv", "replayed", "built/plant.fmu")
+    Path("run.yaml").write_text(
+        "name: drive\nduration: 1\nstep: 0.01\ncomponents: {drive: {fmu: built/plant.fmu, start: {force: 20}}}\n"
+    )
+    cosim.run("run.yaml", "ran")
+    assert {path.parent.name for path in Path().glob("*/report.html")} == {"replayed", "ran"}
 
 
 def test_what_the_package_does_not_have_is_an_attribute_error() -> None:

@@ -20,6 +20,7 @@ from cosim.kernel.compiled import CompiledKernel
 from cosim.kernel.generate import generate
 from cosim.kernel.interface import Data, Filtered, Layout, Simulated
 from cosim.kernel.jit import JitKernel
+from cosim.kernel.settling import settling
 from cosim.models.file import own_model
 from cosim.refinement.candidates import neutral_values
 from cosim.refinement.problem import as_data, start_state
@@ -39,6 +40,7 @@ AWAKE = {
     "servo_rate_limit.rate": 0.8, "gyro_bias.value": 0.01, "unnamed.vx.vx·|vx|": -0.1, "unnamed.psi_dot.1": 0.02,
     "unnamed.vy.cos psi": 0.01,
 }  # fmt: skip
+LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
 SAME = 1e-10  # of the largest value of a channel; the two differ in the order of sums at most
 
@@ -55,8 +57,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns = measured(fly(times(3.0)), IMU, noise=1.0)
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
-    lags = Layout((), (), (), tuple(IMU), (), (), settle=0.8)  # as the craft's four
-    return as_data(Hovercraft(), log_of(tmp_path_factory.mktemp("log") / "a.csv", columns), lags)
+    log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
+    return as_data(Hovercraft(), log, Layout((), LAGS, (), tuple(IMU), (), (), driven=(0, 1, 2, 3)))
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -107,12 +109,15 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
 
 def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(jitted: JitKernel, table: Model, tmp_path: Path) -> None:
     # a lag has forgotten all but 1e-4 of its start after ln(1e4) time constants; a table on a rail has none
-    assert jitted.layout.settle == pytest.approx(math.log(1e4) * Hovercraft().lag, rel=1e-9)
-    assert generate(table, [table.outputs[0].name], Python()).layout.settle == 0.0
+    craft, layout = Hovercraft(), jitted.layout
+    driven = [layout.states[k] for k in layout.driven]
+    assert {*driven} == {*LAGS, "phi", "phi_dot"}  # the roll decays faster than the lags
+    assert settling(craft, driven) == pytest.approx(math.log(1e4) * craft.lag, rel=1e-6)
+    assert settling(craft, LAGS[:0]) == 0.0
+    assert generate(table, [table.outputs[0].name], Python()).layout.driven == ()
     log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
-    slower = replace(jitted.layout, settle=5.0)
-    rows = [as_data(Hovercraft(), log, layout).settle for layout in (jitted.layout, slower)]
-    assert rows == [40, 50]  # by when the log is scored no filter waits any longer
+    rows = [as_data(replace(craft, lag=lag), log, layout).settle for lag in (0.5 * craft.lag, craft.lag, 0.3)]
+    assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
 
 
 @NEEDS_C

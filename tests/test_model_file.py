@@ -248,6 +248,12 @@ def test_all_faults_of_a_model_are_told_at_once(tmp_path: Path) -> None:
     assert [re.findall("'(.*?)'", fault.message) for fault in both] == [["totl"], ["stat"]]
 
 
+def test_a_frame_that_is_none_hides_no_other_fault(tmp_path: Path) -> None:
+    wrong = [(FORCED, 'forced = ("rat",); planar = ("x", "y")'), ('unit="N.m/rad"', 'unit="lbf.ft"')]
+    told = " ".join(fault.message for fault in faults_of(tmp_path, *wrong))
+    assert all(words in told for words in ("planar is a PlanarFrame(", 'no state "rat"', 'unknown unit "lbf.ft"'))
+
+
 def test_a_model_may_have_neither_title_nor_catalogue(tmp_path: Path) -> None:
     table(tmp_path, ('    title = "Rotary table"\n', ""), (f"    {CATALOGUE}\n", ""))
     model = own_model("table.py:Table", tmp_path)

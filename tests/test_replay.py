@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +216,18 @@ def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
     assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
     assert "position" in verdict(comparison)
     assert [c.name for c in comparison.channels if not c.explained] == []
+
+
+def test_an_fmu_of_an_earlier_version_is_said_to_be_one(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    earlier = tmp_path / "plant.fmu"
+    with zipfile.ZipFile(plant_fmu) as new, zipfile.ZipFile(earlier, "w") as old:
+        for name in new.namelist():
+            data = new.read(name)
+            if name == "modelDescription.xml":
+                data = re.sub(rb"<VendorAnnotations>.*</VendorAnnotations>", b"", data, flags=re.DOTALL)
+            old.writestr(name, data)
+    for fmu, kinds in ((plant_fmu, set()), (earlier, {"older"})):
+        assert {f.kind for f in write_replay(tmp_path / fmu.parent.name, log, fmu).findings} & {"older"} == kinds
 
 
 def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
-from cosim.files import atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable
 from cosim.refinement.problem import build_problem
 from cosim.table import write_columns
 from cosim.text import counted
@@ -106,7 +106,7 @@ def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float
 
 def excite(
     text: str,
-    folder: Path,
+    folder: FilePath,
     against: Sequence[str] = (),
     *,
     limits: Sequence[str] = (),
@@ -119,7 +119,7 @@ def excite(
     """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
-    question = ask(text, against, limits, measured)
+    question, folder = ask(text, against, limits, measured), Path(folder)
     model = question.loaded.model
     time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, float(time[-1]))

@@ -6,21 +6,15 @@ kernel serves every candidate; an effect is switched off by its neutral value.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
 
 from cosim.kernel.interface import Layout
 from cosim.kernel.nameless import PREFIX, bases
 from plant.model import Model
 from plant.symbolic.functions import Body
 from plant.symbolic.languages import Language
-
-FORGOTTEN = 1e-4  # of a wrong start, from which it no longer counts
-STILL = 1e-9  # [1/s], slower is no decay
 
 
 @dataclass(frozen=True)
@@ -42,13 +36,13 @@ class Reach:
     forced:    those it enters; of other forced states no noise can be estimated
     uncertain: those it reaches, the forced among them
     drifting:  those it reaches and that reach no measured output
-    settle:    [s] until the others that reach a measured output have forgotten an unknown start
+    driven:    the others that reach a measured output
     """
 
     forced: tuple[str, ...]
     uncertain: tuple[str, ...]
     drifting: frozenset[str]
-    settle: float
+    driven: tuple[str, ...]
 
 
 def generate(model: Model, measured: Sequence[str], language: Language, unnamed: bool = False) -> Generated:
@@ -83,7 +77,7 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         noisy=tuple(k for k, n in enumerate(reach.uncertain) if n in reach.forced),
         memory=len(body.shaping.remembered),
         delay=body.delay,
-        settle=reach.settle,
+        driven=tuple(names.index(n) for n in reach.driven),
     )
     return Generated(layout, "\n".join((*printed, body.shaping_function(language, "shape_all"))))
 
@@ -113,33 +107,8 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
         tuple(names[k] for k in forced if k in both),
         tuple(names[k] for k in both),
         frozenset(names[k] for k in reached - reaching),
-        _settle(model, body, sorted(reaching - reached)),
+        tuple(names[k] for k in sorted(reaching - reached)),
     )
-
-
-def _settle(model: Model, body: Body, known: Sequence[int]) -> float:
-    """[s] until states known from the commands alone have forgotten all but FORGOTTEN of a wrong start.
-
-    ln(1/FORGOTTEN) times the slowest stable time constant, of the base model linearized at its own start; 0 where it
-    has none, or a jump in its place.
-    """
-    import sympy
-
-    rates, states = list(body.derivative.values()), body.symbols.state
-    own = {symbol: getattr(model, name) for name, symbol in body.parameters.items()}
-    point = {
-        **own,
-        **dict(zip(states, model.start(), strict=True)),
-        **dict(zip(body.symbols.command, model.start_command(), strict=True)),
-        body.symbols.time: 0.0,
-    }
-    try:
-        A = np.array([[float(sympy.diff(rates[i], states[j]).subs(point)) for j in known] for i in known])
-    except TypeError:
-        return 0.0
-    poles = np.linalg.eigvals(A).real if known and np.isfinite(A).all() else ()
-    decay = [-float(pole) for pole in poles if pole < -STILL]
-    return math.log(1.0 / FORGOTTEN) / min(decay) if decay else 0.0
 
 
 def _downstream(body: Body, first: Sequence[int]) -> set[int]:

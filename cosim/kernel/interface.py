@@ -23,7 +23,7 @@ class Layout:
     noisy:      places, within `stochastic`, of the states that process noise enters
     memory:     number of remembered values
     delay:      place of the delay among the parameters, -1 where the model has none
-    settle:     [s] until states that process noise does not reach have forgotten an unknown start
+    driven:     places of the states that process noise does not reach and that reach a measured output
     """
 
     parameters: tuple[str, ...]
@@ -34,7 +34,7 @@ class Layout:
     noisy: tuple[int, ...]
     memory: int = 0
     delay: int = -1
-    settle: float = 0.0
+    driven: tuple[int, ...] = ()
 
     @property
     def uncertain(self) -> tuple[str, ...]:

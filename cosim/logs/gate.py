@@ -41,9 +41,7 @@ def gate(
     """
     clock = [*_timing(log), *_rate(log, rate, strict)]
     found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits)]
-    if any(
-        f.severity == "fault" for f in clock
-    ):  # by a clock in other units every rate is off: no second fault
+    if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
         found = [f for f in found if f.kind != "scale"]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
 

@@ -141,7 +141,8 @@ class _Reader:
             offered = ", ".join(alternatives(wanted))
             message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
             self.faults.note(heading.line, heading.cell, message)
-        return Column(heading, 1.0 if scale is None else scale, known=name not in self.outputs)
+        known = "the time" if heading.cell == 1 else "an input" if name in self.inputs else ""
+        return Column(heading, 1.0 if scale is None else scale, known)
 
     def _check_header(self) -> None:
         """Every input of the model, and one output at least."""

@@ -78,9 +78,6 @@ def _shape(kind: type[Model]) -> Found:
         given = getattr(kind, name)
         if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):
             yield kind, name, f"{name} is a dictionary: {_WRITTEN[name]}"
-    if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
-        names = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
-        yield kind, "planar", f"planar is a PlanarFrame({names}) of outputs, or None"
     yield from _undecorated((kind, *_classes(kind)))
 
 
@@ -273,6 +270,10 @@ def _names(kind: type[Model]) -> Found:
     states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
     numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
     candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]
+    frame = kind.planar if isinstance(kind.planar, PlanarFrame) else None
+    if kind.planar is not None and frame is None:
+        fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
+        yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
     if not kind.forced:
         text = "forced names no state; name those whose equations may lack something"
         yield kind, "forced", f"{text}, the accelerations usually (states: {', '.join(states)})"
@@ -285,7 +286,7 @@ def _names(kind: type[Model]) -> Found:
         ("start_variance", "state", [*kind.start_variance], states),
         ("measured", "output", [*kind.measured], outputs),
         ("excursion", "input or output", [*kind.excursion], [*inputs, *outputs]),
-        ("planar", "output", [*kind.planar.names] if kind.planar else [], outputs),
+        ("planar", "output", [*frame.names] if frame else [], outputs),
         ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
         ("drawn_against", "candidate", [*kind.drawn_against], candidates),
     ]
@@ -293,7 +294,7 @@ def _names(kind: type[Model]) -> Found:
         for name in dict.fromkeys(given):
             if name not in known:
                 text = f'{attribute}: no {what} "{name}"{did_you_mean(str(name), known)}'
-                yield kind, attribute, f"{text} ({what}s: {', '.join(known) or 'none'})"
+                yield kind, attribute, f"{text} ({what.replace(' or', 's or')}s: {', '.join(known) or 'none'})"
     for attribute in ("forced", "calibrated", "measured"):
         yield from _twice(kind, attribute, getattr(kind, attribute))
     for name in kind.suspect:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cosim.files import FilePath
 from cosim.models.file import load_model
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 
-def build(folder: Path, model: str | None = None) -> list[Path]:
+def build(folder: FilePath, model: str | None = None) -> list[Path]:
     """Build the FMUs of a model (base, a model.yaml, file.py:Class) in `folder`; without one, all of this package.
 
     Raises InputError.
@@ -22,4 +23,4 @@ def build(folder: Path, model: str | None = None) -> list[Path]:
         recipes = {"plant.fmu": loaded.recipe()}
         if loaded.source in MODELS:
             recipes |= {name: resolve(recipe)() for name, recipe in MODELS[loaded.source].beside.items()}
-    return [build_fmu(recipe, folder / name) for name, recipe in recipes.items()]
+    return [build_fmu(recipe, Path(folder) / name) for name, recipe in recipes.items()]

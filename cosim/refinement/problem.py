@@ -11,6 +11,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.kernel.backend import kernel
 from cosim.kernel.interface import Data, Filtered, Kernel, Layout, Simulated
+from cosim.kernel.settling import settling
 from cosim.logs.log import Log, slowness
 from cosim.refinement.candidates import neutral_values
 from cosim.refinement.process_noise import NoiseRange, noise_range
@@ -61,7 +62,8 @@ def as_data(model: Model, log: Log, layout: Layout) -> Data:
         if name in log.outputs:
             y[grid, j] = log.outputs[name]
     data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
-    return replace(data, settle=int(min(layout.settle / log.step, unscored(data))))
+    lags = [layout.states[k] for k in layout.driven]
+    return replace(data, settle=int(min(settling(model, lags) / log.step, unscored(data))))
 
 
 def unscored(data: Data) -> int:
@@ -126,7 +128,7 @@ def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[s
 
 
 def _shown(model: Model) -> set[str]:
-    """States that outputs of their name show as they are (a thrust is shown with ground effect): tried at one state."""
+    """States that outputs of their name show as they are, not with a factor or turned: tried at one state."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
     outputs = model.equations(SCALAR).output(0.0, state, model.start_command())

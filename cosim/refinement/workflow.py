@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.files import atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.refinement.attribution import Attributor
@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 
 
-def refine(path: Path, folder: Path, progress: Progress | None = None, *, report: bool = False) -> Refinement:
+def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *, report: bool = False) -> Refinement:
     """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them. Raises InputError.
 
     With `report`, report.html too.
@@ -45,7 +45,7 @@ def refine(path: Path, folder: Path, progress: Progress | None = None, *, report
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
-    study = read_study(path)
+    study, folder = read_study(Path(path)), Path(folder)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     study, problem, noise = _posed(study)
     attribution = Attributor(study.loaded.model, problem, _on_trial(study, problem), progress).run()

@@ -9,6 +9,7 @@ from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Component
 from cosim.blocks.sources import playback, reference
 from cosim.errors import FmuError, InputError
+from cosim.registry import BASE_NAME, MODELS
 from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.simulation.scenario_file import ScenarioFile
@@ -52,7 +53,7 @@ def _fmu(
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
-        made = path.name in {"plant.fmu", "controller.fmu"}
+        made = path.name in MODELS[BASE_NAME].built
         cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None

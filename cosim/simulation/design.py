@@ -9,18 +9,24 @@ import json
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Optional
 
-from pydantic import Field, create_model
+from pydantic import ConfigDict, Field, create_model
 
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.models.file import load_model
-from cosim.registry import BASE_NAME, MODELS, resolve
+from cosim.registry import BASE_NAME, MODELS, known, resolve
 from cosim.simulation.scenario import Design
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import NotNegative, Positive
 from fmus.native.cache import cached
 from plant.design import Designer, Option
 from plant.model import Model
+
+
+class _Declared(Design):
+    """With the options of one designer, and no further keys."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
@@ -48,20 +54,24 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     if design.model is None:
         return None, resolve(MODELS[BASE_NAME].design)
     loaded = load_model(design.model, file.path.parent)
-    known = MODELS.get(loaded.source)
-    if known is None or not known.design:
+    entry = known(type(loaded.model))
+    if entry is None or not entry.design:
         message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
         raise InputError([file.fault(("design", "model"), message)])
-    return loaded.model, resolve(known.design)
+    return loaded.model, resolve(entry.design)
 
 
 def _options(file: ScenarioFile, design: Design, designer: Designer) -> dict[str, Any]:
     """The options as the designer declares them; InputError with every fault."""
-    fields: dict[str, Any] = {name: (_kind(option), option.default) for name, option in designer.options.items()}
-    declared = create_model("Design", __base__=Design, **fields)
+    fields: dict[str, Any] = {name: (_kind(option), _default(option)) for name, option in designer.options.items()}
+    declared = create_model("Design", __base__=_Declared, **fields)
     whole = file.yaml.validate(declared, design.model_dump(), ("design",))
     file.scenario = file.scenario.model_copy(update={"design": whole})
     return {name: getattr(whole, name) for name in designer.options}
+
+
+def _default(option: Option) -> Any:
+    return list(option.default) if isinstance(option.default, tuple) else option.default
 
 
 def _kind(option: Option) -> Any:

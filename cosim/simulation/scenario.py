@@ -10,6 +10,7 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    SerializeAsAny,
     Tag,
 )
 
@@ -129,7 +130,7 @@ class Scenario(Part):
     algorithm: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
     order: list[Name] | None = None
     noise: bool = True
-    design: Design | None = None
+    design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
     connections: list[Connection] = Field(default_factory=list)
     criteria: Criteria = Field(default_factory=dict)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import SimulationError
-from cosim.files import check_writable
+from cosim.files import FilePath, check_writable
 from cosim.results import Results
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
@@ -34,8 +34,8 @@ class Outcome:
 
 
 def run(
-    scenario: Path,
-    folder: Path,
+    scenario: FilePath,
+    folder: FilePath,
     overrides: Sequence[str] = (),
     *,
     report: bool = True,
@@ -47,7 +47,7 @@ def run(
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
     began = time.perf_counter()
-    file = ScenarioFile(scenario, overrides)
+    file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)

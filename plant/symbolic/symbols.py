@@ -43,8 +43,8 @@ def symbolic(model: Model, flags: bool | None = None, effects: bool = True) -> S
         return replace(owner, **values)
 
     terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if effects)
-    craft = replace(as_symbols(model, ""), effects=terms)
+    awake = replace(as_symbols(model, ""), effects=terms)
     # prefixed, for an input and a state may bear one name
-    state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in craft.states)
-    command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in craft.inputs)
-    return SymbolicModel(craft, sympy.Symbol("time", real=True), symbols, state, command)
+    state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in awake.states)
+    command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in awake.inputs)
+    return SymbolicModel(awake, sympy.Symbol("time", real=True), symbols, state, command)

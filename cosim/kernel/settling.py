@@ -1,0 +1,36 @@
+"""How long a filter waits until states that nothing measures have forgotten where they were thought to start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from plant.model import Model
+from plant.namespaces import SCALAR
+
+FORGOTTEN = 1e-4  # of a wrong start, from which it no longer counts
+STILL = 1e-9  # [1/s], slower is no decay
+
+
+def settling(model: Model, names: Sequence[str]) -> float:
+    """[s] until these states, known from the commands alone, have forgotten all but FORGOTTEN of a wrong start.
+
+    ln(1/FORGOTTEN) times the slowest stable time constant of the base model about its start; 0 where it has none.
+    """
+    base = replace(model, effects=())
+    derivative, start, command = base.equations(SCALAR).derivative, base.start(), base.start_command()
+    places = [[s.name for s in base.states].index(name) for name in names]
+
+    def rates(place: int, change: float) -> Array:
+        state = tuple(x + change * (k == place) for k, x in enumerate(start))
+        return np.array(derivative(0.0, state, command), dtype=np.float64)[places]
+
+    steps = {place: 1e-6 * max(1.0, abs(start[place])) for place in places}
+    columns = [(rates(place, h) - rates(place, -h)) / (2.0 * h) for place, h in steps.items()]
+    poles = np.linalg.eigvals(np.column_stack(columns)).real if columns else np.zeros(0)
+    decay = [-float(pole) for pole in poles if pole < -STILL]
+    return math.log(1.0 / FORGOTTEN) / min(decay) if decay else 0.0
