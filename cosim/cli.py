@@ -169,7 +169,9 @@ def excite(
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
-    duration: Annotated[float, typer.Option(min=5.0, max=600.0, help="Of the experiment, in seconds.")] = 40.0,
+    duration: Annotated[
+        float | None, typer.Option(help="Of the experiment, in seconds; 40 without, longer for a slow model.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
 ) -> None:
     """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that plays it."""

@@ -26,8 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
 RUNTIME = ("__init__", "lifetime", "ports", "slave", "state")
 ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
-# What needs more than the FMU's host has.
-BUILD_TIME = ("plant/symbolic", "plant/traits.py", "controller/synthesis.py", "controller/designer.py")
+BUILD_TIME = ("plant/symbolic", "plant/traits.py")  # what needs more than the FMU's host has
 OWN = "own_model"  # what the file of a model of one's own is called within its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
@@ -44,6 +43,7 @@ class Recipe:
     values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
     modules: tuple[str, ...] = ()  # of `fmus` that the slave's module needs
     own: tuple[Path, str] | None = None  # file and class of a model of one's own
+    without: tuple[str, ...] = ()  # of the packages, what is not needed when it runs
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -159,7 +159,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
     for package in recipe.packages:
         for file in sorted((ROOT / package).rglob("*.py")):
             path = file.relative_to(ROOT)
-            if not any(path.is_relative_to(part) for part in BUILD_TIME):
+            if not any(path.is_relative_to(part) for part in (*BUILD_TIME, *recipe.without)):
                 yield path.as_posix(), file.read_bytes()
 
 

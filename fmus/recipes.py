@@ -54,4 +54,6 @@ def controller_recipe() -> Recipe:
         variable_step=False,
     )
     text = documented(Loop, discrete_model, HovercraftController)
-    return Recipe(("controller_fmu", "HovercraftController"), ("plant", "controller"), about, text)
+    designing = ("controller/synthesis.py", "controller/designer.py")
+    slave = ("controller_fmu", "HovercraftController")
+    return Recipe(slave, ("plant", "controller"), about, text, without=designing)

@@ -122,6 +122,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
         return [(tmp_path / name / f).read_bytes() for f in ("excitation.csv", "references.csv", "excitation.yaml")]
 
     first, again, other = files(1, "a"), files(1, "b"), files(2, "c")
+    assert b'description: "To separate lag, actuator_delay."' in first[2]
     assert first == again
     assert first[0] != other[0]
 
@@ -260,6 +261,7 @@ def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: 
             ["base", "--against", "accelerometer_bias", "--measured", "psi", "--duration", "5"],
             "base: none of 48 experiments drives any two rivals a standard deviation apart; try a wider --limit",
         ),
+        (["base", "--duration", "4"], "--duration 4: an experiment lasts between 5 and 600 s for a step of 0.02 s"),
         ([f"{DRIVE}:Drive"], "how far from 0 may force go? Say --limit force=VALUE [N]"),
     ],
 )

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from cosim.arrays import Array
+from cosim.report.data import Series
+from cosim.report.panels import Panel, Trace
 from cosim.report.svg import make_axis, thin
 from cosim.results import Results
 from cosim.simulation.report import write_figures, write_report
@@ -315,6 +317,13 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
     paths = write_figures(tmp_path / "figures", both, {})
     assert sorted(tmp_path.joinpath("figures").iterdir()) == sorted(paths)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+def test_a_small_signal_is_read_out_with_digits_of_its_own() -> None:
+    series = Series(np.arange(3))
+    for size in (0.5, 1e-5):
+        series.add(Panel("Position", "m", [Trace("a", np.full(3, size), "true")]))
+    assert [entry["d"] for entry in series.entries.values()] == [3, 6]
 
 
 def test_importing_the_report_loads_neither_jinja2_nor_matplotlib() -> None:

@@ -20,12 +20,13 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
 from cosim.files import FilePath, atomic_write, check_writable
+from cosim.logs.log import slowness
 from cosim.refinement.problem import build_problem
 from cosim.table import write_columns
 from cosim.text import counted
 
 EXPERIMENTS = 48
-DURATION = 40.0  # [s]
+DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
 FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
 SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
@@ -111,7 +112,7 @@ def excite(
     *,
     limits: Sequence[str] = (),
     measured: Sequence[str] = (),
-    duration: float = DURATION,
+    duration: float | None = None,
     seed: int = 1,
     experiments: int = EXPERIMENTS,
     progress: Progress | None = None,
@@ -121,7 +122,7 @@ def excite(
     report("reading the model", 0.0)
     question, folder = ask(text, against, limits, measured), Path(folder)
     model = question.loaded.model
-    time = model.rate * np.arange(round(duration / model.rate) + 1, dtype=np.float64)
+    time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
@@ -135,6 +136,17 @@ def excite(
     report("building the FMUs", 0.0)
     _write(folder, found, seed)
     return found
+
+
+def _times(text: str, step: float, duration: float | None) -> Array:
+    """The rows of an experiment; without a duration it lasts as long as is usual, longer for a slow model."""
+    slow = slowness(step)
+    lasts = DURATION * slow if duration is None else duration
+    if not SHORTEST * slow <= lasts <= LONGEST * slow:
+        between = f"between {SHORTEST * slow:g} and {LONGEST * slow:g} s for a step of {step:g} s"
+        raise InputError([Fault(Path(text), 0, 0, f"--duration {lasts:g}: an experiment lasts {between}")])
+    rows: Array = step * np.arange(round(lasts / step) + 1, dtype=np.float64)
+    return rows
 
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:

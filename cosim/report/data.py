@@ -13,7 +13,8 @@ import numpy as np
 from cosim.arrays import Array, Rows
 from cosim.report.panels import Panel
 
-SHOWN_DECIMALS = {"m": 3, "m/s": 3, "°": 2, "°/s": 1, "N": 3, "%": 2}
+SHOWN_DECIMALS = {"m": 3, "m/s": 3, "°": 2, "°/s": 1, "N": 3, "%": 2}  # read out, where that leaves LEAST digits
+DIGITS, LEAST = 4, 2  # of the largest value: kept, and read out at least
 Numbers = list[float | None]
 
 
@@ -24,10 +25,10 @@ def sample_rows(count: int, limit: int) -> Rows:
 
 
 def decimals(values: Array) -> int:
-    """Decimals that keep four digits of the largest value."""
+    """Decimals that keep DIGITS digits of the largest value."""
     good = values[np.isfinite(values)]
     largest = float(np.max(np.abs(good))) if good.size else 0.0
-    return 3 if largest == 0 else min(9, max(0, 3 - math.floor(math.log10(largest))))
+    return 3 if largest == 0 else min(9, max(0, DIGITS - 1 - math.floor(math.log10(largest))))
 
 
 def rounded(values: Array, digits: int) -> Numbers:
@@ -53,7 +54,7 @@ class Series:
             key = f"k{len(self.entries)}"
             values = trace.values[self.rows]
             digits = decimals(values)
-            shown = min(digits, SHOWN_DECIMALS.get(panel.unit, 6))
+            shown = min(digits, max(SHOWN_DECIMALS.get(panel.unit, 6), digits - DIGITS + LEAST))
             self.entries[key] = {"v": rounded(values, digits), "d": shown, "h": int(trace.held)}
             keys.append(key)
         return keys

@@ -127,7 +127,7 @@ def against_signal(s: Shown) -> Plot:
         pieces.append((np.array([x[g].mean() for g in groups]), np.array([s.term[g].mean() for g in groups])))
     places, columns = side_by_side([(a, b) for a, b in pieces])
     traces = [
-        Trace("data, with 95 %", columns[0] * factor, "right"),
+        Trace("data, with 95 %", columns[0] * factor, "warm"),
         Trace("mean", columns[1] * factor, "s1 solid wide"),
     ]
     if s.term is not None:

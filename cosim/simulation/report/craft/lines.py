@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.report.panels import Band, Panel, Trace
-from cosim.simulation.report.craft.roles import SIDES, Craft
+from cosim.simulation.report.craft.roles import COLOURS, SIDES, Craft
 from cosim.text import DEGREES
 
 
@@ -77,7 +77,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
     panels = []
     for side in SIDES:
         command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
-        lines = [("command", command, side, True), ("actual", actual, "actual", False)]
+        lines = [("command", command, COLOURS[side], True), ("actual", actual, "actual", False)]
         traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
         limit = craft.tilt_limit
         limits = () if limit is None else (-limit * DEGREES, limit * DEGREES)

@@ -19,6 +19,7 @@ from cosim.simulation.report.recorded import Run, number
 from cosim.simulation.start_values import QUANTITY
 
 SIDES = ("right", "left")
+COLOURS = {"right": "warm", "left": "cool"}
 TILT_MAX = Settings().tilt_max  # [rad], what a controller FMU uses unless told otherwise
 
 
