@@ -37,7 +37,7 @@ class Rival:
 
 
 def at_typical(model: Model, candidate: Candidate, known: Mapping[str, float]) -> Rival:
-    """A candidate at the size at which it is plainly seen: `typical` away from neutral; a base parameter 20 % wrong."""
+    """A candidate at the size at which it is plainly detected: `typical` away from neutral; a base parameter 20 % wrong."""
     if candidate.kind == "parameter":
         (free,) = candidate.free
         wrong = WRONG_BY * abs(known[free.name]) if free.name in model.calibrated else free.size

@@ -102,7 +102,7 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
     """A parameter with its interval, where that is narrower than its bounds are apart."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
-        return f"{name} not told by these logs"
+        return f"{name} not identified by these logs"
     return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
 
 
