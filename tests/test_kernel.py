@@ -58,7 +58,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return as_data(Hovercraft(), log, Layout((), LAGS, (), tuple(IMU), (), (), driven=(0, 1, 2, 3)))
+    return as_data(Hovercraft(), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -116,7 +116,8 @@ def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(jitted: JitKernel,
     assert settling(craft, LAGS[:0]) == 0.0
     assert generate(table, [table.outputs[0].name], Python()).layout.driven == ()
     log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
-    rows = [as_data(replace(craft, lag=lag), log, layout).settle for lag in (0.5 * craft.lag, craft.lag, 0.3)]
+    waits = [settling(replace(craft, lag=lag), driven) for lag in (0.5 * craft.lag, craft.lag, 0.3)]
+    rows = [as_data(craft, log, layout, wait).settle for wait in waits]
     assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
 
 

@@ -109,7 +109,9 @@ def log() -> Log:
 def problems(log: Log) -> dict[str, Problem]:
     generated = build_problem(Oven(), [log])
     kernel: Kernel = ByHand()
-    written = Problem(kernel, generated.logs, generated.x0, generated.P0, generated.r, generated.values)
+    written = Problem(
+        kernel, generated.logs, generated.x0, generated.P0, generated.r, generated.values, generated.settle
+    )
     return {"generated": generated, "written": written}
 
 

@@ -37,7 +37,7 @@ class Rival:
 
 
 def at_typical(model: Model, candidate: Candidate, known: Mapping[str, float]) -> Rival:
-    """A candidate at the size at which it is plainly detected: `typical` away from neutral; a base parameter 20 % wrong."""
+    """A candidate at a size that is plainly detected: `typical` away from neutral; a base parameter 20 % wrong."""
     if candidate.kind == "parameter":
         (free,) = candidate.free
         wrong = WRONG_BY * abs(known[free.name]) if free.name in model.calibrated else free.size
@@ -68,7 +68,7 @@ class Separation:
     def of(self, log: Log) -> dict[Pair, float]:
         """Distance [standard deviations] of each pair on a log of the model without noise."""
         layout = self.problem.layout
-        data = replace(as_data(self.model, log, layout), substeps=self.substeps)
+        data = replace(as_data(self.model, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.model, data, layout.outputs, layout.states)
         seen = _Innovations(replace(self.problem, logs=[data], x0=[start]), self.log_q)
         shift = {name: seen.at(r.values) for name, r in self.rivals.items()}

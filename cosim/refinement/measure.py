@@ -35,7 +35,7 @@ Evidence = list[tuple[Log, Replay]]
 def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
     """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
     layout = problem.layout
-    data = [as_data(model, log, layout) for log in logs]
+    data = [as_data(model, log, layout, problem.settle) for log in logs]
     x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
     posed = replace(problem, logs=data, x0=x0)
     return replace(posed, P0=start_covariance(model, posed))

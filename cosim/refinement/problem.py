@@ -40,18 +40,22 @@ def build_problem(
     measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
     compiled = kernel(model, measured, unnamed)
     layout = compiled.layout
-    data = [as_data(model, log, layout) for log in logs]
+    settle = settling(model, [layout.states[k] for k in layout.driven])
+    data = [as_data(model, log, layout, settle) for log in logs]
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
     variance |= {name: sigma * sigma for name, sigma in (noise or {}).items()}
     r = np.array([variance[name] for name in measured])
     x0 = [start_state(model, d, measured, layout.states) for d in data]
     values = {**dict.fromkeys(layout.parameters, 0.0), **neutral_values(model), **(sensors or {})}
-    problem = Problem(compiled, data, x0, np.empty((0, 0)), r, values)
+    problem = Problem(compiled, data, x0, np.empty((0, 0)), r, values, settle)
     return replace(problem, P0=start_covariance(model, problem))
 
 
-def as_data(model: Model, log: Log, layout: Layout) -> Data:
-    """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured."""
+def as_data(model: Model, log: Log, layout: Layout, settle: float) -> Data:
+    """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured.
+
+    settle: [s] until lags have forgotten an unknown start, see `settling`
+    """
     measured = layout.outputs
     grid = log.grid
     rows = int(grid[-1]) + 1
@@ -62,8 +66,7 @@ def as_data(model: Model, log: Log, layout: Layout) -> Data:
         if name in log.outputs:
             y[grid, j] = log.outputs[name]
     data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
-    lags = [layout.states[k] for k in layout.driven]
-    return replace(data, settle=int(min(settling(model, lags) / log.step, unscored(data))))
+    return replace(data, settle=int(min(settle / log.step, unscored(data))))
 
 
 def unscored(data: Data) -> int:
@@ -191,7 +194,10 @@ class Scored:
 
 @dataclass
 class Problem:
-    """Logs, kernel and what is known beforehand: start states, measurement variances, values of all parameters."""
+    """Logs, kernel and what is known beforehand: start states, measurement variances, values of all parameters.
+
+    settle: [s] until the lags of the model that was given have forgotten an unknown start
+    """
 
     kernel: Kernel
     logs: Sequence[Data]
@@ -199,6 +205,7 @@ class Problem:
     P0: Array
     r: Array
     values: Mapping[str, float]
+    settle: float
 
     @property
     def layout(self) -> Layout:
