@@ -133,11 +133,8 @@ def read_columns(path: Path) -> Table:
             faults.note(heading.line, heading.cell, f'"time [{heading.unit}]": time is in seconds')
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
-        return (
-            Column(heading, known="the time" if heading.name == "time" else "a column played back")
-            if heading.name
-            else None
-        )
+        what = "the time" if heading.name == "time" else "a column played back"
+        return Column(heading, known=what) if heading.name else None
 
     table = read_table(faults, choose, "signals", "leave out columns or rows")
     if table.whole and not table.rows and not faults.counts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,9 +109,7 @@ def log() -> Log:
 def problems(log: Log) -> dict[str, Problem]:
     generated = build_problem(Oven(), [log])
     kernel: Kernel = ByHand()
-    written = Problem(
-        kernel, generated.logs, generated.x0, generated.P0, generated.r, generated.values, generated.settle
-    )
+    written = replace(generated, kernel=kernel)
     return {"generated": generated, "written": written}
 
 
