@@ -41,9 +41,9 @@ components:
   controller: {{fmu: controller.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}
   reference: {{block: reference, signals: {{x_ref: {{unit: m}}, psi_ref: {{unit: rad}}}}}}
 connections:
-  - {{from: plant.psi, to: controller.psi, noise: {{variance: 2.613e-5}}}}
-  - {{from: plant.psi_dot, to: controller.psi_dot, noise: {{variance: 4.564e-4}}}}
-  - {{from: plant.ax, to: controller.ax, noise: {{variance: 0.04479}}}}
+  - {{from: plant.psi, to: controller.psi, noise: {{variance: {psi}}}}}
+  - {{from: plant.psi_dot, to: controller.psi_dot, noise: {{variance: {psi_dot}}}}}
+  - {{from: plant.ax, to: controller.ax, noise: {{variance: {ax}}}}}
   - {{from: reference.x_ref, to: controller.x_ref}}
   - {{from: reference.psi_ref, to: controller.psi_ref}}
   - {{from: controller.duty_right, to: plant.duty_right}}
@@ -78,9 +78,9 @@ def bench() -> dict[str, float]:
         place = Path(folder)
         build(plant_recipe(), place / "plant.fmu")
         build(controller_recipe(), place / "controller.fmu")
-        (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H))
-        (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H))
-        (place / "one.yaml").write_text(SCENARIO.format(duration=H))
+        (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H, **NOISE))
+        (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H, **NOISE))
+        (place / "one.yaml").write_text(SCENARIO.format(duration=H, **NOISE))
         figures = {
             "loop_over_plain": loop_over_plain(place / "loop.yaml"),
             "fmpy_over_ours_overhead": fmpy_over_ours(place),

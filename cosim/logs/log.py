@@ -17,7 +17,7 @@ from cosim.table import Column, Faults, Heading, read_table
 from cosim.yaml_file import did_you_mean
 from fmus.units import alternatives, factor
 
-SLOWEST = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
+USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # rows at least that are lost in a pause
 BEYOND = 1e6  # times the usual size of a column, from which a value is none
@@ -209,7 +209,7 @@ def slowness(step: float) -> int:
 
     Who logs a tank every half second means a slow tank: a second, or a memory of 0.15 s, would be two rows or none.
     """
-    return max(1, math.ceil(step / SLOWEST - 0.1))
+    return max(1, math.ceil(step / USUAL - 0.1))
 
 
 def stretches(log: Log) -> list[Log]:
