@@ -30,7 +30,8 @@ class Parameter:
     """A declared parameter: everything there is to know of it but its value.
 
     `neutral` is the value at which an effect is dormant (None: the parameter only shapes the effect); `typical` a
-    size at which it is plainly seen, from which a fit starts and by which it measures its steps.
+    size at which it is plainly seen, from which a fit starts and by which it measures its steps. `tolerance` is how far
+    the true value may be from the stated one, as a share of it: the half-width that holds 95 %.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Parameter:
     bounds: tuple[float, float] = (-INFINITY, INFINITY)
     neutral: float | None = None
     typical: float | None = None
+    tolerance: float | None = None
 
     def fault(self, value: object) -> str | None:
         """Say what is wrong with `value`, or None. Arrays and symbols are taken as they are."""
@@ -63,9 +65,11 @@ def parameter(
     bounds: tuple[float, float] = (-INFINITY, INFINITY),
     neutral: float | None = None,
     typical: float | None = None,
+    tolerance: float | None = None,
 ) -> Any:
     """Declare a dataclass field as a parameter: `friction: float = parameter(0.25, unit="N.s/m", doc=…)`."""
-    return field(default=default, metadata={"parameter": Parameter("", default, unit, doc, bounds, neutral, typical)})
+    declared = Parameter("", default, unit, doc, bounds, neutral, typical, tolerance)
+    return field(default=default, metadata={"parameter": declared})
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
