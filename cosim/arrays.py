@@ -7,3 +7,4 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]  # of any shape; a docstring says which
 Rows = NDArray[np.intp]  # places in one
+Flags = NDArray[np.bool_]  # yes or no at each place

@@ -23,6 +23,7 @@ class SensorError(Effect):
     """
 
     output: ClassVar[str]
+    late: ClassVar[bool] = False  # its value is a time by which readings are late
 
     def measure(self, value: Number) -> Number:
         """Reading for a true value."""
@@ -82,11 +83,10 @@ class Latency(SensorError):
     """Readings stamped T after what they show: reading at t is y(t − T), of every output in `outputs`."""
 
     equation = "reading y(t − T)"
+    late = True
     outputs: ClassVar[tuple[str, ...]]
 
-    value: float = parameter(
-        0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings"
-    )
+    value: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings")
 
     @classmethod
     def affected(cls) -> tuple[str, ...]:

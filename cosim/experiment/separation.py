@@ -19,7 +19,9 @@ from cosim.arrays import Array
 from cosim.logs.log import Log
 from cosim.refinement.candidates import Candidate, Free, base_parameters
 from cosim.refinement.fit import DIFFERENCE
-from cosim.refinement.problem import Problem, as_data, coarsened, start_state
+from cosim.refinement.noise_model import Noise
+from cosim.refinement.problem import Problem, as_data, coarsened, start_state, unscored
+from cosim.refinement.readings import readings_of
 from plant.model import Model
 from plant.quantities import Parameter, parameters_of
 
@@ -62,15 +64,16 @@ class Separation:
     def __init__(self, model: Model, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
         self.model, self.problem, self.pairs = model, problem, tuple(pairs)
         self.rivals = {r.name: r for r in rivals}
-        self.base = base_parameters(model, problem.values)
-        self.log_q, self.substeps = problem.noise.plain, coarsened(problem).logs[0].substeps
+        self.base = base_parameters(model, problem.values, problem.settings.tolerance)
+        self.noise, self.substeps = problem.plain, coarsened(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
         """Distance [standard deviations] of each pair on a log of the model without noise."""
         layout = self.problem.layout
         data = replace(as_data(self.model, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.model, data, layout.outputs, layout.states)
-        seen = _Innovations(replace(self.problem, logs=[data], x0=[start]), self.log_q)
+        readings = [readings_of(data.y, unscored(data))]
+        seen = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
         shift = {name: seen.at(r.values) for name, r in self.rivals.items()}
         own = {name: seen.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
         base = seen.slopes(self.base, {}, np.zeros(seen.count))
@@ -102,15 +105,15 @@ class Separation:
 class _Innovations:
     """Innovations [standard deviations] against those of the base values."""
 
-    def __init__(self, problem: Problem, log_q: Array) -> None:
-        self.problem, self.log_q = problem, log_q
-        scored = problem.scored(problem.values, log_q)
+    def __init__(self, problem: Problem, noise: Noise) -> None:
+        self.problem, self.noise = problem, noise
+        scored = problem.scored(problem.values, noise)
         self.errors, self.sigma = scored.errors, np.sqrt(scored.variances)
         self.count = len(self.errors)
 
     def at(self, values: Mapping[str, float]) -> Array:
         """By how much they differ at other values; not at all where the filter diverges."""
-        errors = self.problem.scored({**self.problem.values, **values}, self.log_q).errors
+        errors = self.problem.scored({**self.problem.values, **values}, self.noise).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
     def slopes(self, free: Sequence[Free], values: Mapping[str, float], there: Array) -> Array:

@@ -22,7 +22,7 @@ class ArrayKernel:
         errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
         filtered = np.full((kept, len(self.layout.states)), np.nan)
         memory = np.full((kept, self.layout.memory), np.nan)
-        vectors = [_plain(v) for v in (p, x0, P0, q, r)]
+        vectors = [_plain(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
         done = self._filter(data, _plain(data.u), _plain(data.y), vectors, [errors, variances, filtered, memory])
         if done < rows:
             errors[done:], variances[done:] = np.inf, 1.0
@@ -38,6 +38,10 @@ class ArrayKernel:
         vectors = [_plain(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
         self._simulate(data, _plain(data.u), first, vectors, [outputs, states, memories])
         return Simulated(outputs, states, memories)
+
+    def _ramps(self, data: Data) -> Array:
+        """Which inputs are interpolated, as flags of C."""
+        return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
         """Fill errors, variances, states and memory from p, x0, P0, q and r; the number of rows done."""

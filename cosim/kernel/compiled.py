@@ -26,6 +26,7 @@ class _Log(ctypes.Structure):
         ("start", ctypes.c_double),
         ("u", ctypes.c_void_p),
         ("y", ctypes.c_void_p),
+        ("ramps", ctypes.c_void_p),
     )
 
 
@@ -39,11 +40,14 @@ class CompiledKernel(ArrayKernel):
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
-        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, y.ctypes.data)
+        ramps = self._ramps(data)
+        times = (len(u), data.substeps, data.settle, data.step, data.start)
+        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data)
         return int(self._library.filter(ctypes.byref(log), *map(_address, (*given, *room))))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
-        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, None)
+        ramps = self._ramps(data)
+        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, None, ramps.ctypes.data)
         self._library.simulate(ctypes.byref(log), first, *map(_address, (*given, *room)))
 
 
@@ -55,7 +59,7 @@ def _source(generated: Generated) -> str:
     """The whole C file."""
 
     def literal(value: float | tuple[int, ...]) -> str:
-        return "{" + ", ".join(map(str, value)) + "}" if isinstance(value, tuple) else f"({value})"
+        return "{" + ", ".join(map(str, value or (0,))) + "}" if isinstance(value, tuple) else f"({value})"
 
     head = "\n".join(f"#define {name} {literal(value)}" for name, value in constants(generated.layout).items())
     bodies = (STEP.read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))

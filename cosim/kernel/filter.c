@@ -1,6 +1,6 @@
 /* Extended Kalman filter over a log; the model's functions and step.c stand above this text.
  *
- * The mean of all states runs by RK4 with the command held; the covariance is that of the stochastic states S only, for the
+ * The mean of all states runs by RK4; the covariance is that of the stochastic states S only, for the
  * others (lags driven by known commands) are known. Measurements are independent and taken one at a time:
  *   P = Phi P Phi' + Q dt,   Phi = (I + hA + (hA)^2/2 + (hA)^3/6)^substeps
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
@@ -17,7 +17,7 @@ static void multiply(const double *a, const double *b, double *out, int transpos
 
 static void transition(double h, const double *A, double *Phi)
 {
-    double term[NS * NS], next[NS * NS];
+    double term[NS * NS + 1], next[NS * NS + 1];
     for (int i = 0; i < NS * NS; i++) Phi[i] = term[i] = (i % (NS + 1) == 0);
     for (int order = 1; order <= 3; order++) {
         multiply(term, A, next, 0);
@@ -28,33 +28,34 @@ static void transition(double h, const double *A, double *Phi)
 /* Over a whole step: the series is good for a substep, its power for the step. */
 static void transition_over(int substeps, double h, const double *A, double *Phi)
 {
-    double once[NS * NS], next[NS * NS];
+    double once[NS * NS + 1], next[NS * NS + 1];
     transition(h, A, once);
-    memcpy(Phi, once, sizeof once);
+    memcpy(Phi, once, sizeof(double) * NS * NS);
     for (int s = 1; s < substeps; s++) {
         multiply(once, Phi, next, 0);
-        memcpy(Phi, next, sizeof next);
+        memcpy(Phi, next, sizeof(double) * NS * NS);
     }
 }
 
-/* errors and variances: rows x NY, of each measurement before it is taken (NaN where missing); states: rows x NX, filtered. */
+/* r, errors and variances: rows x NY, of each measurement, the last two before it is taken (NaN where missing); states: rows x NX,
+ * filtered. */
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories)
 {
-    static const int S[NS] = STOCHASTIC;
-    double x[NX], P[NS * NS], A[NS * NS], Phi[NS * NS], M[NS * NS], C[NY * NS], y[NY], u[NU];
-    double memory[NM + 1] = {0.0}, moved[NS];
+    static const int S[NS + 1] = STOCHASTIC;
+    double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
+    double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1];
     const double h = log->step / log->substeps;
     const double delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
-    memcpy(x, x0, sizeof x);
-    memcpy(P, P0, sizeof P);
+    memcpy(x, x0, sizeof(double) * NX);
+    memcpy(P, P0, sizeof(double) * NS * NS);
     for (int k = 0; k < log->rows; k++) {
         double t = log->start + k * log->step;
         if (k > 0) {
             double before = t - log->step;
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
-                if (s == 0 && k <= log->settle) memcpy(P, P0, sizeof P); /* lags still forget their start */
+                if (s == 0 && k <= log->settle) memcpy(P, P0, sizeof(double) * NS * NS); /* lags still forget their start */
                 else if (s == 0) {
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);
@@ -65,14 +66,15 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 rk4(before + s * h, h, x, u, p);
             }
         }
-        measure(t, x, held(log, k), p, y);
-        measure_jacobian(t, x, held(log, k), p, C);
+        held(log, k, command);
+        measure(t, x, command, p, y);
+        measure_jacobian(t, x, command, p, C);
         for (int i = 0; i < NS; i++) moved[i] = 0.0; /* what the measurements of this row have moved the state by */
         for (int j = 0; j < NY; j++) {
             double measured = log->y[NY * k + j];
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
-            double PC[NS], s = r[j], e = measured - y[j];
+            double s = r[NY * k + j], e = measured - y[j];
             for (int i = 0; i < NS; i++) {
                 PC[i] = 0.0;
                 for (int l = 0; l < NS; l++) PC[i] += P[NS * i + l] * C[NS * j + l];
@@ -89,7 +91,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];
-        if (states) memcpy(states + NX * k, x, sizeof x);
+        if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
         for (int i = 0; i < NX; i++) if (!isfinite(x[i])) return k;
     }

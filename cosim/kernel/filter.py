@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # stand above and below: step.py; numbers of outputs and stochastic states; the model's functions
-    from cosim.arrays import Array
-    from cosim.kernel.step import DELAY, NM, NU, NX, act, kept, measure, rk4
+    from cosim.arrays import Array, Rows
+    from cosim.kernel.step import DELAY, NM, NU, NX, act, held, kept, measure, rk4
 
     NY = NS = 0
     STOCHASTIC = np.zeros(0, np.intp)
@@ -118,6 +118,7 @@ def filter(
     start: float,
     substeps: int,
     settle: int,
+    ramps: Rows,
     log_u: Array,
     log_y: Array,
     p: Array,
@@ -130,8 +131,12 @@ def filter(
     states: Array,
     memories: Array,
 ) -> int:
-    """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after."""
-    x, u, shaped, y, work = x0.copy(), np.empty(NU), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
+    """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after.
+
+    r (rows, NY): variance of the noise of each measurement
+    """
+    x, acting, shaped, y, work = x0.copy(), np.empty((3, NU)), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
+    command = np.empty(NU)
     P, square, C, moved = P0.copy(), np.empty((3, NS, NS)), np.empty((NY, NS)), np.empty(NS)
     memory = np.zeros(NM)
     h = step / substeps
@@ -141,16 +146,16 @@ def filter(
         if k > 0:
             before = t - step
             for s in range(substeps):
-                act(log_u, substeps, k, s, delay, memory, p, u, shaped)
+                act(log_u, ramps, substeps, k, s, delay, memory, p, acting, shaped)
                 if s == 0 and k <= settle:
                     P[:] = P0  # lags still forget their start
                 elif s == 0:
-                    predict(before, step, substeps, x, u, p, q, P, square)
-                rk4(before + s * h, h, x, u, p, work)
-        held = log_u[max(0, k - 1)]
-        measure(t, x, held, p, y)
-        measure_jacobian(t, x, held, p, C.reshape(NY * NS))
-        update(log_y[k], y, C, r, P, moved, errors[k], variances[k])
+                    predict(before, step, substeps, x, acting[0], p, q, P, square)
+                rk4(before + s * h, h, x, acting, p, work)
+        held(log_u, ramps, k, command)
+        measure(t, x, command, p, y)
+        measure_jacobian(t, x, command, p, C.reshape(NY * NS))
+        update(log_y[k], y, C, r[k], P, moved, errors[k], variances[k])
         for i in range(NS):
             x[STOCHASTIC[i]] += moved[i]
         if not kept(k, x, memory, states, memories):

@@ -1,7 +1,9 @@
 """A kernel's functions from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
 
 The model is evaluated with symbols, every effect of the catalogue and every sensor error awake, so that one compiled
-kernel serves every candidate; an effect is switched off by its neutral value.
+kernel serves every candidate; an effect is switched off by its neutral value. Each forced equation gets an unknown
+input that wanders about zero and is forgotten within a time T (Gauss and Markov's), for the filter to estimate:
+    ẋ = f(x, u) + d      ḋ = −d/T + w
 """
 
 from __future__ import annotations
@@ -10,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cosim.kernel.interface import Layout
+from cosim.kernel.interface import DISTURBANCE, MEMORY, Layout
 from cosim.kernel.nameless import PREFIX, bases
 from plant.model import Model
+from plant.namespaces import SymbolNamespace
 from plant.symbolic.functions import Body
 from plant.symbolic.languages import Language
 
@@ -57,8 +60,9 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
     if unnamed:
         _add_nameless(body, reach)
     _add_sensor_errors(body, model)
-    names = list(body.derivative)
-    stochastic = tuple(names.index(n) for n in reach.uncertain)
+    body = _disturbed(body, reach)
+    names, unknown = list(body.derivative), [DISTURBANCE + n for n in reach.forced]
+    stochastic = tuple(names.index(n) for n in (*reach.uncertain, *unknown))
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     functions = {
@@ -74,7 +78,7 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         inputs=tuple(q.name for q in model.inputs),
         outputs=tuple(measured),
         stochastic=stochastic,
-        noisy=tuple(k for k, n in enumerate(reach.uncertain) if n in reach.forced),
+        noisy=tuple(range(len(reach.uncertain), len(stochastic))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
         driven=tuple(names.index(n) for n in reach.driven),
@@ -89,10 +93,27 @@ def _add_nameless(body: Body, reach: Reach) -> None:
 
 
 def _add_sensor_errors(body: Body, model: Model) -> None:
+    import sympy
+
+    true = dict(body.outputs)
     for kind in model.sensors:
         symbol = body.parameter(f"{kind.name}.value")
-        if kind.output in body.outputs:
-            body.outputs[kind.output] = kind(value=symbol).measure(body.outputs[kind.output])
+        if kind.late:
+            continue  # it changes when readings were taken, not what they say
+        others = {**true, kind.output: body.outputs[kind.output]}
+        body.outputs[kind.output] = sympy.sympify(kind(value=symbol).read(SymbolNamespace(), body.symbols.time, others))
+
+
+def _disturbed(body: Body, reach: Reach) -> Body:
+    """The body with an unknown input, a state more, in each forced equation."""
+    import sympy
+
+    memory = body.parameter(MEMORY)
+    unknown = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in reach.forced}
+    for name, d in unknown.items():
+        body.derivative[name] += d
+        body.derivative[DISTURBANCE + name] = -d / memory
+    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *unknown.values())))
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:

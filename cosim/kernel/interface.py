@@ -10,6 +10,9 @@ from typing import Protocol
 
 from cosim.arrays import Array
 
+DISTURBANCE = "disturbance."  # before the name of a forced state: the unknown input of its equation, a state of its own
+MEMORY = "disturbance.time"  # the parameter that says how long it lasts [s]
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -20,7 +23,8 @@ class Layout:
     inputs:     names, in the order of `u`
     outputs:    names of the measured outputs, in the order of `y`
     stochastic: places of the states that process noise reaches and that reach a measured output
-    noisy:      places, within `stochastic`, of the states that process noise enters
+    noisy:      places, within `stochastic`, of the states that process noise enters: unknown inputs of equations
+                where the kernel has them, else the forced states themselves
     memory:     number of remembered values
     delay:      place of the delay among the parameters, -1 where the model has none
     driven:     places of the states that process noise does not reach and that reach a measured output
@@ -42,14 +46,24 @@ class Layout:
         return tuple(self.states[k] for k in self.stochastic)
 
     @property
-    def forced_places(self) -> list[int]:
+    def noise_places(self) -> list[int]:
         """Places, among all states, of those that process noise enters."""
         return [self.stochastic[k] for k in self.noisy]
 
     @property
+    def forced_places(self) -> list[int]:
+        """Places, among all states, of those in whose equations something may be missing."""
+        return [self.states.index(name) for name in self.forced]
+
+    @property
     def forced(self) -> tuple[str, ...]:
-        """Names of the states that process noise enters."""
-        return tuple(self.states[k] for k in self.forced_places)
+        """Names of the states in whose equations something may be missing."""
+        return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
+
+    @property
+    def coloured(self) -> bool:
+        """Whether noise enters unknown inputs that last for a while."""
+        return MEMORY in self.parameters
 
 
 @dataclass(frozen=True)
@@ -57,6 +71,7 @@ class Data:
     """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing.
 
     substeps: RK4 steps from row to row
+    interpolated: names of inputs that run straight from row to row; the others are held
     settle:   rows after the first over which the covariance stays P0, for so long no state is known better
     """
 
@@ -66,6 +81,7 @@ class Data:
     y: Array
     substeps: int
     settle: int = 0
+    interpolated: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,10 @@ class Kernel(Protocol):
         """Names, sizes and places."""
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log; q is per stochastic state, r per output. A run that diverges gives infinite errors."""
+        """Filter one log; q is per stochastic state, r per output, or per row and output.
+
+        A run that diverges gives infinite errors.
+        """
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0

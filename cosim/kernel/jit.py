@@ -26,10 +26,11 @@ class JitKernel(ArrayKernel):
         self._module = _compiled(_source(generated))
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
-        return int(self._module.filter(data.step, data.start, data.substeps, data.settle, u, y, *given, *room))
+        times = (data.step, data.start, data.substeps, data.settle)
+        return int(self._module.filter(*times, self._ramps(data), u, y, *given, *room))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
-        self._module.simulate(data.step, data.start, data.substeps, u, first, *given, *room)
+        self._module.simulate(data.step, data.start, data.substeps, self._ramps(data), u, first, *given, *room)
 
 
 def _source(generated: Generated) -> str:
@@ -59,10 +60,10 @@ def _compiled(source: str) -> Any:
     plain = {n: f for n, f in vars(module).items() if inspect.isfunction(f) and f.__module__ == module.__name__}
     for name, function in plain.items():
         setattr(module, name, numba.njit(function, **options))
-    grid, v, M = (float64, float64, intp), float64[::1], float64[:, ::1]
+    grid, v, M, flags = (float64, float64, intp), float64[::1], float64[:, ::1], numba.int32[::1]
     signatures = {
-        "filter": intp(*grid, intp, M, M, v, v, M, v, v, M, M, M, M),
-        "simulate": intp(*grid, M, intp, v, v, v, M, M, M, M),
+        "filter": intp(*grid, intp, flags, M, M, v, v, M, v, M, M, M, M, M),
+        "simulate": intp(*grid, flags, M, intp, v, v, v, M, M, M, M),
     }
     for name, signature in signatures.items():
         try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # stand below: numbers of states, inputs, remembered values; the model's functions
-    from cosim.arrays import Array
+    from cosim.arrays import Array, Rows
 
     NX = NU = NM = DELAY = 0
 
@@ -39,38 +39,86 @@ def held_mean(log_u: Array, t0: float, t1: float, out: Array) -> None:
         at = until
 
 
-def rk4(t: float, h: float, x: Array, u: Array, p: Array, k: Array) -> None:
-    """Advance x by h; k (5, NX) is room for four derivatives and the state at which they are taken."""
+def on_ramps(log_u: Array, ramps: Rows, at: float, out: Array) -> None:
+    """What is interpolated, at a time (in rows from the start); the others stay as they are."""
+    row = math.floor(at + 1e-9)
+    before, after = max(0, min(row, len(log_u) - 1)), max(0, min(row + 1, len(log_u) - 1))
+    for j in range(NU):
+        if ramps[j]:
+            out[j] = log_u[before, j] + (at - row) * (log_u[after, j] - log_u[before, j])
+
+
+def rk4(t: float, h: float, x: Array, acting: Array, p: Array, k: Array) -> None:
+    """Advance x by h; commands (3, NU) act at the start, the middle and the end.
+
+    k (5, NX) is room for four derivatives and the state at which they are taken.
+    """
     z = k[4]
-    deriv(t, x, u, p, k[0])
+    deriv(t, x, acting[0], p, k[0])
     for i in range(NX):
         z[i] = x[i] + 0.5 * h * k[0, i]
-    deriv(t + 0.5 * h, z, u, p, k[1])
+    deriv(t + 0.5 * h, z, acting[1], p, k[1])
     for i in range(NX):
         z[i] = x[i] + 0.5 * h * k[1, i]
-    deriv(t + 0.5 * h, z, u, p, k[2])
+    deriv(t + 0.5 * h, z, acting[1], p, k[2])
     for i in range(NX):
         z[i] = x[i] + h * k[2, i]
-    deriv(t + h, z, u, p, k[3])
+    deriv(t + h, z, acting[2], p, k[3])
     for i in range(NX):
         x[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
+def held(log_u: Array, ramps: Rows, k: int, out: Array) -> None:
+    """The commands with which the FMU gives its outputs in row k: held over the step before it, or interpolated."""
+    for j in range(NU):
+        out[j] = log_u[max(0, k - 1), j]
+    on_ramps(log_u, ramps, k, out)
+
+
 def act(
-    log_u: Array, substeps: int, k: int, s: int, delay: float, memory: Array, p: Array, u: Array, shaped: Array
+    log_u: Array,
+    ramps: Rows,
+    substeps: int,
+    k: int,
+    s: int,
+    delay: float,
+    memory: Array,
+    p: Array,
+    acting: Array,
+    shaped: Array,
 ) -> None:
-    """What acts over substep s of the step that ends in row k: the log's command after delay and what shapes it."""
-    start = k - 1 + s / substeps
+    """What acts over substep s of the step that ends in row k: the log's command after delay and what shapes it.
+
+    acting (3, NU): at its start, middle and end; what remembers takes one step, with the command in the middle.
+    """
+    start, width, middle = k - 1 + s / substeps, 1.0 / substeps, acting[1]
+    ramp = False
+    for j in range(NU):
+        ramp = ramp or ramps[j] > 0
     if delay > 0.0:
-        held_mean(log_u, start - delay, start + 1.0 / substeps - delay, u)
+        held_mean(log_u, start - delay, start + width - delay, middle)
     else:
         for j in range(NU):
-            u[j] = log_u[k - 1, j]
-    shape_all(u, memory, p, shaped)
+            middle[j] = log_u[k - 1, j]
+    for i in range(0, 3, 2):
+        for j in range(NU):
+            acting[i, j] = middle[j]
+        if ramp:
+            on_ramps(log_u, ramps, start + 0.5 * i * width - delay, acting[i])
+            shape_all(acting[i], memory, p, shaped)
+            for j in range(NU):
+                acting[i, j] = shaped[j]
+    if ramp:
+        on_ramps(log_u, ramps, start + 0.5 * width - delay, middle)
+    shape_all(middle, memory, p, shaped)
     for j in range(NU):
-        u[j] = shaped[j]
+        middle[j] = shaped[j]
     for j in range(NM):
         memory[j] = shaped[NU + j]
+    if not ramp:
+        for i in range(0, 3, 2):
+            for j in range(NU):
+                acting[i, j] = middle[j]
 
 
 def kept(k: int, x: Array, memory: Array, states: Array, memories: Array) -> bool:
@@ -90,6 +138,7 @@ def simulate(
     step: float,
     start: float,
     substeps: int,
+    ramps: Rows,
     log_u: Array,
     first: int,
     p: Array,
@@ -104,7 +153,8 @@ def simulate(
 
     Outputs (rows, NY) are free of noise. `first` is the row of x0 and memory0: rows before it matter to a delay alone.
     """
-    x, u, shaped, work = x0.copy(), np.empty(NU), np.empty(NU + NM), np.empty((5, NX))
+    x, acting, shaped, work = x0.copy(), np.empty((3, NU)), np.empty(NU + NM), np.empty((5, NX))
+    command = np.empty(NU)
     memory = memory0.copy()
     h = step / substeps
     delay = p[DELAY] / step if DELAY >= 0 else 0.0
@@ -112,12 +162,13 @@ def simulate(
         t = start + k * step
         if k > first:
             for s in range(substeps):
-                act(log_u, substeps, k, s, delay, memory, p, u, shaped)
-                rk4(t - step + s * h, h, x, u, p, work)
+                act(log_u, ramps, substeps, k, s, delay, memory, p, acting, shaped)
+                rk4(t - step + s * h, h, x, acting, p, work)
             if len(kicks) > 0:
                 for i in range(NX):
                     x[i] += kicks[k, i]
-        measure(t, x, log_u[max(0, k - 1)], p, outputs[k])  # the FMU's outputs are of the command held
+        held(log_u, ramps, k, command)
+        measure(t, x, command, p, outputs[k])
         if not kept(k, x, memory, states, memories):
             return k
     return len(log_u)

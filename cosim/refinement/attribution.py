@@ -1,43 +1,39 @@
-"""Which effect is missing: fit every hypothesis with process noise free, compare, claim or abstain.
+"""Which effects are missing: what any set of candidates promises, the most promising fitted, the best of all kept.
 
-The base fit first; then every candidate alone; then the best one with every other, and the best few in pairs, for one
-of two missing effects alone can fit with the wrong sign. A hypothesis is scored by its objective + ½·k·ln N (half of
-BIC). What is left is then tried against terms of no catalogue (`unnamed`): where one of them is significant, the
-catalogue does not hold the answer.
+The base fit first. About the best hypothesis so far, a score test says for one filter run a parameter what every set of
+candidates would gain: one more, two more, one in place of another, one less. The most promising sets are fitted; what a
+fit brings to neutral is left out, and the rest fitted again; about the best, all begins anew, until nothing promises
+more. So one of several missing effects that alone fits with a wrong sign, or in place of another, is put right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
 
 from cosim.refinement.candidates import Candidate
-from cosim.refinement.held_out import held_out_gain
-from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import (
-    SIGNIFICANT,
-    SIGNIFICANT_IN_NOISE,
-    Contest,
-    is_noisy,
-    noise_gain,
-    significant,
-    strained,
-)
+from cosim.refinement.hypotheses import Found, Hypothesis
+from cosim.refinement.judgement import SIGNIFICANT, loss_without
+from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem, coarsened
-from cosim.refinement.search import Parts, Progress, Search
-from cosim.refinement.sensor_noise import at_rest
+from cosim.refinement.screen import Choice, ScoreTest, Terms
+from cosim.refinement.search import Parts, Progress, Search, key_of
 from plant.model import Model
 
-CLAIM = 6.0  # score a hypothesis must gain on the one it extends
-CLAIM_IN_NOISE = 15.0  # the same where process noise is at work: it is seldom as white as the filter takes it to be
-SHARE = 0.02  # of what the first effects gain, that one more must gain too
-NEAR = 15.0  # score within which a hypothesis is fitted to the end before it is decided
-TO_THE_END = 60  # iterations, within which every fit met so far has converged
-MOST_EFFECTS = 3
-PAIRS_AMONG = 4
+FITTED = 8  # sets a round
+AMONG = 10  # candidates, the most promising, of which pairs and more are put together
+TOGETHER = 4  # at most at once, about the base model
+NEAR = 12.0  # of score within which a set is worth a fit, and a hypothesis is fitted to the end
+DONE = 1.0  # of score, below which a round has found nothing better
+ROUNDS = 10
+FINALISTS = 6
 
 
 class Attributor:
-    """The order of the steps: base, single candidates, extensions, the best to the end."""
+    """The order of the steps: base, rounds of promising sets, the best to the end."""
 
     def __init__(
         self,
@@ -48,96 +44,100 @@ class Attributor:
     ) -> None:
         self.candidates, self.progress = candidates, progress
         self.fine = problem
-        self.search = Search(model, coarsened(problem), progress)
-        self.drowned: set[tuple[str, ...]] = set()
-        self.claim = CLAIM
+        self.model = model
+        self.search = Search(model, coarsened(problem), len(candidates), progress)
+        self.identifiable: dict[str, float] = {}
 
-    def run(self) -> Attribution:
-        """Base fit, singles, extensions, rivals."""
+    def run(self) -> Found:
+        """Base fit, rounds, finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = search.hypothesis((), None)
+        search.tried[()] = base
         search.reached = base.fit.objective
-        self.claim = CLAIM_IN_NOISE if is_noisy(search.problem, base.fit) else CLAIM
-        alone = [(c,) for c in self.candidates]
-        singles = search.fit_all(alone, base, "trying every effect, sensor and parameter", self.claim)
-        best = self._better(singles, base, self.claim, final=False)
-        if best is not base:
-            best = self._extended(best, singles, base)
-        self.progress("fitting the best to the end", 0.0)
-        search.problem = self.fine
-        base, best = self._decided(base, best)
-        ranking = tuple(sorted(search.tried.values(), key=lambda h: h.score))
-        contest = Contest(base, best, ranking, self.claim, search.problem.values, self.drowned)
-        return Attribution(
-            base,
-            ranking,
-            best,
-            contest.rivals(),
-            held_out_gain(search, best, base),
-            noise_gain(search.problem, best.fit),
-            contest.reasons(),
-            self._hidden(nothing_claimed=best is base),
-        )
-
-    def _extended(self, best: Hypothesis, singles: Sequence[Hypothesis], base: Hypothesis) -> Hypothesis:
-        """Candidates added while one gains enough; pairs of the best few singles compete with the first extension."""
-        promising = [h for h in sorted(singles, key=lambda h: h.score) if base.score - h.score > self.claim]
-        top = [h.candidates[0] for h in promising[:PAIRS_AMONG]]
-        while len(best.candidates) < MOST_EFFECTS:
-            # under a coloured disturbance a small second effect is soon imagined: it must be worth some of the first
-            gain = self.claim + SHARE * (base.score - best.score)
-            stage = f"looking for what is missing beside {' and '.join(best.names)}"
-            options = self.search.fit_all(self._extensions(best, top), best, stage, gain)
-            wider = self._better(options, best, gain)
-            if wider is best:
-                return best
-            best = wider
-        return best
-
-    def _extensions(self, best: Hypothesis, top: Sequence[Candidate]) -> list[Parts]:
-        """The best with each other candidate; of a single one, also the pairs among `top` that do without it."""
-        # what is wrong with a sensor too leaves no process noise: it is looked for where all else is settled
-        settled = not (is_noisy(self.search.problem, best.fit) or strained(best.fit, self.claim))
-        beside = [c for c in self.candidates if c.name not in best.names and (c.kind == "sensor" or not settled)]
-        sets: list[Parts] = [(*best.candidates, c) for c in beside]
-        if len(best.candidates) == 1 and not settled:
-            sets += [(a, b) for i, a in enumerate(top) for b in top[i + 1 :] if best.candidates[0] not in (a, b)]
-        return sets
-
-    def _decided(self, base: Hypothesis, best: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
-        """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
-        again = self.search.hypothesis((), base.fit, TO_THE_END, loosen=False)
-        if best is base:
-            return again, again
-        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR]
-        fitted = self.search.fit_again(near, TO_THE_END)
-        alike = [h for h in fitted if len(h.candidates) == len(best.candidates)]
-        return again, self._better(alike, again, self.claim)
-
-    def _better(
-        self, options: Sequence[Hypothesis], than: Hypothesis, gain: float, *, final: bool = True
-    ) -> Hypothesis:
-        """The best option that gains enough and of which every part is significant; else `than`.
-
-        Where an option leaves process noise, its intervals are too narrow and its parts must be further from neutral.
-        That is not asked of an option that is still to be extended: the noise may be an effect's that joins it later.
-        """
-        neutral = self.search.problem.values
-        for h in sorted(options, key=lambda h: h.score):
-            if than.score - h.score < gain:
+        search.problem = replace(search.problem, sensing=base.fit.noise)
+        best, idle = base, 0
+        for number in range(ROUNDS):
+            proposed = self._proposed(best)
+            if not proposed:
                 break
-            least = SIGNIFICANT_IN_NOISE if final and is_noisy(self.search.problem, h.fit) else SIGNIFICANT
-            if all(significant(h, c, neutral, least) for c in h.candidates):
-                return h
-            if all(significant(h, c, neutral) for c in h.candidates):
-                self.drowned.add(h.names)
-        return than
+            stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
+            fitted = search.fit_all(proposed, best, stage, NEAR)
+            reduced = search.fit_all(self._reduced(fitted), best, "leaving out what does nothing", NEAR)
+            before, best = best.score, min((best, *fitted, *reduced), key=lambda h: h.score)
+            idle = idle + 1 if best.score > before - DONE else 0
+            if idle > 1:
+                break
+        return self._decided(base, best)
 
-    def _hidden(self, *, nothing_claimed: bool) -> tuple[str, ...]:
-        """Effects that would not be identifiable at their usual size; at rest, and where nothing is claimed, all."""
+    def _proposed(self, best: Hypothesis) -> list[tuple[Parts, Mapping[str, float] | None]]:
+        """The sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
+        search, parts = self.search, {c.name: c for c in self.candidates}
+        test = ScoreTest(search.problem, best.fit, best.candidates)
+        self.progress("asking what every candidate promises", 0.0)
+        terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
+        for t in terms:
+            name = t.candidate.name
+            self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
+        grown = [t for t in terms if not t.switched or t.candidate.name in best.names]
+        choice = Choice(test, grown, best.candidates, search.problem.values)
+        ranked: list[tuple[float, tuple[str, ...], Mapping[str, float]]] = []
+        for names in self._sets(choice, best):
+            if tuple(sorted(names)) in search.tried:
+                continue
+            promise = choice.promise(names)
+            if promise.within:
+                score = (
+                    best.score - promise.gain + search.cost([parts[n] for n in names]) - search.cost(best.candidates)
+                )
+                ranked.append((score, names, promise.values))
+        ranked.sort(key=lambda one: one[0])
+        chosen = [one for one in ranked if one[0] < best.score + NEAR][:FITTED]
+        proposed: list[tuple[Parts, Mapping[str, float] | None]] = [
+            (tuple(parts[n] for n in names), values) for _, names, values in chosen
+        ]
+        switched = [t.candidate for t in terms if t.switched and t.candidate.name not in best.names]
+        proposed += [((*best.candidates, c), None) for c in switched]
+        return proposed
+
+    def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
+        """Sets near a hypothesis: with one or two more, with one in place of another, with one less."""
+        standing = list(best.names)
+        others = [name for name in choice.terms if name not in standing]
+        gains = {name: choice.promise([*standing, name]) for name in others}
+        first = sorted((n for n in others if gains[n].within), key=lambda n: -gains[n].gain)
+        alone = sorted(others, key=lambda n: -gains[n].gain)[:AMONG]
+        yield from ((*standing, name) for name in first)
+        for count in range(2, TOGETHER + 1 if not standing else 3):
+            yield from ((*standing, *more) for more in combinations(alone, count))
+        for gone in standing:
+            if choice.terms[gone].candidate.kind == "parameter":
+                continue
+            left = [name for name in standing if name != gone]
+            yield tuple(left)
+            yield from ((*left, name) for name in others)
+            yield from ((*left, *more) for more in combinations(alone[: AMONG // 2], 2))
+
+    def _reduced(self, fitted: Sequence[Hypothesis]) -> list[tuple[Parts, Mapping[str, float] | None]]:
+        """Of each fit, what is left without the parts that gain less than they cost."""
+        sets: dict[tuple[str, ...], tuple[Parts, Mapping[str, float] | None]] = {}
+        for h in fitted:
+            neutral = self.search.problem.values
+            kept = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
+            if kept and len(kept) < len(h.candidates):
+                sets[key_of(kept)] = kept, {n: h.fit.values[n] for c in kept for n in c.parameters}
+        return list(sets.values())
+
+    def _decided(self, base: Hypothesis, best: Hypothesis) -> Found:
+        """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
+        search = self.search
+        self.progress("fitting the best to the end", 0.0)
+        search.problem = replace(self.fine, sensing=base.fit.noise)
+        near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
+        *fitted, again = search.fit_again([*(h for h in near[:FINALISTS] if h.names), base])
+        search.reached = again.fit.objective
+        best = min((again, *fitted), key=lambda h: h.score)
+        shown = self.identifiable
         effects = [c.name for c in self.candidates if c.kind == "effect"]
-        if nothing_claimed and at_rest(self.search.problem):
-            return tuple(effects)
-        shown = self.search.identifiable
-        return tuple(name for name in effects if name in shown and shown[name] < SIGNIFICANT**2)
+        hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
+        return Found(search, best, tuple(hidden))

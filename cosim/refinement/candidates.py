@@ -10,9 +10,10 @@ from plant.model import Model
 from plant.quantities import Parameter, parameters_of
 
 Kind = Literal["effect", "sensor", "parameter"]
-# A data sheet is taken to be right to this share: recalibration within it is no discovery.
-TOLERANCE = 0.01
-BASE_RANGE = (0.1, 5.0)  # of the nominal value
+# A data sheet that states no tolerance is taken to be right to this share, in 95 cases of 100: recalibration within it
+# is no discovery.
+TOLERANCE = 0.02
+WIDTHS = 2.0  # standard deviations to a tolerance on each side
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,14 @@ def neutral_values(model: Model) -> dict[str, float]:
     return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}
 
 
-def base_parameters(model: Model, values: Mapping[str, float], loose: Sequence[str] = ()) -> list[Free]:
-    """The parameters every fit recalibrates, held near their data sheet unless they are on trial themselves."""
-    return [_base(model, name, values, None if name in loose else TOLERANCE) for name in model.calibrated]
+def base_parameters(model: Model, values: Mapping[str, float], tolerance: Mapping[str, float]) -> list[Free]:
+    """The parameters every fit recalibrates, each held near its data sheet: the calibrated, and those with a tolerance.
+
+    tolerance: parameter → share of it, as the study states it; before what the model states
+    """
+    stated = {p.name: p.tolerance for p in model.parameters if p.tolerance is not None} | dict(tolerance)
+    names = dict.fromkeys((*model.calibrated, *stated))
+    return [_base(model, name, values, stated.get(name, TOLERANCE)) for name in names]
 
 
 def candidates(model: Model, values: Mapping[str, float], varied: Sequence[str]) -> list[Candidate]:
@@ -69,12 +75,10 @@ def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]
 
 
 def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
-    """A base parameter, within a range of its value; of one that is 0 or negative, of its usual size."""
+    """A base parameter within its bounds; its size is that of its value, of one that is 0 its usual size."""
     p, value = model.declared[name], values[name]
     scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
-    least, most = BASE_RANGE if value > 0.0 else (-BASE_RANGE[1], BASE_RANGE[1])
-    low, high = (max(p.bounds[0], least * scale), min(p.bounds[1], most * scale))
-    return Free(name, low, high, 0.05 * scale, None if tolerance is None else (value, tolerance * scale))
+    return Free(name, *p.bounds, 0.05 * scale, None if tolerance is None else (value, tolerance * scale / WIDTHS))
 
 
 def _free(p: Parameter, name: str) -> Free:

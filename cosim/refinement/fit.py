@@ -1,6 +1,6 @@
-"""Maximum likelihood on the innovations, process noise free, by Fisher scoring.
+"""Maximum likelihood on the innovations, process and sensor noise free, by Fisher scoring.
 
-Kristensen, Madsen and Jørgensen (2004): the process noise is estimated with the parameters; which state's noise is
+Kristensen, Madsen and Jørgensen (2004): the noise is estimated with the parameters; which equation's unknown input is
 inflated says which equation is deficient, and it falls back when the right term is in.
     NLL = ½ Σ ln 2πs + e²/s    gradient Σ ∂e·e/s + ½ ∂ln s·(1 − e²/s)    information Σ ∂e·∂e'/s + ½ ∂ln s·∂ln s'
 """
@@ -14,28 +14,30 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.refinement.candidates import Free
+from cosim.refinement.noise_model import Noise
 from cosim.refinement.problem import Problem, Scored
 
 ITERATIONS = 30
 CONVERGED = 0.02  # of NLL, the improvement below which an iteration is the last
 DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
-Q_DIFFERENCE = 0.05
+NOISE_DIFFERENCE = 0.05
 FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
 PROMISE = 3.0  # times the improvement the quadratic model promises, before a fit is given up
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Result: values of all parameters, ln q, NLL by log, and the information matrix of the free ones."""
+    """Result: values of all parameters, noise, NLL by log, and the information of the free ones, those of noise last."""
 
     values: Mapping[str, float]
-    log_q: Array
+    noise: Noise
     free: tuple[Free, ...]
     nll_by_log: tuple[float, ...]
     penalty: float
     information: Array
     iterations: int
     converged: bool
+    scattered: Array | None = None  # covariance of the free ones as estimates scatter from block to block of time
 
     @property
     def nll(self) -> float:
@@ -49,17 +51,18 @@ class Fit:
 
     def marginal(self, names: Sequence[str]) -> Array:
         """Information on some parameters when all others are free too: the Schur complement of theirs."""
-        own = np.isin([f.name for f in self.free] + [""] * len(self.log_q), names)
         F = self.information
+        own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         reduced: Array = (
             F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
         )
         return reduced
 
     def sigma(self, name: str) -> float:
-        """Standard deviation of an estimate, from the inverse of the information."""
+        """Standard deviation of an estimate: from the inverse of the information, or its scatter where that is more."""
         k = [f.name for f in self.free].index(name)
-        return float(np.sqrt(max(0.0, inverse(self.information)[k, k])))
+        variance = inverse(self.information)[k, k]
+        return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
 
 
 def inverse(information: Array) -> Array:
@@ -74,41 +77,59 @@ def fit(
     problem: Problem,
     free: Sequence[Free],
     start: Mapping[str, float],
-    log_q: Array,
+    noise: Noise,
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
     goal: float = np.inf,
     fair: int = FAIR,
     reached: float = np.inf,
+    sensing: bool = True,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
     A fit is given up where it is when, after `fair` iterations, the quadratic model promises no objective below `goal`.
     While the objective is above `reached`, which some values of these parameters are known to reach, that model says
     little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time.
+    Without `sensing`, of the noise only the power of the unknown inputs is moved.
     """
-    return _Scoring(problem, tuple(free), start, log_q, only).run(iterations, goal, fair, reached)
+    return _Scoring(problem, tuple(free), start, noise, only, sensing).run(iterations, goal, fair, reached)
+
+
+def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
+    """Derivative of each measurement's NLL by the free parameters and all free noise, and their information."""
+    scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
+    scoring.scored = scoring._evaluate(scoring.theta)
+    e, s = scoring.scored.errors, scoring.scored.variances
+    de, dls = scoring.sensitivities()
+    _, information = scoring.derivatives(de, dls)
+    size = scoring.size
+    each = de * (e / s) + 0.5 * dls * (1.0 - e * e / s)
+    return each / size[:, None], information / np.outer(size, size)
 
 
 class _Scoring:
-    """Fisher scoring with Levenberg's damping; θ is the free parameters, then ln q."""
+    """Fisher scoring with Levenberg's damping; θ is the free parameters, then what of the noise is free."""
 
     def __init__(
         self,
         problem: Problem,
         free: tuple[Free, ...],
         start: Mapping[str, float],
-        log_q: Array,
+        noise: Noise,
         only: Sequence[int] | None,
+        sensing: bool,
     ) -> None:
         self.problem, self.free, self.only = problem, free, only
         self.known = {**problem.values, **start}
-        nq = len(log_q)
-        self.low = np.array([f.low for f in free] + [*problem.noise.smallest])
-        self.high = np.array([f.high for f in free] + [*problem.noise.largest])
-        self.size = np.array([f.size for f in free] + [1.0] * nq)
-        self.difference = np.array([DIFFERENCE] * len(free) + [Q_DIFFERENCE] * nq) * self.size
-        self.theta = np.clip(np.array([*(self.known[f.name] for f in free), *log_q]), self.low, self.high)
+        limits, count = problem.limits, len(noise.power)
+        self.noise, self.fixed = noise, noise.vector
+        self.moved = limits.free if sensing else limits.free[limits.free < count]
+        self.low = np.array([f.low for f in free] + [*limits.low[self.moved]])
+        self.high = np.array([f.high for f in free] + [*limits.high[self.moved]])
+        self.size = np.array([f.size for f in free] + [1.0] * len(self.moved))
+        self.difference = self.size * np.array([DIFFERENCE] * len(free) + [NOISE_DIFFERENCE] * len(self.moved))
+        here = [*(self.known[f.name] for f in free), *self.fixed[self.moved]]
+        self.theta = np.clip(np.array(here), self.low, self.high)
         self.damping = 1e-3
 
     def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
@@ -117,7 +138,7 @@ class _Scoring:
         done, converged, pace = 0, False, 0.0
         information = np.zeros((len(self.theta),) * 2)
         while done < iterations and not converged:
-            gradient, information = self._derivatives()
+            gradient, information = self.derivatives(*self.sensitivities())
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
             if before > reached:
@@ -127,10 +148,10 @@ class _Scoring:
             pace = self._move(gradient, information)
             converged = pace < CONVERGED
             done += 1
-        values, log_q = self._unpack(self.theta)
+        values, noise = self._unpack(self.theta)
         return Fit(
             values,
-            log_q,
+            noise,
             self.free,
             self.scored.by_log,
             self._penalty(self.theta),
@@ -139,26 +160,28 @@ class _Scoring:
             converged,
         )
 
-    def _unpack(self, theta: Array) -> tuple[dict[str, float], Array]:
+    def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
         n = len(self.free)
         moved = {f.name: float(v) for f, v in zip(self.free, theta[:n], strict=True)}
-        return {**self.known, **moved}, theta[n:]
+        vector = self.fixed.copy()
+        vector[self.moved] = theta[n:]
+        return {**self.known, **moved}, self.noise.like(vector)
 
     def _evaluate(self, theta: Array) -> Scored:
         return self.problem.scored(*self._unpack(theta), self.only)
 
     def _penalty(self, theta: Array) -> float:
         pairs = zip(self.free, theta[: len(self.free)], strict=True)
-        return float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
+        noise = self.fixed.copy()
+        noise[self.moved] = theta[len(self.free) :]
+        of_noise = self.problem.limits.penalty(noise)
+        return of_noise + float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
 
     def _objective(self, theta: Array, scored: Scored) -> float:
         return scored.nll + self._penalty(theta)
 
-    def _derivatives(self) -> tuple[Array, Array]:
-        """Gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes.
-
-        ∂e and ∂ln s are one-sided differences, towards the inside where a parameter is at its upper limit.
-        """
+    def sensitivities(self) -> tuple[Array, Array]:
+        """∂e and ∂ln s by θ in units of the parameters' sizes: one-sided differences, inwards from an upper limit."""
         e, s = self.scored.errors, self.scored.variances
         de, dls = np.empty((len(self.theta), len(e))), np.empty((len(self.theta), len(e)))
         for i, h in enumerate(self.difference):
@@ -169,13 +192,21 @@ class _Scoring:
             with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
                 de[i] = (other.errors - e) / h * self.size[i]
                 dls[i] = np.log(other.variances / s) / h * self.size[i]
-        de, dls = np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
+        return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
+
+    def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
+        """Gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes."""
+        e, s = self.scored.errors, self.scored.variances
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T
         for i, f in enumerate(self.free):
             if f.prior:
                 gradient[i] += f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
                 information[i, i] += (f.size / f.prior[1]) ** 2
+        limits = self.problem.limits
+        for i, place in enumerate(self.moved, len(self.free)):
+            gradient[i] += (self.theta[i] - limits.mean[place]) / limits.sigma[place] ** 2
+            information[i, i] += limits.sigma[place] ** -2
         return gradient, information
 
     def _move(self, gradient: Array, information: Array) -> float:

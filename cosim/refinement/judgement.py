@@ -1,36 +1,162 @@
-"""By what a hypothesis is judged: significance, limits, process noise that it leaves, and rivals."""
+"""By what a hypothesis is judged: what its parts gain, limits, noise that it leaves, rivals, and why others lost."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.refinement.candidates import Candidate, Free
-from cosim.refinement.fit import Fit
-from cosim.refinement.hypotheses import NOISE, Hypothesis
+from cosim.refinement.evidence import Support, held_out, scattered, steadiness
+from cosim.refinement.fit import Fit, inverse
+from cosim.refinement.hypotheses import Attribution, Found, Hypothesis
+from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
+from cosim.refinement.search import Search, key_of
 
 RIVAL = 5.0  # score within which another hypothesis explains as well
+UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
+NEAR = 12.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
-SIGNIFICANT_IN_NOISE = 15.0  # the same where process noise is left: intervals that take it for white are too narrow
+PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
+WORSE, BETTER = -3.0, 3.0  # times its scatter, by which predictions on logs left out refuse a part, or bear it out
+TOLERANCES = (0.5, 2.0)  # times which the tolerances are taken, to see whether a claim hangs on them
+
+
+def decided(found: Found) -> Attribution:
+    """The best hypothesis of which every part is borne out, its rivals, and why the others lost."""
+    search, best = found.search, found.best
+    support: dict[str, Support] = {}
+    dropped: dict[str, str] = {}
+    while best.candidates:
+        without = _without_each(search, best)
+        support = {c.name: _support(search, best, without[c.name]) for c in best.candidates}
+        doubts = {c.name: d for c in best.candidates if (d := _doubt(search, best, c, support[c.name]))}
+        if not doubts:
+            break
+        weakest = min(doubts, key=lambda name: support[name].gain)
+        dropped[weakest] = doubts[weakest]
+        best = without[weakest]
+    base = search.tried[()]
+    if best.candidates:
+        best = replace(best, fit=scattered(search.problem, best.fit))
+    rivals = _rivals(search, best)
+    ranking = tuple(sorted(search.tried.values(), key=lambda h: h.score))
+    reasons = Reasons(base, best, ranking, rivals, search, dropped).all()
+    total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
+    return Attribution(
+        base, ranking, best, rivals, total, support, noise_gain(search.problem, best.fit), reasons, found.hidden
+    )
+
+
+def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
+    """The hypothesis without each of its parts, fitted to the end."""
+
+    def one(c: Candidate) -> Hypothesis:
+        left = tuple(other for other in h.candidates if other.name != c.name)
+        known = search.tried.get(key_of(left))
+        return known if known and known.ended else search.hypothesis(left, h.fit, loosen=False)
+
+    fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
+    search.tried |= {f.names: f for f in fitted.values()}
+    return fitted
+
+
+def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
+    gain = worse.fit.objective - better.fit.objective
+    steady = steadiness(search.problem, better.fit, worse.fit)
+    if gain > PLAIN and steady > PLAINLY:
+        return Support(gain, steady)
+    return Support(gain, steady, *held_out(search, better, worse))
+
+
+def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
+    """Why a part does not stand; empty where it does."""
+    if s.gain < search.cost([c]):
+        return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
+    if limits := [f.name for f in c.free if at_limit(h, f, search.problem.values)]:
+        return f"{limits[0]} is at its limit"
+    if s.steady < UNSURE:
+        return f"what it gains is {s.steady:.1f} times its own scatter over time"
+    if s.held_out <= 0.0 and not s.predicted > BETTER:
+        return "gains nothing on logs left out"
+    if s.predicted < WORSE:
+        return "predictions of logs left out are worse with it"
+    if c.kind == "parameter" and not outside(search, h, c):
+        return "is within its tolerance"
+    return ""
+
+
+def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
+    """The interval of a base parameter is wholly beyond its tolerance."""
+    (name,) = c.parameters
+    held = {f.name: f.prior for f in search.free(()) if f.prior}
+    if name not in held:
+        return True
+    mean, sigma = held[name]
+    return abs(h.fit.values[name] - mean) - 1.96 * h.fit.sigma(name) > 2.0 * sigma
+
+
+def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
+    """Other hypotheses of no more candidates that explain as well, or would with other tolerances."""
+    if not best.candidates:
+        return ()
+    near = [
+        h
+        for h in search.tried.values()
+        if h.ended
+        and h.score - best.score < NEAR
+        and not set(h.names) <= set(best.names)
+        and not set(h.names) >= set(best.names)
+    ]
+    return tuple(h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h))
+
+
+def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
+    if h.score - best.score < RIVAL:
+        return True
+    if any(
+        _with_tolerance(h, t) + search.cost(h.candidates) < _with_tolerance(best, t) + search.cost(best.candidates)
+        for t in TOLERANCES
+    ):
+        return True
+    return steadiness(search.problem, best.fit, h.fit) < UNSURE
+
+
+def _with_tolerance(h: Hypothesis, times: float) -> float:
+    """The objective where every tolerance is so many times as wide, by the fit's own quadratic.
+
+    With F the information without priors and θ̂ where it alone would lead, the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
+    """
+    f = h.fit
+    held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
+    if not held:
+        return f.objective
+    n = len(f.information)
+    now, then, off = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    for k, (mean, sigma) in held:
+        now[k, k], then[k, k] = sigma**-2, (times * sigma) ** -2
+        off[k] = f.values[f.free[k].name] - mean
+    bare = f.information - now
+    pull = now @ off  # gradient of the priors here, which that of the likelihood balances
+    # about θ: L(δ) = −pull·δ + ½ δ'F δ, prior(δ) = ½ (off + δ)'then(off + δ)
+    delta = inverse(bare + then) @ (pull - then @ off)
+    likelihood = float(-pull @ delta + 0.5 * delta @ bare @ delta)
+    prior = 0.5 * float((off + delta) @ then @ (off + delta))
+    return f.objective - 0.5 * float(off @ now @ off) + likelihood + prior
+
+
+def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> float:
+    """Log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
+    away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
+    return 0.5 * float(away @ h.fit.marginal(c.parameters) @ away)
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Log-likelihood that the process noise of each forced equation gains in a fit."""
-    without = np.diag(problem.noise.smallest - f.log_q) + f.log_q
-    return tuple(problem.scored(f.values, log_q).nll - f.nll for log_q in without)
-
-
-def is_noisy(problem: Problem, f: Fit) -> bool:
-    """Some forced equation needs its process noise in a fit."""
-    return any(gain > NOISE for gain in noise_gain(problem, f))
-
-
-def strained(f: Fit, claim: float) -> bool:
-    """Some base parameter is so far from its data sheet that its prior costs more than a claim must gain."""
-    return any(0.5 * ((f.values[x.name] - x.prior[0]) / x.prior[1]) ** 2 > claim for x in f.free if x.prior)
+    """Log-likelihood that the unknown input of each forced equation gains in a fit."""
+    without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
+    return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
 
 def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
@@ -39,64 +165,35 @@ def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     return value in (f.low, f.high) and value not in (neutral[f.name], f.neutral)
 
 
-def significant(h: Hypothesis, c: Candidate, neutral: Mapping[str, float], least: float = SIGNIFICANT) -> bool:
-    """Away from neutral by Wald's test of all its parameters together, and none of them at a limit."""
-    away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
-    pinned = any(at_limit(h, f, neutral) for f in c.free)
-    return not pinned and bool(away @ h.fit.marginal(c.parameters) @ away > least**2)
-
-
 @dataclass(frozen=True)
-class Contest:
-    """Every hypothesis that was tried, best score first, and the one that stands.
-
-    claim:   score that a candidate must gain
-    neutral: values of all parameters in the model as it is
-    drowned: names of those that are significant, but not beside the process noise that they leave
-    """
+class Reasons:
+    """Why each hypothesis but the best is not the answer, in words."""
 
     base: Hypothesis
     best: Hypothesis
     tried: Sequence[Hypothesis]
-    claim: float
-    neutral: Mapping[str, float]
-    drowned: Container[tuple[str, ...]]
+    rivals: Sequence[Hypothesis]
+    search: Search
+    dropped: Mapping[str, str]
 
-    def rivals(self) -> tuple[Hypothesis, ...]:
-        """Other hypotheses of no more candidates that explain as well."""
-        if self.best is self.base:
-            return ()
-        return tuple(
-            h
-            for h in self.tried
-            if h.names != self.best.names and self._is_as_simple(h) and h.score - self.best.score < RIVAL
-        )
-
-    def reasons(self) -> dict[tuple[str, ...], str]:
-        """Why each hypothesis but the best is not the answer, in words."""
+    def all(self) -> dict[tuple[str, ...], str]:
+        """By the names of each."""
         return {h.names: self._reason(h) for h in self.tried if h.names != self.best.names}
 
     def _reason(self, h: Hypothesis) -> str:
         """The first that applies."""
         gained, behind = self.base.score - h.score, h.score - self.best.score
         than = " and ".join(self.best.names) or "the base model"
-        if self.best is not self.base and abs(behind) < RIVAL and self._is_as_simple(h):
-            return f"a rival: explains as well as {than}, within {RIVAL:.0f}"
-        if gained <= 0:
+        if any(h.names == r.names for r in self.rivals):
+            return f"a rival: explains as well as {than}"
+        if extra := [n for n in h.names if n in self.dropped and n not in self.best.names]:
+            return f"{extra[0]}: {self.dropped[extra[0]]}"
+        if h.fit.objective >= self.base.fit.objective:
             return "no gain"
-        if gained < self.claim:
-            return f"gains {gained:.1f}, less than the {self.claim:.0f} that a candidate must"
-        if h.fit.iterations == 0:
-            return f"explains less than {than} by {behind:.1f}, by its score test"
-        if limits := [f.name for c in h.candidates for f in c.free if at_limit(h, f, self.neutral)]:
+        if gained < 0.0:
+            return "gains less than it costs"
+        if limits := [f.name for c in h.candidates for f in c.free if at_limit(h, f, self.search.problem.values)]:
             return f"{limits[0]} is at its limit"
-        if not all(significant(h, c, self.neutral) for c in h.candidates):
-            return "not significantly away from neutral"
-        if h.names in self.drowned:
-            return f"less than {SIGNIFICANT_IN_NOISE:.0f} standard deviations from neutral, and process noise is left"
         if behind < 0.0:
-            return f"gains {-behind:.1f} on {than}, less than an added effect must"
+            return f"gains {-behind:.1f} on {than}, but not with every part borne out"
         return f"explains less than {than} by {behind:.1f}"
-
-    def _is_as_simple(self, h: Hypothesis) -> bool:
-        return len(h.candidates) <= len(self.best.candidates)

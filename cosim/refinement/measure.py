@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.kernel.interface import MEMORY as LASTS
 from cosim.kernel.interface import Data, Filtered
 from cosim.logs.log import Log
-from cosim.refinement.problem import Problem, as_data, start_covariance, start_state
+from cosim.refinement.problem import Problem, as_data, start_covariance, start_state, unscored
+from cosim.refinement.readings import readings_of
 from cosim.refinement.variants import Variant
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN, pooled
@@ -35,9 +37,10 @@ Evidence = list[tuple[Log, Replay]]
 def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
     """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
     layout = problem.layout
-    data = [as_data(model, log, layout, problem.settle) for log in logs]
+    data = [as_data(model, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
     x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
-    posed = replace(problem, logs=data, x0=x0)
+    readings = [readings_of(d.y, unscored(d)) for d in data]
+    posed = replace(problem, logs=data, readings=readings, x0=x0)
     return replace(posed, P0=start_covariance(model, posed))
 
 
@@ -52,7 +55,7 @@ def replays(
     own = variant.model.horizon
     played: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
-        filtered = problem.run(variant.values, variant.log_q, index, states=True)
+        filtered = problem.run(variant.values, variant.noise, index, states=True)
         corrected = without_sensor_errors(log, variant)
         with Drive(corrected, variant.fmu) as drive:
             for horizon, evidence in played.items():
@@ -130,33 +133,36 @@ def _lines(variant: Variant) -> Iterator[tuple[str, float, float]]:
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
     problem = filtering(problem, variant.model, logs)
-    runs = (problem.run(variant.values, variant.log_q, index, states=True) for index in range(len(logs)))
-    missed = [_missed(variant, problem, *each) for each in zip(logs, problem.logs, runs, strict=True)]
+    runs = (problem.run(variant.values, variant.noise, index, states=True) for index in range(len(logs)))
+    read = (problem.data(variant.values, index)[0] for index in range(len(logs)))
+    missed = [_missed(variant, problem, *each) for each in zip(logs, read, runs, strict=True)]
     return _root_mean_squares(problem, missed)
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
     problem = filtering(problem, variant.model, logs)
-    p, q = problem.numbers(variant.values), problem.densities(variant.log_q)
     missed = []
     for index, log in enumerate(logs):
-        first = problem.run(variant.values, variant.log_q, index, states=True).states[0]
+        first = problem.run(variant.values, variant.noise, index, states=True).states[0]
         for _ in range(-(-DRAWS // len(logs))):
-            drawn = _drawn(problem, problem.logs[index], variant, first, rng)
-            filtered = problem.kernel.run(drawn, p, problem.x0[index], problem.P0, q, problem.r, states=True)
+            drawn = _drawn(problem, index, variant, first, rng)
+            filtered = problem.filtered(drawn, variant.values, variant.noise, index, states=True)
             missed.append(_missed(variant, problem, log, drawn, filtered))
     return _root_mean_squares(problem, missed)
 
 
-def _drawn(problem: Problem, data: Data, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """A log as the model would have made it from a first state, with process noise and sensor noise drawn anew."""
-    layout, rows = problem.layout, len(data.u)
-    noisy = layout.forced_places
+def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
+    """A log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew."""
+    layout, data = problem.layout, problem.logs[index]
+    rows, noisy = len(data.u), layout.noise_places
+    density = problem.densities(variant.noise)[list(layout.noisy)]
     kicks = np.zeros((rows, len(layout.states)))
-    kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(np.exp(variant.log_q) * data.step)
-    truth = problem.kernel.simulate(data, problem.numbers(variant.values), first, np.zeros(layout.memory), kicks)
-    sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.r)
+    kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(density * data.step)
+    lasting = {**variant.values, LASTS: math.exp(variant.noise.memory)}
+    p = problem.numbers(lasting if layout.coloured else variant.values)
+    truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
+    sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
     return replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
 
 
@@ -191,6 +197,6 @@ def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows:
     for k in rows:
         end = min(k + length, len(data.u) - 1)
         part = replace(data, u=data.u[: end + 1], y=data.y[: end + 1])
-        run = problem.kernel.simulate(part, p, filtered.states[k], filtered.memory[k], first=k)
+        run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
         predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
     return predicted

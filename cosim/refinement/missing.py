@@ -1,10 +1,9 @@
 """The acceleration a model lacks, row by row, and what a hypothesis puts in its place.
 
-Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, each
-forced equation gets an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) estimates it:
-    δ⁺ = F·δ + (f(x̄) − x̄⁺) + h·d      d⁺ = φ·d + w      y − g(x̄) = C·δ + v
-d decorrelates within MEMORY; its variance is that which makes it as large as the process noise of the base fit, or as
-process noise that is plainly detected (`NoiseRange.plain`) where the fit has less.
+Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, in
+which each forced equation has an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) estimates it:
+    δ⁺ = F·δ + (f(x̄) − x̄⁺) + w      y − g(x̄) = C·δ + v      d among the δ
+Its power is that of the base fit, or one that is plainly detected (`NoiseRange.plain`) where the fit has less.
 Claimed: a step of the model with the hypothesis less a step of the model without, over the step.
 """
 
@@ -17,11 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.logs.log import slowness
 from cosim.refinement.fit import DIFFERENCE, Fit
+from cosim.refinement.noise_model import Noise
 from cosim.refinement.problem import Problem, unscored
 
-MEMORY = 0.15  # [s], correlation time of d: shorter than what an eye looks for, longer than a few rows
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
 NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
@@ -43,7 +41,7 @@ class Filter:
     """A set of values and process noise with which the kernel filters a log."""
 
     values: Mapping[str, float]
-    log_q: Array
+    noise: Noise
 
 
 class Steps:
@@ -52,7 +50,7 @@ class Steps:
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         layout = problem.layout
-        self.p = problem.numbers({**problem.values, **values})
+        self.p = problem.numbers({**problem.values, **values})  # an unknown input lasts as long as usual
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
@@ -70,19 +68,33 @@ def missing(problem: Problem, base: Filter, index: int) -> Missing:
     """Smooth the input that the base fit lacks on a log, in the state's unit per second."""
     layout, data = problem.layout, problem.logs[index]
     equations = layout.forced
-    log_q = loosened(problem, base.log_q)
-    run = problem.run({**problem.values, **base.values}, log_q, index, states=True)
+    noise = loosened(problem, base.noise)
+    run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
-    value, sigma = _smooth(problem, model, np.exp(log_q), data.step, data.y[:rows])
+    readings = problem.data({**problem.values, **base.values}, index)[0].y[:rows]
+    value, sigma = _smooth(problem, model, run.states, noise, index, readings)
     kept = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
 
 
-def loosened(problem: Problem, log_q: Array) -> Array:
-    """ln q of a filter that follows what an equation lacks: in each at least what is plainly detected."""
-    return np.maximum(log_q, problem.noise.plain)
+def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool]) -> dict[str, float]:
+    """Of each forced equation with an unknown input: its size over that of the state's derivative on the logs."""
+    found: dict[str, float] = {}
+    runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
+    for k, (name, place) in enumerate(zip(problem.layout.forced, problem.layout.forced_places, strict=True)):
+        if not noisy[k]:
+            continue
+        change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
+        low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
+        found[name] = float(np.exp(0.5 * at.noise.power[k]) / max(float(high - low), 1e-300))
+    return found
+
+
+def loosened(problem: Problem, noise: Noise) -> Noise:
+    """A filter that follows what an equation lacks: in each at least what is plainly detected, as short as usual."""
+    return replace(problem.plain, sensors=noise.sensors, power=np.maximum(noise.power, problem.noise.plain))
 
 
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
@@ -91,16 +103,17 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     Both steps start from the refined estimate of what is measured, each from its own of the rest.
     """
     layout, data = problem.layout, problem.logs[index]
-    runs = [problem.run({**problem.values, **f.values}, f.log_q, index, states=True) for f in (base, after)]
+    runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
     without, with_it = (Steps(problem, index, f.values) for f in (base, after))
     shared, forced = list(layout.stochastic), layout.forced_places
     rows = min(len(data.u), MOST_ROWS)
     added = np.full((rows, len(forced)), np.nan)
     for k in range(rows - 1):
-        here = runs[0].states[k].copy()
-        here[shared] = runs[1].states[k][shared]
+        here = problem.undisturbed(runs[0].states[k])
+        there = problem.undisturbed(runs[1].states[k])
+        here[shared] = there[shared]
         plain = without.step(k, here, runs[0].memory[k])[0]
-        fuller = with_it.step(k, runs[1].states[k], runs[1].memory[k])[0]
+        fuller = with_it.step(k, there, runs[1].memory[k])[0]
         added[k] = (fuller - plain)[forced] / data.step
     return added[min(unscored(data), rows - 1) : rows - 1]
 
@@ -111,11 +124,11 @@ def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: A
     What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
     that points the other way takes away nothing.
     """
-    here, rows = Filter(at.values, at.log_q), []
+    here, rows = Filter(at.values, at.noise), []
     for f in at.free:
         if f.prior is None:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
-            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.log_q)
+            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
             rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T
@@ -153,37 +166,29 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
     return _Linear(F, b, C, g)
 
 
-def _smooth(problem: Problem, model: _Linear, q: Array, h: float, y: Array) -> tuple[Array, Array]:
-    """Forward filter and backward smoother of (δ, d); d and its standard deviation."""
-    layout = problem.layout
-    n, m, rows = model.F.shape[1], len(layout.noisy), len(y)
-    places = list(layout.noisy)
-    memory = MEMORY * slowness(h)
-    phi, variance = np.exp(-h / memory), q / (2.0 * memory)  # white noise of density q, at low frequency
-    x, P = np.zeros(n + m), np.zeros((n + m, n + m))
-    P[:n, :n], P[n:, n:] = problem.P0, np.diag(variance)
-    Q = np.zeros_like(P)
-    Q[places, places] = np.exp(problem.noise.smallest) * h  # all else is left to d
-    Q[n:, n:] = np.diag(variance * (1.0 - phi * phi))
-    ahead, spread = np.zeros((rows, n + m)), np.zeros((rows, n + m, n + m))
+def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index: int, y: Array) -> tuple[Array, Array]:
+    """Forward filter and backward smoother of δ; the unknown inputs and their standard deviation."""
+    layout, data = problem.layout, problem.logs[index]
+    places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
+    r = np.broadcast_to(problem.variances(noise, index), data.y.shape)
+    x, P = np.zeros(n), problem.P0.copy()
+    if layout.coloured:
+        P[places, places] = np.exp(noise.power)
+    Q = np.diag(problem.densities(noise)) * data.step
+    ahead, spread = np.zeros((rows, n)), np.zeros((rows, n, n))
     after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
-    moves = np.zeros_like(spread)
     for k in range(rows - 1):
         ahead[k], spread[k] = x, P
-        x, P = _take(x, P, model.C[k], y[k] - model.g[k], problem.r)
+        x, P = _take(x, P, model.C[k], y[k] - model.g[k], r[k])
         after[k], spread_after[k] = x, P
-        A = moves[k]
-        A[:n, :n], A[n:, n:] = model.F[k], phi * np.eye(m)
-        A[places, range(n, n + m)] = h
-        x, P = A @ x, A @ P @ A.T + Q
-        x[:n] += model.b[k]
+        x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
     last = rows - 2
     for k in range(last - 1, -1, -1):
-        gain = np.linalg.solve(spread[k + 1], moves[k] @ spread_after[k]).T
+        gain = np.linalg.lstsq(spread[k + 1], model.F[k] @ spread_after[k], rcond=None)[0].T
         after[k] += gain @ (after[k + 1] - ahead[k + 1])
         spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
-    deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, n:], 0.0))
-    return after[:, n:], deviation
+    deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, places], 0.0))
+    return states[:rows][:, layout.noise_places] + after[:, places], deviation
 
 
 def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags, Rows
 from cosim.kernel.backend import kernel
-from cosim.kernel.interface import Data, Filtered, Kernel, Layout, Simulated
+from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.logs.log import Log, slowness
 from cosim.refinement.candidates import neutral_values
-from cosim.refinement.process_noise import NoiseRange, noise_range
+from cosim.refinement.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
+from cosim.refinement.readings import Readings, readings_of
 from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
@@ -22,8 +23,11 @@ from plant.namespaces import SCALAR
 UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
 
-SAME = 0.5  # of NLL, by which fewer substeps may change it
+SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
+USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
+LONGEST_MEMORY = 0.1  # of a log
+WITHIN = 10.0  # times, by which a stated variance of a sensor is believed: a standard deviation of its logarithm
 
 
 def build_problem(
@@ -32,26 +36,49 @@ def build_problem(
     unnamed: bool = False,
     noise: Mapping[str, float] | None = None,
     sensors: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
 ) -> Problem:
     """Kernel and data; an output that only some logs hold is missing in the others.
 
-    `noise`: standard deviations of outputs where they are not the model's own; `sensors`: errors known already.
+    `noise`: standard deviations of outputs as the study states them; `sensors`: errors known already.
     """
+    settings = settings or Settings()
     measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
     compiled = kernel(model, measured, unnamed)
     layout = compiled.layout
     settle = settling(model, [layout.states[k] for k in layout.driven])
-    data = [as_data(model, log, layout, settle) for log in logs]
-    variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs}
-    variance |= {name: sigma * sigma for name, sigma in (noise or {}).items()}
+    data = [as_data(model, log, layout, settle, settings.interpolated) for log in logs]
+    readings = [readings_of(d.y, unscored(d)) for d in data]
+    stated = {name: sigma * sigma for name, sigma in (noise or {}).items()}
+    variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs} | stated
     r = np.array([variance[name] for name in measured])
     x0 = [start_state(model, d, measured, layout.states) for d in data]
     values = {**dict.fromkeys(layout.parameters, 0.0), **neutral_values(model), **(sensors or {})}
-    problem = Problem(compiled, data, x0, np.empty((0, 0)), r, values, settle)
+    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
+    late = {
+        f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
+        for kind in model.sensors
+        if kind.late
+    }
+    known = np.array([name in model.sensor_variance for name in measured])
+    free = np.array([name not in stated for name in measured])
+    problem = Problem(compiled, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free)
     return replace(problem, P0=start_covariance(model, problem))
 
 
-def as_data(model: Model, log: Log, layout: Layout, settle: float) -> Data:
+@dataclass(frozen=True)
+class Settings:
+    """What a study says of its logs.
+
+    interpolated: inputs that run straight from row to row
+    tolerance:    base parameter → how far it may be off, as a share of it: the half-width that holds 95 %
+    """
+
+    interpolated: frozenset[str] = frozenset()
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+
+
+def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()) -> Data:
     """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured.
 
     settle: [s] until lags have forgotten an unknown start, see `settling`
@@ -65,7 +92,7 @@ def as_data(model: Model, log: Log, layout: Layout, settle: float) -> Data:
     for j, name in enumerate(measured):
         if name in log.outputs:
             y[grid, j] = log.outputs[name]
-    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep))
+    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), interpolated=interpolated)
     return replace(data, settle=int(min(settle / log.step, unscored(data))))
 
 
@@ -90,11 +117,11 @@ def start_covariance(model: Model, problem: Problem) -> Array:
     measured = set.intersection(*(set(_first_measured(model, data, layout.outputs)) for data in problem.logs))
     known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     known = {**model.start_variance, **known}
-    names = layout.uncertain
+    names = [name for name in layout.uncertain if not name.startswith(DISTURBANCE)]
     if not known.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
-    return np.diag([known[name] for name in names])
+    return np.diag([known.get(name, 0.0) for name in layout.uncertain])
 
 
 def _range(problem: Problem) -> Array:
@@ -148,12 +175,12 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
 
     values: where that model is not the base model; an effect that is awake may need finer steps
     """
-    log_q, values = problem.noise.plain, {**problem.values, **(values or {})}
-    exact = problem.scored(values, log_q).nll
+    noise, values = problem.plain, {**problem.values, **(values or {})}
+    exact = problem.scored(values, noise).nll
     most = max(log.substeps for log in problem.logs)
     for n in (2**k for k in range(10) if 2**k < most):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.scored(values, log_q).nll - exact) < SAME:
+        if abs(coarse.scored(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse
     return problem
 
@@ -166,17 +193,22 @@ def halved(problem: Problem) -> Problem:
         replace(log, u=log.u[:half], y=log.y[:half]),
         replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
     ]
-    reached = problem.run(problem.values, problem.noise.plain, 0, states=True).states[half]
-    return replace(problem, logs=halves, x0=[x0, reached])
+    reached = problem.run(problem.values, problem.plain, 0, states=True).states[half]
+    readings = [readings_of(d.y, unscored(d)) for d in halves]
+    return replace(problem, logs=halves, readings=readings, x0=[x0, reached])
 
 
 @dataclass(frozen=True)
 class Scored:
-    """Errors and variances of the scored measurements of all logs in one row, and how many are each log's."""
+    """Errors and variances of the scored measurements of all logs in one row, and how many are each log's.
+
+    rows: row of its log in which each was measured
+    """
 
     errors: Array
     variances: Array
     counts: tuple[int, ...]
+    rows: Rows
 
     @property
     def nll(self) -> float:
@@ -196,16 +228,25 @@ class Scored:
 class Problem:
     """Logs, kernel and what is known beforehand: start states, measurement variances, values of all parameters.
 
+    readings: what else there is to the measurements of each log
+    r:      stated variance of each output; `stated` those that somebody did state, `adjusted` those that a fit may move
     settle: [s] until the lags of the model that was given have forgotten an unknown start
+    late:   parameter that is a latency → places of the outputs that are late by it
     """
 
     kernel: Kernel
     logs: Sequence[Data]
+    readings: Sequence[Readings]
     x0: Sequence[Array]
     P0: Array
     r: Array
     values: Mapping[str, float]
     settle: float
+    settings: Settings
+    late: Mapping[str, Sequence[int]]
+    stated: Flags
+    adjusted: Flags
+    sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
 
     @property
     def layout(self) -> Layout:
@@ -215,7 +256,7 @@ class Problem:
     @property
     def samples(self) -> int:
         """Number of scored measurements."""
-        return int(sum(np.isfinite(log.y[unscored(log) :]).sum() for log in self.logs))
+        return int(sum(readings.scored.sum() for readings in self.readings))
 
     @cached_property
     def noise(self) -> NoiseRange:
@@ -226,31 +267,113 @@ class Problem:
         measured = [np.isfinite(log.y).any(axis=0) for log in logs]
         # the first log, and those that measure what it does not
         taken = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
-        short = replace(self, logs=[logs[k] for k in taken], x0=[self.x0[k] for k in taken])
-        return noise_range(lambda log_q: short.scored(self.values, log_q).variances, len(self.layout.noisy))
+        short = replace(
+            self,
+            logs=[logs[k] for k in taken],
+            readings=[readings_of(logs[k].y, unscored(logs[k])) for k in taken],
+            x0=[self.x0[k] for k in taken],
+        )
+        return noise_range(lambda power: short.scored(self.values, self.at(power)).variances, len(self.layout.noisy))
+
+    def at(self, power: Array) -> Noise:
+        """Unknown inputs of this power; memory and sensors as they are known so far."""
+        if self.sensing is not None:
+            return replace(self.sensing, power=power)
+        return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
+
+    @property
+    def plain(self) -> Noise:
+        """Unknown inputs that are plainly detected."""
+        return self.at(self.noise.plain)
+
+    @cached_property
+    def limits(self) -> NoiseLimits:
+        """Limits of what is random, and what is said of the sensors as a weak prior."""
+        ny, now = len(self.r), self.at(self.noise.plain)
+        steps, longest = [d.step for d in self.logs], max(len(d.u) * d.step for d in self.logs)
+        finest = np.max([r.resolution for r in self.readings], axis=0)
+        spread = np.max([r.spread for r in self.readings], axis=0)
+        stated = np.log(self.r)
+        low = np.log(np.maximum(1e-6 * np.exp(stated), finest**2 / 12.0))
+        high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
+        low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
+        timed = np.isfinite(now.timing)
+        in_time = np.full(ny, 2.0 * np.log(1e-3 * min(steps))), np.full(ny, 2.0 * np.log(4.0 * max(steps)))
+        wide = np.full(ny, np.inf)
+        power = len(self.layout.noisy)
+        memory = np.log([2.0 * min(steps), max(LONGEST_MEMORY * longest, 4.0 * min(steps))])
+        if not self.layout.coloured:
+            memory = np.full(2, now.memory)
+        return NoiseLimits(
+            low=np.concatenate([self.noise.smallest, memory[:1], low, np.where(timed, in_time[0], now.timing)]),
+            high=np.concatenate([self.noise.largest, memory[1:], high, np.where(timed, in_time[1], now.timing)]),
+            mean=np.concatenate([np.zeros(power + 1), stated, np.zeros(ny)]),
+            sigma=np.concatenate(
+                [np.full(power + 1, np.inf), np.where(self.stated & self.adjusted, np.log(WITHIN), np.inf), wide]
+            ),
+        )
+
+    def undisturbed(self, state: Array) -> Array:
+        """A state of the kernel without unknown inputs, of which no prediction is made."""
+        plain = state.copy()
+        if self.layout.coloured:
+            plain[self.layout.noise_places] = 0.0
+        return plain
 
     def numbers(self, values: Mapping[str, float]) -> Array:
         """Values of the parameters in the kernel's order."""
-        return np.array([values[name] for name in self.layout.parameters])
+        return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
-    def densities(self, log_q: Array) -> Array:
-        """q of every stochastic state, its unit squared per second: e^(ln q) where noise enters, else 0."""
+    def densities(self, noise: Noise) -> Array:
+        """q of every stochastic state, its unit squared per second, 0 where no noise enters.
+
+        An unknown input of variance σ² that lasts T is driven by 2·σ²/T.
+        """
         q = np.zeros(len(self.layout.stochastic))
-        q[list(self.layout.noisy)] = np.exp(log_q)
+        power = np.exp(noise.power)
+        q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.coloured else power
         return q
 
-    def run(self, values: Mapping[str, float], log_q: Array, index: int, *, states: bool = False) -> Filtered:
-        """Filter one log."""
-        p, q = self.numbers(values), self.densities(log_q)
-        return self.kernel.run(self.logs[index], p, self.x0[index], self.P0, q, self.r, states=states)
+    def data(self, values: Mapping[str, float], index: int) -> tuple[Data, Array]:
+        """A log with its late readings put where they belong, and which readings are scored."""
+        readings, data = self.readings[index], self.logs[index]
+        late = {place: values[name] / data.step for name, places in self.late.items() for place in places}
+        if not any(late.values()):
+            return data, readings.scored
+        y, scored = readings.in_time(late)
+        return replace(data, y=y), scored
 
-    def scored(self, values: Mapping[str, float], log_q: Array, only: Sequence[int] | None = None) -> Scored:
+    def variances(self, noise: Noise, index: int) -> Array:
+        """Variance of each reading of a log: its sensor's, and what an error of its time stamp makes of its speed."""
+        r = np.exp(noise.sensors)
+        if not np.isfinite(noise.timing).any():
+            return r
+        speed = self.readings[index].slopes / self.logs[index].step
+        return np.asarray(r + np.exp(noise.timing) * speed**2)
+
+    def run(self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False) -> Filtered:
+        """Filter one log."""
+        return self.filtered(self.data(values, index)[0], values, noise, index, states=states)
+
+    def filtered(
+        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False
+    ) -> Filtered:
+        """Filter what might have been measured in place of a log."""
+        lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.coloured else {}
+        p, P0 = self.numbers({**values, **lasting}), self.P0.copy()
+        if self.layout.coloured:
+            places = list(self.layout.noisy)
+            P0[places, places] = np.exp(noise.power)
+        variances = self.variances(noise, index)
+        return self.kernel.run(data, p, self.x0[index], P0, self.densities(noise), variances, states=states)
+
+    def scored(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Filter all logs, or some."""
-        errors, variances = [], []
+        errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
-            filtered = self.run(values, log_q, index)
-            first = unscored(self.logs[index])
-            valid = ~np.isnan(self.logs[index].y[first:].ravel())
-            errors.append(filtered.errors[first:].ravel()[valid])
-            variances.append(filtered.variances[first:].ravel()[valid])
-        return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)))
+            data, valid = self.data(values, index)
+            filtered = self.filtered(data, values, noise, index)
+            errors.append(filtered.errors[valid])
+            variances.append(filtered.variances[valid])
+            rows.append(np.nonzero(valid)[0])
+        return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)), np.concatenate(rows))

@@ -1,4 +1,4 @@
-"""A verdict held against replays: what it claims must bring them nearer; where nothing is missing they are near."""
+"""A verdict held against replays of the estimation logs: they change what is claimed, and its grade, never the model."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from pathlib import Path
 import numpy as np
 
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import RIVAL, SIGNIFICANT_IN_NOISE
+from cosim.refinement.judgement import RIVAL, outside
 from cosim.refinement.measure import FLOOR_SEED, noise_floor, predicted_errors
 from cosim.refinement.problem import Problem
-from cosim.refinement.sentences import cannot_tell, claim, experiment_for, misses, unexplained
+from cosim.refinement.search import Search
+from cosim.refinement.sentences import cannot_tell, claim, experiment_for, misses, partly, unexplained
 from cosim.refinement.study import Study
 from cosim.refinement.variants import refined_model, variants_of
 from cosim.refinement.verdict import Verdict
 from cosim.residuals.statistics import COUNTS_FROM, excess_left
-from cosim.text import percent, plain
+from cosim.text import plain
 from plant.model import Model
 
-MENDS = 1 / 6  # of the excess error, which a claim leaves at most on the channel that it mends best
+PART = 0.1  # of the excess error, from which a claim that leaves it is of a part only
+HALF = 0.5  # the same, on the channel that is mended best: what leaves more is not claimed
 
 Channels = Mapping[str, float]  # measured output → root mean square
 ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 
-def held_against_replays(study: Study, a: Attribution, verdict: Verdict, problem: Problem) -> Verdict:
+def held_against_replays(study: Study, a: Attribution, verdict: Verdict, search: Search, problem: Problem) -> Verdict:
     """The verdict, its claim or that nothing is missing compared with replays of the estimation logs."""
     if verdict.name == "no_effect":
-        verdict = standing(verdict, a, study.loaded.model, *_replay_errors(study, a, verdict, problem))
+        verdict = standing(verdict, a, study.loaded.model, search, *_replay_errors(study, a, verdict, problem))
     if verdict.claimed is None:
         return verdict
     return proven(verdict, *_replay_errors(study, a, verdict, problem))
@@ -40,8 +42,8 @@ def _replay_errors(
     study: Study, a: Attribution, verdict: Verdict, problem: Problem
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
-    no_fmu = Path()
-    variants = variants_of(study, a, verdict, refined_model(study.loaded, verdict.claimed), no_fmu, no_fmu)
+    nothing = Path()
+    variants = variants_of(study, a, verdict.claimed, refined_model(study.loaded, verdict.claimed), (nothing, nothing))
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
     return error, noise_floor(variants["after"], problem, study.logs, np.random.default_rng(FLOOR_SEED))
 
@@ -50,7 +52,7 @@ def _replay_errors(
 
 
 def proven(verdict: Verdict, error: ErrorOf, floor: Channels) -> Verdict:
-    """The verdict, its claim withdrawn where replays are no better for it.
+    """The verdict, its claim one of a part where replays still miss much, and none where they are no better for it.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it.
     """
@@ -58,7 +60,13 @@ def proven(verdict: Verdict, error: ErrorOf, floor: Channels) -> Verdict:
         return verdict
     of_sensors = verdict.claimed.of_sensors
     doubt = _sensor_doubt(error, floor) if of_sensors else _plant_doubt(verdict.claimed, error, floor)
-    return _withdrawn(verdict, doubt) if doubt else verdict
+    if doubt:
+        return _withdrawn(verdict, doubt)
+    left = _left(error, floor)
+    if verdict.name != "ambiguous" and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
+        sentence = partly(verdict.sentence, verdict.residual, worst, left[worst])
+        return replace(verdict, grade="part", sentence=sentence)
+    return verdict
 
 
 def _sensor_doubt(error: ErrorOf, floor: Channels) -> str:
@@ -70,15 +78,21 @@ def _sensor_doubt(error: ErrorOf, floor: Channels) -> str:
 
 
 def _plant_doubt(claimed: Hypothesis, error: ErrorOf, floor: Channels) -> str:
-    """An effect must bring replays nearer than recalibration does; every claim must mend some channel."""
-    before, recalibrated, after = error["before"], error["recalibrated"], error["after"]
+    """An effect must bring replays nearer than recalibration does; every claim must mend some channel by half."""
+    recalibrated, after = error["recalibrated"], error["after"]
     has_effect = any(c.kind == "effect" for c in claimed.candidates)
     if has_effect and floor and all(after[n] >= recalibrated[n] for n in floor):
         return "Replays with it are nearer on no channel than those of the model recalibrated without it."
-    left = [x for n, f in floor.items() if not math.isnan(x := excess_left(before[n], after[n], f))]
-    if left and min(left) > MENDS:
-        return f"With it, {percent(min(left))} of the excess error stays."
+    left = _left(error, floor)
+    if left and min(left.values()) > HALF:
+        return f"With it, replays keep {plain(100 * min(left.values()), 2)}\u00a0% of the excess error."
     return ""
+
+
+def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
+    """Channel → share of the excess error that a claim leaves, where there was an excess."""
+    shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
+    return {n: x for n, x in shares.items() if not math.isnan(x)}
 
 
 def _withdrawn(verdict: Verdict, doubt: str) -> Verdict:
@@ -86,30 +100,41 @@ def _withdrawn(verdict: Verdict, doubt: str) -> Verdict:
     names = verdict.claimed.names if verdict.claimed else ()
     opening = unexplained(verdict.residual, names, "No hypothesis explains what the model misses.")
     sentence = f"{opening} {doubt}"
-    return replace(verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=sentence)
+    return replace(
+        verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=sentence, grade="nearest"
+    )
 
 
 # -- that nothing is missing ------------------------------------------------------------------
 
 
-def standing(verdict: Verdict, a: Attribution, model: Model, error: ErrorOf, floor: Channels) -> Verdict:
-    """`no_effect`, taken back where the model explains the logs recalibrated, but not as it stands.
+def standing(
+    verdict: Verdict, a: Attribution, model: Model, search: Search, error: ErrorOf, floor: Channels
+) -> Verdict:
+    """`no_effect`, taken back where the model explains the logs only recalibrated beyond its tolerances.
 
-    Base parameters are held near the data sheet, and one that is a few percent off gains no more than that costs.
     Of these rules the first that applies decides.
     """
     missed = _missed(error["before"], floor)
     if verdict.name != "no_effect" or not missed:
         return verdict
-    off = sorted((h for h in a.tried if len(h.candidates) == 1 and _plainly_off(h, model)), key=lambda h: h.score)
-    if not off:
-        worst = max(missed, key=lambda n: missed[n])
-        return replace(verdict, name="unexplained", sentence=misses(worst, missed[worst], a.base.fit))
+    tried = [h for h in a.tried if len(h.candidates) == 1 and h.candidates[0].kind == "parameter"]
+    off = sorted((h for h in tried if h.fit.iterations and outside(search, h, h.candidates[0])), key=lambda h: h.score)
     near = [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
-    if len(near) == 1:
+    if len(near) > 1:
+        return _one_of(verdict, near, model)
+    if near:
         sentence = claim(near[0], near[0].candidates, model)
-        return replace(verdict, name="parameter_error", claimed=near[0], sentence=sentence)
-    return _one_of(verdict, near, model)
+        return replace(verdict, name="parameter_error", claimed=near[0], sentence=sentence, grade="claimed")
+    within = all(
+        abs(a.base.fit.values[f.name] - f.prior[0]) <= 2.0 * f.prior[1] + 1.96 * a.base.fit.sigma(f.name)
+        for f in a.base.fit.free
+        if f.prior
+    )
+    if within and not _missed(error["recalibrated"], floor):
+        return verdict
+    worst = max(missed, key=lambda n: missed[n])
+    return replace(verdict, name="unexplained", sentence=misses(worst, missed[worst], a.base.fit))
 
 
 def _one_of(verdict: Verdict, near: Sequence[Hypothesis], model: Model) -> Verdict:
@@ -118,16 +143,6 @@ def _one_of(verdict: Verdict, near: Sequence[Hypothesis], model: Model) -> Verdi
     experiment = experiment_for(model, names)
     sentence = cannot_tell(names, experiment, "")
     return replace(verdict, name="ambiguous", claimed=near[0], rivals=names, experiment=experiment, sentence=sentence)
-
-
-def _plainly_off(h: Hypothesis, model: Model) -> bool:
-    """A base parameter, fitted, far from what the model says and within its limits."""
-    (candidate,) = h.candidates
-    if candidate.kind != "parameter" or h.fit.iterations == 0:
-        return False
-    (f,) = candidate.free
-    value, sigma = h.fit.values[f.name], h.fit.sigma(f.name)
-    return value not in (f.low, f.high) and abs(value - float(getattr(model, f.name))) > SIGNIFICANT_IN_NOISE * sigma
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:

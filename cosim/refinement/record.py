@@ -16,7 +16,7 @@ from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.measure import Evidence, rmse
 from cosim.refinement.problem import Problem
 from cosim.refinement.study import Study
-from cosim.refinement.verdict import Name, Verdict
+from cosim.refinement.verdict import Grade, Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
 from cosim.version import __version__
 from plant.model import Model
@@ -125,6 +125,7 @@ class Errors(_Entry):
     before: Parts = Field(description="the model named in the study")
     recalibrated: Parts = Field(description="that model with its base parameters adjusted")
     after: Parts = Field(description="model.yaml")
+    nearest: Parts | None = Field(default=None, description="nearest.yaml, where there is one")
 
 
 class Record(_Entry):
@@ -137,10 +138,17 @@ class Record(_Entry):
     study: str = Field(description="path of the study")
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
+    grade: Grade = Field(
+        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error; `nearest`: model.yaml is "
+        "no claim, nearest.yaml is the model that predicts best"
+    )
     effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
     rivals: list[str] = Field(description="names the data cannot distinguish, where the verdict is `ambiguous`")
     experiment: str = Field(description="the input that would separate rivals, else empty")
-    nearest: list[str] = Field(description="what comes closest, where the verdict is `unexplained`")
+    nearest: list[str] = Field(
+        description="what nearest.yaml has more than the model that was given, where not all is claimed; none where it is "
+        "that model, recalibrated or as it was"
+    )
     candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
     measured: list[str] = Field(description="outputs that some estimation log holds")
@@ -164,7 +172,14 @@ class Record(_Entry):
 
 
 def record(
-    study: Study, a: Attribution, verdict: Verdict, problem: Problem, replayed: Replayed, floors: Floors, seconds: float
+    study: Study,
+    a: Attribution,
+    verdict: Verdict,
+    near: Hypothesis | None,
+    problem: Problem,
+    replayed: Replayed,
+    floors: Floors,
+    seconds: float,
 ) -> Record:
     """What refine.json holds."""
     own = study.loaded.model.horizon
@@ -180,14 +195,15 @@ def record(
         study=str(study.path),
         verdict=verdict.name,
         sentence=verdict.sentence,
+        grade=verdict.grade,
         effects=effects(study.loaded.model, verdict.claimed, a.tried) if verdict.claimed else [],
         rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
         experiment=verdict.experiment,
-        nearest=list(verdict.rivals) if verdict.name == "unexplained" else [],
+        nearest=list(near.names) if near and verdict.grade != "claimed" else [],
         candidates=ranking(a, verdict),
         hidden=list(a.hidden),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
-        sensor_noise=dict(zip(problem.layout.outputs, np.sqrt(problem.r).tolist(), strict=True)),
+        sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         warnings=list(study.warnings),
         residual=residual(verdict),
         horizon=own if math.isfinite(own) else "free run",
@@ -195,7 +211,7 @@ def record(
         horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
         noise_floor=floors["validation" if "validation" in floors else "estimation"],
         noise_floors=floors,
-        held_out_gain=a.held_out,
+        held_out_gain=a.total.held_out,
         seconds=seconds,
     )
 

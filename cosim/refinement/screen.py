@@ -1,57 +1,87 @@
-"""Rao's score test at a fit: what one more term promises, for one filter run a parameter and without fitting it.
+"""Rao's score test at a fit: what more terms promise, together too, for one filter run a parameter and no fit.
 
 With r the normalised innovations, their spread and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities
-of r to what is free already, a term of sensitivities R promises ½·‖P·r‖²: P projects on what of R no X can mend.
+of r to what is free already, terms of sensitivities R promise ½·‖P·r‖²: P projects on what of R no X can mend.
+A part of the hypothesis that stands is such a term too: without it, r would be r − R·(steps from neutral to here).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.refinement.candidates import Candidate
-from cosim.refinement.fit import DIFFERENCE, Q_DIFFERENCE, Fit
+from cosim.refinement.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
+from cosim.refinement.noise_model import Noise
+from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
 JUMP, DETECTED = 0.5, 1.0  # of that difference's square, and of one that can be detected
 NOTHING = 1e-12  # of the residual's square, below which a term cannot be detected at all
+BEYOND = 1.0  # standard deviations by which an estimate may be beyond a limit and still be meant
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """A candidate's terms about a fit.
+
+    rows:         what a step of each changes, less what is free anyway can mend
+    steps:        parameter → size of each step
+    identifiable: largest χ² of a usual size
+    switched:     no small step leads there: the candidate is switched on rather than grown
+    """
+
+    candidate: Candidate
+    rows: Array
+    steps: tuple[Mapping[str, float], ...]
+    identifiable: float
+    switched: bool = False
 
 
 @dataclass(frozen=True)
 class Promise:
-    """gain: of log-likelihood; identifiable: largest χ² of a usual size; values: estimates, linear in the sizes."""
+    """gain: of log-likelihood; values: estimates, linear in the steps; within: inside their limits."""
 
     gain: float
-    identifiable: float
     values: Mapping[str, float]
+    within: bool
 
 
 class ScoreTest:
-    """Filters once more for each parameter that is free at a fit; then computes what a term promises beside them."""
+    """Filters once more for each parameter that is free at a fit; then computes what terms promise beside them.
 
-    def __init__(self, problem: Problem, at: Fit) -> None:
-        self.problem = problem
+    parts: what of the fit is on trial, so that a hypothesis without it can be asked for; it is not among the free
+    """
+
+    def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = ()) -> None:
+        self.problem, self.at = problem, at
         self.values = {**problem.values, **at.values}
-        self.log_q = np.maximum(at.log_q, problem.noise.smallest)
-        self.scored = problem.scored(self.values, self.log_q)
+        self.noise = at.noise
+        self.scored = problem.scored(self.values, self.noise)
         priors = [f for f in at.free if f.prior]
         self.held = {f.name: k for k, f in enumerate(priors)}
         self.sigma = np.array([f.prior[1] for f in priors if f.prior])
         e, s = self.scored.errors, self.scored.variances
         off = [(self.values[f.name] - f.prior[0]) / f.prior[1] for f in priors if f.prior]
         residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), off])
-        known = [self._row({f.name: DIFFERENCE * f.size}) / DIFFERENCE for f in at.free]
-        for k in range(len(self.log_q)):
-            moved = self.log_q.copy()
-            moved[k] += Q_DIFFERENCE
-            known.append(self._row({}, moved) / Q_DIFFERENCE)
+        on_trial = {name for c in parts for name in c.parameters}
+        moves: list[tuple[dict[str, float], Noise | None, float]] = [
+            ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial
+        ]
+        moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
+        known = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
         self.basis, _ = np.linalg.qr(np.array(known).T)
         self.residual = residual - self.basis @ (self.basis.T @ residual)
+
+    def _noisier(self, place: int) -> Noise:
+        vector = self.noise.vector
+        vector[place] += NOISE_DIFFERENCE
+        return self.noise.like(vector)
 
     def row(self, steps: Mapping[str, float]) -> Array:
         """What finite steps of parameters change, less what the free ones can mend."""
@@ -65,31 +95,42 @@ class ScoreTest:
         fitted = detected.T @ taken
         return 0.5 * float(fitted @ fitted), taken
 
-    def promise(self, c: Candidate) -> Promise | None:
-        """What a candidate promises; None for one that is switched on rather than grown: no small step leads there."""
+    def terms(self, c: Candidate) -> Terms:
+        """A candidate's terms: away from where the fit has it, or from neutral towards its usual size."""
+        if c.kind == "parameter" and c.parameters[0] in self.held:
+            return self._loosened(c)
         here = {name: self.values[name] for name in c.parameters}
         away = {n: c.starts[0][n] - here[n] for n in c.parameters if c.starts[0][n] != here[n]}
-        if away:
+        at_neutral = all(f.neutral is None or here[f.name] == f.neutral for f in c.free)
+        if away and at_neutral and c.kind != "parameter":
             steps = [{n: SHARE * d for n, d in away.items()}, *({n: SHARE * d} for n, d in away.items())]
             jump = self.row({n: TINY * d for n, d in away.items()})
-            rows = [self.row(s) for s in (steps if len(away) > 1 else steps[:1])]
-            if float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0])):
-                return None
-        else:
-            steps = [{f.name: SHARE * f.size} for f in c.free]
+            steps = steps if len(away) > 1 else steps[:1]
             rows = [self.row(s) for s in steps]
-        gain, taken = self.gain(rows)
-        values = dict(here)
-        for count, step in zip(taken, steps, strict=False):
-            for name, d in step.items():
-                values[name] += count * d
-        values = {f.name: float(np.clip(values[f.name], f.low, f.high)) for f in c.free}
-        shown = [r[: len(self.scored.errors)] for r in rows]  # in what is read, not in how well the filter knows it
-        return Promise(gain, max(float(r @ r) for r in shown) / SHARE**2, values)
+            switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
+        else:
+            share = SHARE if at_neutral else DIFFERENCE
+            steps = [
+                {f.name: share * f.size * (1.0 if here[f.name] + share * f.size <= f.high else -1.0)} for f in c.free
+            ]
+            rows, switched = [self.row(s) for s in steps], False
+            rows = [SHARE / share * row for row in rows]
+            steps = [{n: SHARE / share * d for n, d in s.items()} for s in steps]
+        read = [r[: len(self.scored.errors)] for r in rows]  # in what is read, not in how well the filter knows it
+        identifiable = max((float(r @ r) for r in read), default=0.0) / SHARE**2
+        return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
-    def _row(self, steps: Mapping[str, float], log_q: Array | None = None) -> Array:
+    def _loosened(self, c: Candidate) -> Terms:
+        """A base parameter on trial is one whose prior no longer counts: it moves as the others want it."""
+        (name,) = c.parameters
+        row = np.zeros(self.residual.size)
+        row[len(row) - len(self.held) + self.held[name]] = 1.0
+        row -= self.basis @ (self.basis.T @ row)
+        return Terms(c, row[None, :], ({name: 0.0},), np.inf)
+
+    def _row(self, steps: Mapping[str, float], noise: Noise | None = None) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
-        other = self.problem.scored(moved, self.log_q if log_q is None else log_q)
+        other = self.problem.scored(moved, noise or self.noise)
         e, s = self.scored.errors, self.scored.variances
         held = np.zeros(len(self.held))
         for name in steps.keys() & self.held.keys():
@@ -97,3 +138,76 @@ class ScoreTest:
         with np.errstate(invalid="ignore", over="ignore"):
             row = np.concatenate([(other.errors - e) / np.sqrt(s), np.log(other.variances / s) / np.sqrt(2), held])
         return np.asarray(np.nan_to_num(row, posinf=0.0, neginf=0.0))
+
+
+class Choice:
+    """What any set of candidates promises about a fit, from the products of their terms alone.
+
+    standing: names of the parts that the fit has
+    neutral:  values without any candidate
+    """
+
+    def __init__(
+        self, test: ScoreTest, every: Iterable[Terms], standing: Sequence[Candidate], neutral: Mapping[str, float]
+    ) -> None:
+        self.test, self.neutral = test, neutral
+        self.terms = {t.candidate.name: t for t in every if len(t.rows)}
+        self.standing = {c.name: c for c in standing}
+        self.places: dict[str, slice] = {}
+        count = 0
+        for name, t in self.terms.items():
+            self.places[name] = slice(count, count + len(t.rows))
+            count += len(t.rows)
+        rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
+        self.products, self.against = rows @ rows.T, rows @ test.residual
+        self.square = float(test.residual @ test.residual)
+
+    def promise(self, names: Sequence[str]) -> Promise:
+        """What a fit of these candidates together would gain on that of the parts that stand; negative without them.
+
+        An estimate beyond a limit counts as none.
+        """
+        gone = [name for name in self.standing if name not in names]
+        back = self._back(gone)
+        places = [k for name in names for k in range(self.places[name].start, self.places[name].stop)]
+        # r without the parts that go: r + R·back
+        against = self.against + self.products @ back
+        square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
+        G, b = self.products[np.ix_(places, places)], against[places]
+        scale = np.sqrt(np.diag(G).clip(min=1e-300))
+        scaled = np.linalg.lstsq(G / np.outer(scale, scale), -b / scale, rcond=1e-8)[0] / scale
+        left = square + 2.0 * float(b @ scaled) + float(scaled @ G @ scaled)
+        taken = dict(zip(places, scaled.tolist(), strict=True))
+        sigma = np.sqrt(np.diag(np.linalg.pinv(G / np.outer(scale, scale))).clip(min=0.0)) / scale
+        spread = dict(zip(places, sigma.tolist(), strict=True))
+        values, within = self._values(names, taken, spread)
+        return Promise(0.5 * (self.square - left), values, within)
+
+    def _back(self, gone: Sequence[str]) -> Array:
+        """Steps from where parts are to neutral."""
+        back = np.zeros(len(self.against))
+        for name in gone:
+            terms, place = self.terms[name], self.places[name]
+            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+                ((parameter, size),) = step.items()
+                back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
+        return back
+
+    def _values(
+        self, names: Sequence[str], taken: Mapping[int, float], spread: Mapping[int, float]
+    ) -> tuple[dict[str, float], bool]:
+        values: dict[str, float] = {}
+        within = True
+        for name in names:
+            terms, place = self.terms[name], self.places[name]
+            found = {f.name: self.test.values[f.name] for f in terms.candidate.free}
+            sigma = dict.fromkeys(found, 0.0)
+            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+                for parameter, size in step.items():
+                    found[parameter] += taken[k] * size
+                    sigma[parameter] += spread[k] * abs(size)
+            for f in terms.candidate.free:
+                slack = BEYOND * sigma[f.name]
+                within = within and (f.neutral is None or f.low - slack <= found[f.name] <= f.high + slack)
+                values[f.name] = float(np.clip(found[f.name], f.low, f.high))
+        return values, within

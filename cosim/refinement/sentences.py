@@ -18,18 +18,27 @@ NOTHING = "Nothing is missing: the model explains these logs down to the sensors
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 
 
-def excites_too_little(hidden: int, effects: int) -> str:
-    """How many effects these logs would not show, and what would show them."""
-    which = "the one effect" if effects == 1 else f"{hidden} of {effects} effects"
+def excites_too_little(effects: int, *, still: bool) -> str:
+    """That these logs would show none of the effects, and what would show them."""
+    which = "the one effect" if effects == 1 else f"none of {effects} effects"
+    opening = "Nothing moves in these logs" if still else "These logs excite too little"
+    would = "would not" if effects == 1 else "would"
     return (
-        f"These logs excite too little: {which} would not show in them, present or not. "
+        f"{opening}: {which} {would} show in them, present or not. "
         f"This would show {'it' if effects == 1 else 'them'}: {DEFAULT_EXPERIMENT}."
     )
 
 
-def nothing(hidden: Sequence[str]) -> str:
-    """That nothing is missing, and what would not have shown."""
-    return f"{NOTHING} ({' and '.join(hidden)} would not have shown.)" if hidden else NOTHING
+def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
+    """That nothing is missing, how large a disturbance is left, and what would not have shown.
+
+    moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
+    """
+    left = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
+    text = NOTHING
+    if left:
+        text = f"Nothing is missing: what the model leaves is a disturbance ({', '.join(left)}) that follows no signal."
+    return f"{text} ({' and '.join(hidden)} would not have shown.)" if hidden else text
 
 
 def cannot_tell(names: Sequence[str], experiment: str, certain: str) -> str:
@@ -56,6 +65,16 @@ def unexplained(
     else:
         text = otherwise
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
+
+
+def partly(sentence: str, residual: Mapping[str, Any], channel: str, left: float) -> str:
+    """A claim that is a part of what is missing: how much replays keep, and where the rest acts."""
+    where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
+    on = f" and {follows(residual['signals'][0])}" if residual["signals"] else ""
+    return (
+        f"A part of what is missing: replays keep {percent(left)} of the excess error of {channel}, "
+        f"and the rest{where}{on}. {sentence}"
+    )
 
 
 def misses(channel: str, times: float, base: Fit) -> str:

@@ -17,14 +17,17 @@ from cosim.errors import Fault, InputError
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log, stretches
 from cosim.models.file import LoadedModel, load_model
+from cosim.refinement.problem import Settings
 from cosim.registry import BASE
 from cosim.residuals.windows import SKIPPED
 from cosim.text import counted, plain
 from cosim.yaml_file import YamlFile, did_you_mean
+from plant.model import Model
 from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+Share = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=2)]
 
 
 def _file_name(name: str) -> str:
@@ -53,7 +56,14 @@ class StudyFile(BaseModel):
     model: str = BASE
     logs: LogLists
     noise: dict[str, Positive] = {}
+    tolerance: Share | dict[str, Share] = {}
     candidates: list[str] | None = None
+
+    def tolerance_of(self, model: Model) -> dict[str, float]:
+        """Base parameter → share by which it may be off: a number is of all that are recalibrated."""
+        if isinstance(self.tolerance, dict):
+            return dict(self.tolerance)
+        return dict.fromkeys(model.calibrated, self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,11 @@ class Study:
             *(n for _, n in _entries(self.content.logs)),
         )
         return self.path, *(self.path.parent / name for name in names)
+
+    @property
+    def settings(self) -> Settings:
+        """What it says of its logs, for the fits."""
+        return Settings(tolerance=self.content.tolerance_of(self.loaded.model))
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""

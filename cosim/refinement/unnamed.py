@@ -1,27 +1,32 @@
-"""Is something left that no effect of the catalogue is? Terms without a name, one signal each, tried by a score test.
+"""Is something left that no effect of the catalogue is? Terms without a name, of one signal each.
 
 At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state promises a gain of ½·g²/F, with F the
-information of c after the other free parameters are accounted for. No term is fitted; those that promise most say in
-which equation the misfit sits and on which signal it depends. Of terms that these logs do not
-distinguish the simplest stands for all.
+information of c after the other free parameters are accounted for. Those that promise most are fitted beside the
+hypothesis before anything is said of them: which equation they are of, on what they depend, and whether the
+hypothesis stands beside them. Of terms that these logs do not distinguish the simplest stands for all.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.refinement.fit import Fit
+from cosim.kernel.nameless import PREFIX
+from cosim.refinement.candidates import Free
+from cosim.refinement.fit import Fit, fit
 from cosim.refinement.missing import LOGS, Filter, at_best, claimed, missing
 from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
 from cosim.refinement.screen import ScoreTest
+from cosim.refinement.search import ENTRY, SCREEN_ITERATIONS
 
 SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
-NOTICED = 12.0  # promised log-likelihood from which a term without a name counts: half of BIC over a hundred terms
+FITTED = 3  # terms, at most, fitted beside a hypothesis
+DETECTABLE = 3.0  # standard deviations, that the difference of a term makes
 ALIKE = 0.95  # correlation of what two terms change, from which one stands for both
 
 
@@ -43,27 +48,73 @@ class Unnamed:
     most: float
     share: float | None = None
 
+    @property
+    def name(self) -> str:
+        """Of its coefficient among the parameters."""
+        return f"{PREFIX}.{self.equation}.{self.signal}"
 
-def unnamed_terms(problem: Problem, at: Fit) -> list[Unnamed]:
-    """Terms, the most promising first; `problem` is built with them, `at` is a fit of the same logs without."""
+
+@dataclass(frozen=True)
+class Leftover:
+    """What is left beside a hypothesis.
+
+    terms: the most promising first; where they were fitted, those that gain more than they cost, as fitted
+    fit:   the hypothesis with these terms; None where none counts
+    gain:  of log-likelihood, by all of them together
+    cost:  what a term must gain to count
+    """
+
+    terms: tuple[Unnamed, ...]
+    fit: Fit | None
+    gain: float
+    cost: float
+
+
+def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
+    """Terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
+
+    price: score that a parameter costs
+    """
+    names = [name for name in problem.layout.parameters if name.startswith(f"{PREFIX}.")]
+    cost = price + ENTRY + math.log(max(1, len(names)))
     test = ScoreTest(problem, at)
-    layout = problem.layout
-    forced = layout.forced
-    steps = dict(zip(forced, SMALL * np.sqrt(np.exp(problem.noise.plain)), strict=True))
+    steps = dict(zip(problem.layout.forced, SMALL * np.sqrt(problem.plain.density), strict=True))
 
     def term(name: str) -> tuple[Unnamed, Array]:
         _, equation, signal = name.split(".", 2)
         row = test.row({name: steps[equation]})
+        size = float(np.sqrt(row @ row))
+        step = steps[equation] * (DETECTABLE / size if size > 0.0 else 1.0)  # whatever the size of its basis
+        row = test.row({name: step})
         gain, (taken,) = test.gain([row])
-        return Unnamed(equation, signal, gain, float(taken * steps[equation]), gain), row
+        return Unnamed(equation, signal, gain, float(taken * step), gain), row
 
-    names = [name for name in layout.parameters if name.startswith("unnamed.")]
     promising = [(u, row) for u, row in in_parallel(term, names) if u.gain > 0.0]
-    distinct = (u for name in forced for u in _distinct([p for p in promising if p[0].equation == name]))
+    distinct = [u for e in problem.layout.forced for u in _distinct([p for p in promising if p[0].equation == e])]
     terms = sorted(distinct, key=_promise)
-    if terms and terms[0].most > NOTICED:
-        terms[0] = replace(terms[0], share=_share(problem, at, terms[0]))
-    return terms
+    chosen = [u for u in terms if u.most > cost][:FITTED]
+    while chosen:
+        fitted = _fitted(problem, at, chosen)
+        gains = {u: _alone(fitted, u) for u in chosen}
+        if all(gain > cost for gain in gains.values()):
+            named = [replace(u, gain=gains[u], coefficient=fitted.values[u.name], most=gains[u]) for u in chosen]
+            named.sort(key=_promise)
+            named[0] = replace(named[0], share=_share(problem, at, named[0]))
+            return Leftover(tuple(named), fitted, at.objective - fitted.objective, cost)
+        chosen = [u for u in chosen if gains[u] > cost]
+    return Leftover((), None, 0.0, cost)
+
+
+def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
+    """The fit with some terms free beside what is."""
+    free = [*at.free, *(Free(u.name, -math.inf, math.inf, abs(u.coefficient) or 1.0) for u in terms)]
+    start = {**at.values, **{u.name: u.coefficient for u in terms}}
+    return fit(problem, free, start, at.noise, iterations=SCREEN_ITERATIONS)
+
+
+def _alone(fitted: Fit, u: Unnamed) -> float:
+    """What one of the fitted terms gains beside the others."""
+    return 0.5 * float(fitted.marginal([u.name])[0, 0]) * fitted.values[u.name] ** 2
 
 
 def _promise(u: Unnamed) -> float:
@@ -89,8 +140,8 @@ def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
 
     On the first logs. None where a filter has diverged.
     """
-    without = Filter(at.values, at.log_q)
-    with_it = Filter({**at.values, f"unnamed.{u.equation}.{u.signal}": u.coefficient}, at.log_q)
+    without = Filter(at.values, at.noise)
+    with_it = Filter({**at.values, u.name: u.coefficient}, at.noise)
     logs = range(min(LOGS, len(problem.logs)))
     with np.errstate(invalid="ignore", over="ignore"):
         parts = [missing(problem, without, k) for k in logs]

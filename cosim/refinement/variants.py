@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.arrays import Array
 from cosim.models.file import LoadedModel
 from cosim.refinement.candidates import neutral_values
+from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.noise_model import Noise
 from cosim.refinement.study import Study
-from cosim.refinement.verdict import Verdict
 from plant.model import Model
 
 
@@ -22,7 +22,7 @@ class Variant:
 
     model: Model
     values: Mapping[str, float]  # everything the kernel takes, sensors included
-    log_q: Array
+    noise: Noise
     fmu: Path
     parameters: Mapping[str, Any]  # what is set on the FMU
 
@@ -44,21 +44,36 @@ def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedMode
 
 
 def variants_of(
-    study: Study, a: Attribution, verdict: Verdict, refined: LoadedModel, given_fmu: Path, refined_fmu: Path
+    study: Study,
+    a: Attribution,
+    claimed: Hypothesis | None,
+    refined: LoadedModel,
+    fmus: tuple[Path, Path],
+    near: Variant | None = None,
 ) -> dict[str, Variant]:
-    """The model before, recalibrated and after, each with the filter that starts its replays."""
+    """The model before, recalibrated and after, and the nearest, each with the filter that starts its replays.
+
+    fmus: of the model that was given, and of the refined one
+    """
+    given_fmu, refined_fmu = fmus
     given, base = study.loaded, a.base.fit
     nominal = _values(given)
     recalibrated = {f.name: float(base.values[f.name]) for f in base.free}
     changed = given.model.with_values(recalibrated)
-    before = after = Variant(given.model, nominal, base.log_q, given_fmu, {})
-    if claimed := verdict.claimed:
-        after = Variant(refined.model, _values(refined), claimed.fit.log_q, refined_fmu, {})
-    return {
+    before = after = Variant(given.model, nominal, base.noise, given_fmu, {})
+    if claimed:
+        after = Variant(refined.model, _values(refined), claimed.fit.noise, refined_fmu, {})
+    found = {
         "before": before,
-        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.log_q, given_fmu, recalibrated),
+        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.noise, given_fmu, recalibrated),
         "after": after,
     }
+    return found if near is None else {**found, "nearest": near}
+
+
+def variant_of(loaded: LoadedModel, h: Hypothesis | None, base: Fit, fmu: Path) -> Variant:
+    """A model with a hypothesis in it, or as it was given, whose FMU has all of it."""
+    return Variant(loaded.model, _values(loaded), (h.fit if h else base).noise, fmu, {})
 
 
 def _values(loaded: LoadedModel) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""From an attribution to a verdict: claim, or say why not."""
+"""From an attribution to a verdict: what is claimed, how much of what is missing that is, and what comes nearest."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from cosim.refinement.candidates import Candidate, kind_within
 from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.judgement import loss_without
 from cosim.refinement.sentences import (
     DEFAULT_EXPERIMENT,
     cannot_tell,
@@ -20,19 +19,22 @@ from cosim.refinement.sentences import (
     nothing,
     unexplained,
 )
-from cosim.refinement.unnamed import NOTICED, Unnamed
+from cosim.refinement.unnamed import Leftover
 from plant.model import Model
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
-REMAINS = 0.02  # of what a claim gains, from which such a term disputes it where the claim is half a cure
-DISPUTES, DISPUTED = 20.0, 0.3  # the same where it is a whole one: what little is left is said, not disputed
-LEFT, MENDED, GROWN = 0.3, 0.9, 10.0  # process noise after over before: half mended between the first two, made worse
-BLIND = 1 / 3  # of the effects that could not show, from which the logs say too little
+Grade = Literal["claimed", "part", "nearest"]
+MUCH = 0.3  # of what a claim gains, from which a term without a name beside it disputes it
+MOVED = 0.5  # of its size, by which a part that stands may change beside terms without a name
+LARGE = 0.02  # of what moves an equation, from which an unknown input is no small disturbance
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer: its name, what is claimed, rivals, and what is left."""
+    """The answer: its name, what is claimed, rivals, what is left, and the hypothesis that comes nearest.
+
+    nearest: what the nearest model has; the claim where there is one
+    """
 
     name: Name
     claimed: Hypothesis | None
@@ -40,47 +42,47 @@ class Verdict:
     experiment: str
     residual: Mapping[str, Any]
     sentence: str
+    grade: Grade = "nearest"
 
 
-def judge(a: Attribution, unnamed: Sequence[Unnamed], model: Model, forced: Sequence[str]) -> Verdict:
-    """Claim only where score, significance and held-out likelihood agree and nothing nameless is left.
+def judge(
+    a: Attribution, left: Leftover, model: Model, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
+) -> Verdict:
+    """Claim what is borne out and stands beside what has no name. Of these rules the first that applies decides.
 
-    Of these rules the first that applies decides.
+    moves: forced state → size of its unknown input over that of its derivative on the logs
+    still: nothing moves in the logs
     """
-    residual = _residual(a, unnamed, forced)
-    nameless = unnamed[0].most if unnamed else 0.0
-    nothing_gains = not a.best.candidates
-    if _excites_too_little(a):
-        return _undecided(a, residual)
-    if nothing_gains and (not a.quiet or nameless > NOTICED):
+    residual = _residual(a, left, forced)
+    if not a.best.candidates and (still or (a.hidden and len(a.hidden) == _effects_tried(a))):
+        return _undecided(a, residual, still=still)
+    large = max(moves, key=lambda name: moves[name], default=None)
+    if not a.best.candidates and left.terms:
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
-    if nothing_gains:
-        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden))
-    if a.held_out <= 0 or _disputed(a, nameless):
+    if not a.best.candidates and large is not None and moves[large] > LARGE:
+        residual = {**residual, "equation": large}
+        return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
+    if not a.best.candidates:
+        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves))
+    if _disputed(a, left):
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
     if len(_rivalling(a)) > 1:
         return _ambiguous(a, model, residual)
-    left = unnamed[0] if nameless > DISPUTES else None
-    sentence = claim(a.best, a.best.candidates, model) + left_over(left, a.base.score - a.best.score)
-    return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence)
-
-
-def _excites_too_little(a: Attribution) -> bool:
-    """Too many effects would not show in these logs, present or not; a sensor's error may show even at rest."""
-    effects, kinds = _effects_tried(a), {c.kind for c in a.best.candidates}
-    only_one = len(a.hidden) == effects == 1 and not kinds
-    return (len(a.hidden) > max(1.0, BLIND * effects) or only_one) and kinds != {"sensor"}
+    sentence = claim(a.best, a.best.candidates, model)
+    if left.terms:
+        sentence += left_over(left.terms[0], a.base.score - a.best.score)
+    return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence, "claimed")
 
 
 def _effects_tried(a: Attribution) -> int:
     return sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
 
 
-def _undecided(a: Attribution, residual: Mapping[str, Any]) -> Verdict:
-    """Nothing is claimed of logs that excite too little."""
-    rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
-    sentence = excites_too_little(len(a.hidden), _effects_tried(a))
-    return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, sentence)
+def _undecided(a: Attribution, residual: Mapping[str, Any], *, still: bool) -> Verdict:
+    """Nothing is claimed of logs in which nothing would show."""
+    names = a.hidden
+    rivals = names if len(names) > 1 else (*names, "no_effect")
+    return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, excites_too_little(len(names), still=still))
 
 
 def _rivalling(a: Attribution) -> tuple[str, ...]:
@@ -94,7 +96,7 @@ def _common(a: Attribution) -> set[str]:
 
 
 def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Verdict:
-    """The best is claimed until an experiment separates it from its rivals; what they share is certain."""
+    """The best is in the model until an experiment separates it from its rivals; what they share is certain."""
     names, common = _rivalling(a), _common(a)
     experiment = experiment_for(model, names)
     certain = [c for c in a.best.candidates if c.name in common]
@@ -108,27 +110,33 @@ def _name_of(candidates: Sequence[Candidate], model: Model) -> Name:
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
-def _disputed(a: Attribution, nameless: float) -> bool:
-    """The claim does not settle the matter: a term without a name promises much beside it, or process noise says so.
-
-    A true claim takes the process noise out of the equations it mends, and puts none into others.
-    """
-    left = [np.exp(q1 - q0) for q0, q1, noisy in zip(a.base.fit.log_q, a.best.fit.log_q, a.noisy, strict=True) if noisy]
-    if any(share > GROWN for share in left):
+def _disputed(a: Attribution, left: Leftover) -> bool:
+    """What has no name gains much beside the claim, or takes a part's place: that part only stood for it."""
+    if left.fit is None:
+        return False
+    if left.gain > MUCH * (a.base.score - a.best.score):
         return True
-    half_mended = any(LEFT < share < MENDED for share in left)
-    noticed, remains = (NOTICED, REMAINS) if half_mended else (DISPUTES, DISPUTED)
-    return nameless > noticed and nameless > remains * (a.base.score - a.best.score)
+    beside = Hypothesis(a.best.candidates, left.fit, 0.0)
+    neutral = {f.name: f.neutral if f.neutral is not None else a.base.fit.values[f.name] for f in left.fit.free}
+    for c in a.best.candidates:
+        if loss_without(beside, c, neutral) < left.cost:
+            return True
+        for f in c.free:
+            if f.neutral is not None:
+                was, now = a.best.fit.values[f.name] - f.neutral, left.fit.values[f.name] - f.neutral
+                if abs(now - was) > MOVED * abs(was) and abs(now - was) > 3.0 * a.best.fit.sigma(f.name):
+                    return True
+    return False
 
 
-def _residual(a: Attribution, unnamed: Sequence[Unnamed], forced: Sequence[str]) -> dict[str, Any]:
+def _residual(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:
     """Where the misfit sits and on what it depends."""
-    q0, q1 = np.exp(a.base.fit.log_q), np.exp(a.best.fit.log_q)
+    q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
         equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}
         for k, equation in enumerate(forced)
     }
-    terms = [u for u in unnamed if u.most > NOTICED][:5]
+    terms = left.terms
     # densities of states in different units do not compare; what they are worth does
     inflated = {
         equation: gain for equation, gain in zip(forced, a.noise_gain, strict=True) if noise[equation]["inflated"]

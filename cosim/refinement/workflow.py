@@ -20,19 +20,24 @@ from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import Candidate, candidates
-from cosim.refinement.hypotheses import Attribution
+from cosim.refinement.hypotheses import Attribution, Found, Hypothesis
+from cosim.refinement.judgement import decided
 from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
+from cosim.refinement.missing import unknown_inputs
+from cosim.refinement.nearest import nearest
 from cosim.refinement.problem import Problem, build_problem, coarsened, varied_inputs
 from cosim.refinement.proof import held_against_replays
 from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.sensor_noise import other_noise
+from cosim.refinement.sensor_noise import at_rest
 from cosim.refinement.study import Study, read_study
-from cosim.refinement.unnamed import unnamed_terms
-from cosim.refinement.variants import Variant, refined_model, variants_of
+from cosim.refinement.unnamed import left_beside
+from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
+from fmus.build import build
 
-RESULTS = ("model.yaml", "plant.fmu", "refine.json")  # in the order in which they are moved to their place
+NEAREST = ("nearest.yaml", "nearest.fmu")
+RESULTS = ("model.yaml", "plant.fmu", *NEAREST, "refine.json")  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 
@@ -47,22 +52,30 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     progress("reading the logs", 0.0)
     study, folder = read_study(Path(path)), Path(folder)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    study, problem, noise = _posed(study)
-    attribution = Attributor(study.loaded.model, problem, _on_trial(study, problem), progress).run()
-    verdict = _judged(study, attribution, problem, noise, progress)
-    refined = refined_model(study.loaded, verdict.claimed)
+    problem = _posed(study)
+    found = Attributor(study.loaded.model, problem, _on_trial(study, problem), progress).run()
+    progress("weighing what was found", 0.0)
+    attribution = decided(found)
+    verdict = _judged(study, attribution, found, progress)
+    near = _nearest(found, attribution, verdict)
+    refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
-        write_model(scratch / "model.yaml", refined, folder)
         progress("building the refined FMU", 0.0)
-        variants = variants_of(study, attribution, verdict, refined, *_build_fmus(study.loaded, refined, scratch))
+        write_model(scratch / "model.yaml", refined, folder)
+        fmus, variant = _build_fmus(study.loaded, refined, scratch), None
+        if verdict.grade != "claimed":
+            write_model(scratch / "nearest.yaml", nearer, folder)
+            fmu = build(nearer.recipe(), scratch / "nearest.fmu")
+            variant = variant_of(nearer, near, attribution.base.fit, fmu)
+        variants = variants_of(study, attribution, verdict.claimed, refined, fmus, variant)
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
         replayed = _replayed(variants, problem, sets)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
-        written = record(study, attribution, verdict, problem, replayed, floors, time.perf_counter() - began)
+        written = record(study, attribution, verdict, near, problem, replayed, floors, time.perf_counter() - began)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
@@ -76,15 +89,10 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     return outcome
 
 
-def _posed(study: Study) -> tuple[Study, Problem, dict[str, float]]:
-    """The fitting problem, with the noise that is not the model's; what is to be known of that joins the warnings."""
-    model, known, given = study.loaded.model, study.loaded.values, study.content.noise
-    problem = build_problem(model, study.logs, noise=given, sensors=known)
-    estimated, warnings = other_noise(problem, model, given)
-    noise = {**given, **estimated}
-    if estimated:
-        problem = build_problem(model, study.logs, noise=noise, sensors=known)
-    return replace(study, warnings=(*study.warnings, *warnings)), problem, noise
+def _posed(study: Study) -> Problem:
+    """The fitting problem."""
+    loaded = study.loaded
+    return build_problem(loaded.model, study.logs, False, study.content.noise, loaded.values, study.settings)
 
 
 def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
@@ -94,24 +102,33 @@ def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
     return every if named is None else [c for c in every if c.name in named]
 
 
-def _judged(study: Study, a: Attribution, problem: Problem, noise: Mapping[str, float], progress: Progress) -> Verdict:
+def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Verdict:
     """The verdict: by what is left beside the best hypothesis, then by replays."""
-    model = study.loaded.model
+    model, loaded, search = study.loaded.model, study.loaded, found.search
     progress("looking for what has no name", 0.0)
-    nameless = build_problem(model, study.logs, unnamed=True, noise=noise, sensors=study.loaded.values)
-    terms = unnamed_terms(coarsened(nameless, a.best.fit.values), a.best.fit)
-    verdict = judge(a, terms, model, problem.layout.forced)
+    bare = build_problem(model, study.logs, True, study.content.noise, loaded.values, study.settings)
+    nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise)
+    left = left_beside(nameless, a.best.fit, search.price)
+    problem = search.problem
+    moves = unknown_inputs(problem, a.best.fit, a.noisy)
+    verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
-    verdict = held_against_replays(study, a, verdict, problem)
+    verdict = held_against_replays(study, a, verdict, search, problem)
     if study.content.candidates is not None:
         verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     return verdict
 
 
+def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | None:
+    """What the nearest model has; the claim where all is claimed."""
+    if verdict.grade == "claimed":
+        return verdict.claimed
+    close = {h.names: h for h in (a.best, found.best) if h.candidates}
+    return nearest(found.search, a, list(close.values()))
+
+
 def _build_fmus(loaded: LoadedModel, refined: LoadedModel, scratch: Path) -> tuple[Path, Path]:
     """FMUs of the model named in the study and of the refined one, which stays; where nothing changed it is both."""
-    from fmus.build import build
-
     after = build(refined.recipe(), scratch / "plant.fmu")
     return (after if refined is loaded else build(loaded.recipe(), scratch / "given.fmu")), after
 
@@ -143,6 +160,9 @@ def _publish(scratch: Path, folder: Path, variants: Mapping[str, Variant]) -> di
     """Move the results to where they stay, refine.json last; an earlier report goes: it is of other results."""
     (folder / "report.html").unlink(missing_ok=True)
     for name in RESULTS:
-        (scratch / name).replace(folder / name)
-    refined = scratch / "plant.fmu"
-    return {n: replace(v, fmu=folder / refined.name) if v.fmu == refined else v for n, v in variants.items()}
+        if (scratch / name).is_file():
+            (scratch / name).replace(folder / name)
+        else:
+            (folder / name).unlink(missing_ok=True)  # an earlier study's
+    kept = {scratch / name: folder / name for name in ("plant.fmu", "nearest.fmu")}
+    return {n: replace(v, fmu=kept.get(v.fmu, v.fmu)) for n, v in variants.items()}

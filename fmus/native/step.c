@@ -7,9 +7,15 @@ typedef struct {
     int rows, substeps;
     int settle;           /* rows over which a filter's covariance stays as it began */
     double step, start;
-    const double *u;      /* rows x NU, held from row to row */
+    const double *u;      /* rows x NU */
     const double *y;      /* rows x NY, NaN where missing */
+    const int *ramps;     /* NU: whether an input runs straight from row to row, or is held */
 } Log;
+
+static const double *row_of(const Log *log, int row)
+{
+    return log->u + NU * (row < 0 ? 0 : row >= log->rows ? log->rows - 1 : row);
+}
 
 /* Mean over [t0, t1] (in rows from the start) of the held commands, delayed; the first row has always been there. */
 static void held_mean(const Log *log, double t0, double t1, double *out)
@@ -19,37 +25,64 @@ static void held_mean(const Log *log, double t0, double t1, double *out)
     while (at < t1 - 1e-12) {
         int row = (int)floor(at + 1e-9);
         double until = row + 1.0 < t1 ? row + 1.0 : t1;
-        const double *u = log->u + NU * (row < 0 ? 0 : row >= log->rows ? log->rows - 1 : row);
+        const double *u = row_of(log, row);
         for (int j = 0; j < NU; j++) out[j] += u[j] * (until - at) / (t1 - t0);
         at = until;
     }
 }
 
+/* What is interpolated, at a time (in rows from the start); the others stay as they are. */
+static void on_ramps(const Log *log, double at, double *out)
+{
+    int row = (int)floor(at + 1e-9);
+    const double *before = row_of(log, row), *after = row_of(log, row + 1);
+    for (int j = 0; j < NU; j++) if (log->ramps[j]) out[j] = before[j] + (at - row) * (after[j] - before[j]);
+}
+
+/* Commands (3 x NU) act at the start, the middle and the end of the step. */
 static void rk4(double t, double h, double *x, const double *u, const double *p)
 {
-    double k1[NX], k2[NX], k3[NX], k4[NX], z[NX];
+    double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], z[NX + 1];
     deriv(t, x, u, p, k1);
     for (int i = 0; i < NX; i++) z[i] = x[i] + 0.5 * h * k1[i];
-    deriv(t + 0.5 * h, z, u, p, k2);
+    deriv(t + 0.5 * h, z, u + NU, p, k2);
     for (int i = 0; i < NX; i++) z[i] = x[i] + 0.5 * h * k2[i];
-    deriv(t + 0.5 * h, z, u, p, k3);
+    deriv(t + 0.5 * h, z, u + NU, p, k3);
     for (int i = 0; i < NX; i++) z[i] = x[i] + h * k3[i];
-    deriv(t + h, z, u, p, k4);
+    deriv(t + h, z, u + 2 * NU, p, k4);
     for (int i = 0; i < NX; i++) x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
 }
 
-/* The command held over the step that ends in row k, with which the FMU gives its outputs there. */
-static const double *held(const Log *log, int k) { return log->u + NU * (k > 0 ? k - 1 : 0); }
+/* The commands with which the FMU gives its outputs in row k: those held over the step that ends there, or interpolated. */
+static void held(const Log *log, int k, double *u)
+{
+    memcpy(u, row_of(log, k - 1), sizeof(double) * NU);
+    on_ramps(log, k, u);
+}
 
-/* What acts over substep s of the step that ends in row k: the log's command after delay and everything that shapes it. */
+/* What acts at the start, the middle and the end (u: 3 x NU) of substep s of the step that ends in row k: the log's command after
+ * delay and everything that shapes it; what remembers takes one step, with the command in the middle. */
 static void act(const Log *log, int k, int s, double delay, double *memory, const double *p, double *u)
 {
-    double shaped[NU + NM + 1], from = k - 1 + (double)s / log->substeps;
-    if (delay > 0.0) held_mean(log, from - delay, from + 1.0 / log->substeps - delay, u);
-    else memcpy(u, log->u + NU * (k - 1), sizeof(double) * NU);
-    shape_all(u, memory, p, shaped);
-    memcpy(u, shaped, sizeof(double) * NU);
+    double shaped[NU + NM + 1], from = k - 1 + (double)s / log->substeps, width = 1.0 / log->substeps, *middle = u + NU;
+    int ramps = 0;
+    for (int j = 0; j < NU; j++) ramps |= log->ramps[j];
+    if (delay > 0.0) held_mean(log, from - delay, from + width - delay, middle);
+    else memcpy(middle, log->u + NU * (k - 1), sizeof(double) * NU);
+    for (int i = 0; i < 3; i += 2) {
+        double *at = u + i * NU;
+        memcpy(at, middle, sizeof(double) * NU);
+        if (ramps) {
+            on_ramps(log, from + 0.5 * i * width - delay, at);
+            shape_all(at, memory, p, shaped);
+            memcpy(at, shaped, sizeof(double) * NU);
+        }
+    }
+    if (ramps) on_ramps(log, from + 0.5 * width - delay, middle);
+    shape_all(middle, memory, p, shaped);
+    memcpy(middle, shaped, sizeof(double) * NU);
     memcpy(memory, shaped + NU, sizeof(double) * NM);
+    if (!ramps) for (int i = 0; i < 3; i += 2) memcpy(u + i * NU, middle, sizeof(double) * NU);
 }
 
 /* Run without looking at measurements: kicks (rows x NX) are added to the state at each row, outputs (rows x NY) are free of
@@ -57,9 +90,9 @@ static void act(const Log *log, int k, int s, double delay, double *memory, cons
 int simulate(const Log *log, int first, const double *p, const double *x0, const double *memory0, const double *kicks,
              double *outputs, double *states, double *memories)
 {
-    double x[NX], u[NU], memory[NM + 1];
+    double x[NX + 1], u[3 * NU], command[NU], memory[NM + 1];
     const double h = log->step / log->substeps, delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
-    memcpy(x, x0, sizeof x);
+    memcpy(x, x0, sizeof(double) * NX);
     memcpy(memory, memory0, sizeof(double) * NM);
     for (int k = first; k < log->rows; k++) {
         double t = log->start + k * log->step;
@@ -70,8 +103,9 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
             }
             if (kicks) for (int i = 0; i < NX; i++) x[i] += kicks[NX * k + i];
         }
-        measure(t, x, held(log, k), p, outputs + NY * k);
-        if (states) memcpy(states + NX * k, x, sizeof x);
+        held(log, k, command);
+        measure(t, x, command, p, outputs + NY * k);
+        if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
         for (int i = 0; i < NX; i++) if (!isfinite(x[i])) return k;
     }

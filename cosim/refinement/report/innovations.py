@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.logs.noise import NORMAL_95
+from cosim.refinement.noise_model import Noise
 from cosim.refinement.problem import unscored
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import POINTS, side_by_side
@@ -45,10 +46,10 @@ def innovations(r: Refinement) -> list[WhitenessRow]:
     A filter trusts its equations where their process noise is too small for any log to show.
     """
     after, logs = r.variants["after"], range(len(r.problem.logs))
-    pair = [(after, r.problem.noise.smallest), (after, after.log_q)]
+    pair = [(after, replace(after.noise, power=r.problem.noise.smallest)), (after, after.noise)]
     if r.verdict.claimed:
-        pair[0] = (r.variants["before"], after.log_q)
-    both = [[_innovations(r, dict(v.values), q, k) for k in logs] for v, q in pair]
+        pair[0] = (r.variants["before"], after.noise)
+    both = [[_innovations(r, dict(v.values), noise, k) for k in logs] for v, noise in pair]
     outputs = r.problem.layout.outputs
     ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
     return [_channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both]) for name in ordered]
@@ -66,8 +67,8 @@ def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> Wh
     return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
 
 
-def _innovations(r: Refinement, values: dict[str, float], log_q: Array, index: int) -> Array:
-    run = r.problem.run({**r.problem.values, **values}, log_q, index)
+def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: int) -> Array:
+    run = r.problem.run({**r.problem.values, **values}, noise, index)
     first = min(unscored(r.problem.logs[index]), max(0, len(run.errors) - 2))
     scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
     return np.where(np.abs(scaled) < 1e6, scaled, np.nan)

@@ -201,7 +201,7 @@ def _ranking_lead(r: Refinement) -> str:
         "test promised too little. The score is the log-likelihood gained on the base model and on the priors of its "
         "parameters, less ½ ln N for each parameter added."
     )
-    if r.verdict.claimed is not None and len(r.study.logs) > 1:
+    if r.verdict.claimed is not None and gain is not None:
         lead += f" On each log, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
     return lead
 

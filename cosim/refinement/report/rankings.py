@@ -184,14 +184,15 @@ def _digits(value: float, sigma: float) -> int:
 def noise_rows(r: Refinement) -> list[NoiseRow]:
     """√q is how far the state drifts in one second for what its equation does not say."""
     noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
+    usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
     unit = {q.name: q.unit for q in r.study.loaded.model.states}
     rows = []
     for k, name in enumerate(r.problem.layout.forced):
         if name in noise:
             before, after = noise[name]["before"], noise[name]["after"]
             drifts = [_drift(math.sqrt(q), unit.get(name, "")) for q in (before, after)]
-            bars = [_width(q, size.smallest[k], size.largest[k]) for q in (before, after)]
-            words = _words(noise[name], size.quiet[k])
+            bars = [_width(q, size.smallest[k] + usual, size.largest[k] + usual) for q in (before, after)]
+            words = _words(noise[name], size.quiet[k] + usual)
             rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))
     return rows
 

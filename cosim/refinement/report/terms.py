@@ -79,10 +79,10 @@ def shown(r: Refinement) -> list[Shown]:
         return [_left(r, logs)] if r.verdict.name == "unexplained" else []
     pictures = []
     for candidate in claim.candidates:
-        with_it = Filter(claim.fit.values, claim.fit.log_q)
-        without = Filter(base.fit.values, base.fit.log_q)
+        with_it = Filter(claim.fit.values, claim.fit.noise)
+        without = Filter(base.fit.values, base.fit.noise)
         if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
-            without = Filter(_without(claim, candidate, r.problem.values), base.fit.log_q)
+            without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
         picture = _reading if candidate.kind == "sensor" else _term
         pictures.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
     return pictures
@@ -106,7 +106,7 @@ def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it
 def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     """What the best hypothesis leaves, with the term without a name that promises most beside it."""
     model, problem, best = r.study.loaded.model, r.problem, r.attribution.best.fit
-    parts = [(k, missing(problem, Filter(best.values, best.log_q), k)) for k in logs]
+    parts = [(k, missing(problem, Filter(best.values, best.noise), k)) for k in logs]
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     residual, equations = r.verdict.residual, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
@@ -155,7 +155,7 @@ def _reading(
     rows = []
     for index in logs:
         data = problem.logs[index]
-        run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.log_q), index, states=True)
+        run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
         clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
         wrong = Steps(problem, index, with_it.values)
         for k in range(unscored(data), min(len(data.u), MOST_ROWS) - 1):

@@ -1,0 +1,174 @@
+"""What speaks for each part of a hypothesis: likelihood and its scatter, logs left out, open-loop predictions.
+
+A likelihood takes what is left for white. What is left of a real system is not: so the scatter of a gain, and of an
+estimate, is taken from blocks of time longer than an unknown input lasts,
+    z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
+(Vuong 1989; White 1982). On a log left out, parameters are as the other logs have them, and every hypothesis predicts
+from its own filtered state without looking at what is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Array, Rows
+from cosim.kernel.interface import Data
+from cosim.logs.log import slowness
+from cosim.refinement.fit import Fit, fit, inverse, scores
+from cosim.refinement.hypotheses import Hypothesis
+from cosim.refinement.parallel import in_parallel
+from cosim.refinement.problem import Problem, Scored, halved, unscored
+from cosim.refinement.search import SCREEN_ITERATIONS, Search
+
+BLOCK = 2.0  # [s] at least; slow logs longer
+LASTING = 3.0  # times as long as an unknown input lasts
+FEWEST = 12  # blocks, over all logs
+BACK = 200  # rows before a replay, for a delay to look into
+PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
+
+
+@dataclass(frozen=True)
+class Support:
+    """What speaks for a hypothesis against one that lacks something of it.
+
+    gain:      log-likelihood, priors included
+    steady:    how many times its own scatter over blocks of time the gain is
+    held_out:  log-likelihood gained on each log, as the others have it; NaN: not asked for
+    predicted: how many times its scatter the square error of open-loop predictions on logs left out is less; NaN as before
+    """
+
+    gain: float
+    steady: float
+    held_out: float = math.nan
+    predicted: float = math.nan
+
+
+def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
+    """Number of the block of time in which each scored measurement stands."""
+    data = problem.logs[0]
+    rows = max(1, round(max(BLOCK * slowness(data.step), LASTING * memory) / data.step))
+    total = sum(len(d.u) for d in problem.logs)
+    rows = max(1, min(rows, total // FEWEST))
+    numbers, first = [], 0
+    for part in np.split(scored.rows, np.cumsum(scored.counts)[:-1]):
+        block = first + part // rows
+        numbers.append(block)
+        first = int(block.max()) + 1 if block.size else first
+    return np.concatenate(numbers)
+
+
+def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
+    """Gain in log-likelihood over its scatter, by blocks of time."""
+    scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
+    if scored[0].errors.size != scored[1].errors.size:
+        return math.inf
+    block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
+    gains = np.bincount(block, _nll(scored[1]) - _nll(scored[0])).astype(np.float64)
+    return in_scatter(gains[np.bincount(block) > 0])
+
+
+def in_scatter(gains: Array) -> float:
+    """A sum over its standard deviation, as its terms scatter."""
+    total, spread = float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+    return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
+
+
+def _nll(s: Scored) -> Array:
+    with np.errstate(over="ignore", invalid="ignore"):
+        terms = 0.5 * (np.log(2 * np.pi * s.variances) + s.errors**2 / s.variances)
+    return np.nan_to_num(terms, nan=1e6, posinf=1e6)
+
+
+def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
+    """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
+
+    What is claimed is as the other logs have it. For the likelihood the rest, base parameters and noise, settles on
+    the log itself, for both alike: logs that excite little leave it open. Predictions have nothing of the log. Of a
+    single log, halves.
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    count = len(problem.logs)
+
+    def one(left_out: int) -> tuple[float, list[Array]]:
+        objectives, missed = [], []
+        for h in (worse, better):
+            learnt = learnt_without(search, problem, h, left_out)
+            names = {f.name for c in (*better.candidates, *worse.candidates) for f in c.free}
+            settling = [f for f in search.free(()) if f.name not in names]
+            stays = {n: learnt.values[n] for n in names}
+            settled = fit(
+                problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
+            )
+            objectives.append(settled.objective)
+            missed.append(open_loop(problem, search.model.horizon, learnt.values, learnt, left_out))
+        return objectives[0] - objectives[1], missed
+
+    found = in_parallel(one, list(range(count)))
+    return sum(gain for gain, _ in found), in_scatter(_nearer([missed for _, missed in found]))
+
+
+def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
+    """A hypothesis as all logs but one have it."""
+    key = (h.names, left_out)
+    if key not in search.learnt:
+        others = [k for k in range(len(problem.logs)) if k != left_out]
+        free = search.free(h.candidates)
+        search.learnt[key] = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+    return search.learnt[key]
+
+
+def _nearer(found: Sequence[Sequence[Array]]) -> Array:
+    """By how much square errors are less, in each replay of each log, every output in units of its own."""
+    worse, better = (np.concatenate([missed[k] for missed in found]) for k in (0, 1))
+    both = np.isfinite(worse) & np.isfinite(better)
+    counts = np.maximum(1, both.sum(axis=1))
+    squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
+    size = 0.5 * sum(s.sum(axis=(0, 1)) for s in squares) / np.maximum(1, both.sum(axis=(0, 1)))
+    size = np.where(size > 0.0, size, 1.0)
+    per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
+    return np.asarray(per_replay[both.any(axis=(1, 2))])
+
+
+def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
+    """Measured − predicted, shape (replays, rows, outputs), NaN where nothing is; each from the filtered state.
+
+    Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
+    """
+    data, first = problem.data(values, index)[0], unscored(problem.logs[index])
+    rows = len(data.u)
+    length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
+    length = max(2, min(length, (rows - first) // 2))
+    run = problem.run(values, f.noise, index, states=True)
+    p = problem.numbers(values)
+    missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
+    for k, row in enumerate(range(first, rows - length, length)):
+        if k >= len(missed):
+            break
+        part = _part(data, row, length)
+        start = problem.undisturbed(run.states[row])
+        back = row - part[1]
+        predicted = problem.kernel.simulate(part[0], p, start, run.memory[row], first=back).outputs
+        missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
+    return np.where(np.abs(missed) < 1e30, missed, np.nan)
+
+
+def _part(data: Data, row: int, length: int) -> tuple[Data, int]:
+    """The rows of a replay, with enough before them for a delay to look into, and the first of them."""
+    first, end = max(0, row - BACK), row + length + 1
+    return replace(data, start=data.start + first * data.step, u=data.u[first:end], y=data.y[first:end]), first
+
+
+def scattered(problem: Problem, f: Fit) -> Fit:
+    """The fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
+    each, information = scores(problem, f)
+    scored = problem.scored(f.values, f.noise)
+    block = blocks_of(problem, scored, math.exp(f.noise.memory))
+    sums = np.stack([np.bincount(block, row) for row in each])
+    inside = inverse(information)
+    covariance = inside @ (sums @ sums.T) @ inside
+    count = len(f.free)
+    return replace(f, scattered=np.asarray(covariance[:count, :count]))

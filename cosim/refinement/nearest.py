@@ -1,0 +1,52 @@
+"""The model that comes nearest, where not all is claimed: by predictions of each estimation log, the others learnt from.
+
+It may be the best hypothesis, claimed or not, the model recalibrated, or the model as it was given; sealed logs have no
+say. Errors are those of replays over the model's own horizon, each from the filtered state, as the kernel runs them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.refinement.evidence import learnt_without, open_loop
+from cosim.refinement.fit import Fit
+from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.problem import halved
+from cosim.refinement.search import Search
+
+SIMPLER = 0.01  # of the error, within which the simpler model is taken
+
+
+def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The hypothesis that predicts logs left out best; the base's where recalibrating is all; None: the model as given.
+
+    best: hypotheses that were nearly claimed, simplest first
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    logs = range(len(problem.logs))
+    given = replace(a.base.fit, values=problem.values)
+    found: list[tuple[float, Hypothesis | None]] = []
+
+    def error(fits: Sequence[Fit]) -> float:
+        missed = [open_loop(problem, search.model.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
+        return _size(missed)
+
+    found.append((error([given] * len(logs)), None))
+    for h in (a.base, *best):
+        found.append((error([learnt_without(search, problem, h, k) for k in logs]), h))
+    least = min(size for size, _ in found)
+    return next(h for size, h in found if size <= least + SIMPLER)
+
+
+def _size(missed: Sequence[Array]) -> float:
+    """Mean over the outputs of the logarithm of the root mean square."""
+    rows = np.concatenate([m.reshape(-1, m.shape[-1]) for m in missed])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
+    sizes = sizes[np.isfinite(sizes)]
+    return float(np.mean(sizes)) if sizes.size else math.inf

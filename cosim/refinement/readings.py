@@ -1,0 +1,87 @@
+"""What there is to the readings of a log beside their values: which are scored, their slopes, their resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Array
+
+NEAR = 4  # readings on each side, over which a slope is taken
+EQUAL = 1e-6  # of a resolution, within which values stand on its grid
+ON_GRID = 0.99  # of the steps between readings, from which they are taken to be quantised
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of one log, shape (rows, outputs).
+
+    scored:     which take part in a likelihood
+    slopes:     how fast each changes, per row, by the readings about it; 0 where that is unknown
+    resolution: step in which the readings of each output come; 0 where they come in no steps
+    spread:     standard deviation of the readings of each output
+    """
+
+    y: Array
+    scored: Array
+    slopes: Array
+    resolution: Array
+    spread: Array
+
+    def in_time(self, late: Mapping[int, float]) -> tuple[Array, Array]:
+        """Readings, and which are scored, with those of some outputs put `late` rows earlier.
+
+        To the next whole row; what is left of a row is mended by the slope, which adds no noise to speak of.
+        """
+        y, scored = self.y.copy(), self.scored.copy()
+        for j, rows in late.items():
+            if rows == 0.0:
+                continue
+            whole = round(rows)
+            mended = self.y[:, j] + (rows - whole) * self.slopes[:, j]
+            y[:, j], scored[:, j] = np.nan, False
+            y[: len(y) - whole, j], scored[: len(y) - whole, j] = mended[whole:], self.scored[whole:, j]
+        return y, scored
+
+
+def readings_of(y: Array, unscored: int) -> Readings:
+    """The readings of a log of which the first rows are not scored."""
+    scored = np.isfinite(y)
+    scored[:unscored] = False
+    columns = list(y.T)
+    return Readings(
+        y,
+        scored,
+        np.column_stack([_slopes(column) for column in columns]) if columns else np.zeros_like(y),
+        np.array([_resolution(column) for column in columns]),
+        np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in columns]),
+    )
+
+
+def _slopes(column: Array) -> Array:
+    """Change per row, of the straight line through the nearest readings."""
+    slopes = np.zeros(column.size)
+    rows = np.flatnonzero(np.isfinite(column))
+    if rows.size < 2 * NEAR + 1:
+        return slopes
+    windows = np.lib.stride_tricks.sliding_window_view
+    t, v = windows(rows.astype(np.float64), 2 * NEAR + 1), windows(column[rows], 2 * NEAR + 1)
+    t = t - t.mean(axis=1, keepdims=True)
+    inner = np.sum(t * v, axis=1) / np.sum(t * t, axis=1)
+    slopes[rows] = np.concatenate([np.full(NEAR, inner[0]), inner, np.full(NEAR, inner[-1])])
+    return slopes
+
+
+def _resolution(column: Array) -> float:
+    """The step in which readings come, where nearly all differ by whole numbers of the smallest one."""
+    values = np.unique(column[np.isfinite(column)])
+    if values.size < 3:
+        return 0.0
+    steps = np.diff(values)
+    least = float(np.median(steps[steps <= 1.5 * steps.min()]))
+    whole = np.abs(steps / least - np.rint(steps / least)) < 0.02
+    # printed with few digits, everything is on some grid: a resolution is one that repeats many values
+    repeated = values.size < 0.2 * np.isfinite(column).sum()
+    return least if repeated and float(np.mean(whole)) >= ON_GRID else 0.0
