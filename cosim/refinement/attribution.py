@@ -23,12 +23,14 @@ from cosim.refinement.screen import Choice, ScoreTest, Terms
 from cosim.refinement.search import Parts, Progress, Search, key_of
 from plant.model import Model
 
-FITTED = 8  # sets a round
+FITTED = 6  # sets a round
 AMONG = 10  # candidates, the most promising, of which pairs and more are put together
 TOGETHER = 4  # at most at once, about the base model
 NEAR = 12.0  # of score within which a set is worth a fit, and a hypothesis is fitted to the end
 DONE = 1.0  # of score, below which a round has found nothing better
 ROUNDS = 10
+HOPE = 2.0  # times what a score test promises, that a fit may bring
+SETTLING = 15  # iterations
 FINALISTS = 6
 
 
@@ -65,9 +67,13 @@ class Attributor:
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reduced(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, min((best, *fitted, *reduced), key=lambda h: h.score)
-            idle = idle + 1 if best.score > before - DONE else 0
-            if idle > 1:
-                break
+            if best.score > before - DONE:
+                idle += 1
+                if idle > 1:
+                    break
+            else:
+                idle = 0
+                (best,) = search.fit_again([best], SETTLING)  # the noise of the sensors was that of the last best
         return self._decided(base, best)
 
     def _proposed(self, best: Hypothesis) -> list[tuple[Parts, Mapping[str, float] | None]]:
@@ -86,13 +92,12 @@ class Attributor:
             if tuple(sorted(names)) in search.tried:
                 continue
             promise = choice.promise(names)
-            if promise.within:
-                score = (
-                    best.score - promise.gain + search.cost([parts[n] for n in names]) - search.cost(best.candidates)
-                )
-                ranked.append((score, names, promise.values))
+            dearer = search.cost([parts[n] for n in names]) - search.cost(best.candidates)
+            worth = HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR
+            if promise.within and worth:
+                ranked.append((best.score - promise.gain + dearer, names, promise.values))
         ranked.sort(key=lambda one: one[0])
-        chosen = [one for one in ranked if one[0] < best.score + NEAR][:FITTED]
+        chosen = ranked[:FITTED]
         proposed: list[tuple[Parts, Mapping[str, float] | None]] = [
             (tuple(parts[n] for n in names), values) for _, names, values in chosen
         ]

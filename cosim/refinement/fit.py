@@ -18,7 +18,7 @@ from cosim.refinement.noise_model import Noise
 from cosim.refinement.problem import Problem, Scored
 
 ITERATIONS = 30
-CONVERGED = 0.02  # of NLL, the improvement below which an iteration is the last
+CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks
 DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
 NOISE_DIFFERENCE = 0.05
 FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
@@ -131,6 +131,7 @@ class _Scoring:
         here = [*(self.known[f.name] for f in free), *self.fixed[self.moved]]
         self.theta = np.clip(np.array(here), self.low, self.high)
         self.damping = 1e-3
+        self.enough = CONVERGED if sensing else NEARLY
 
     def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
         """Iterate until the objective stops moving."""
@@ -146,7 +147,7 @@ class _Scoring:
             if done >= fair and before - hope > goal:
                 break
             pace = self._move(gradient, information)
-            converged = pace < CONVERGED
+            converged = pace < self.enough
             done += 1
         values, noise = self._unpack(self.theta)
         return Fit(

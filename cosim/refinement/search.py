@@ -84,7 +84,7 @@ class Search:
             fair = 1 if values == known else FAIR
             fits.append(fit(self.problem, free, values, noise, None, iterations, goal, fair, reached, sensing))
         best = min(fits, key=lambda f: f.objective)
-        return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing)
+        return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
     def free(self, parts: Parts) -> list[Free]:
         """What a fit of these candidates may move."""
