@@ -17,7 +17,9 @@ SOUND = 340.3  # [m/s]
 REFERENCE = 5000.0 * math.pi / 30.0  # [rad/s] 5000 rpm
 TOLD_APART_BY = {
     frozenset({"reynolds_number", "power_law", "tip_mach"}): "more speeds, low and high ones",
-    frozenset({"thrust_tare", "speed_offset", "reynolds_number", "power_law"}): "speeds near zero, where an offset is all there is",
+    frozenset(
+        {"thrust_tare", "speed_offset", "reynolds_number", "power_law"}
+    ): "speeds near zero, where an offset is all there is",
 }
 
 

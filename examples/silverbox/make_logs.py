@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded  # noqa: E402
+from fetch import Recording, RecordingError, recorded
 
 RECORDING = Recording(
     "SNLS80mV.csv",

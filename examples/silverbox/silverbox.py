@@ -16,7 +16,9 @@ REVERSAL_SPEED = 2.0  # [V/s] below which dry friction is smoothed; the circuit 
 SPRINGS = "a command strong enough that the output reaches several times its usual range, to both sides"
 TOLD_APART_BY = {
     frozenset({"cubic_spring", "quadratic_spring", "cosine_spring"}): SPRINGS,
-    frozenset({"coulomb_damping", "quadratic_damping", "cubic_damping", "damping"}): "the same command at several sizes",
+    frozenset(
+        {"coulomb_damping", "quadratic_damping", "cubic_damping", "damping"}
+    ): "the same command at several sizes",
     frozenset({"input_offset", "output_offset"}): SPRINGS,
 }
 
