@@ -62,18 +62,18 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
-    """Gain in log-likelihood over its scatter, by blocks of time."""
+    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time."""
     scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
     gains = np.bincount(block, _nll(scored[1]) - _nll(scored[0])).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0])
+    return in_scatter(gains[np.bincount(block) > 0], worse.penalty - better.penalty)
 
 
-def in_scatter(gains: Array) -> float:
-    """A sum over its standard deviation, as its terms scatter."""
-    total, spread = float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+def in_scatter(gains: Array, known: float = 0.0) -> float:
+    """A sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
+    total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
@@ -86,7 +86,7 @@ def _nll(s: Scored) -> Array:
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
 
-    What is claimed is as the other logs have it. For the likelihood the rest, base parameters and noise, settles on
+    What is claimed is as the other logs have it, and what is not as the model has it. For the likelihood the rest, base parameters and noise, settles on
     the log itself, for both alike: logs that excite little leave it open. Predictions have nothing of the log. Of a
     single log, halves.
     """
@@ -99,7 +99,8 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
             learnt = learnt_without(search, problem, h, left_out)
             names = {f.name for c in (*better.candidates, *worse.candidates) for f in c.free}
             settling = [f for f in search.free(()) if f.name not in names]
-            stays = {n: learnt.values[n] for n in names}
+            own = {f.name for c in h.candidates for f in c.free}
+            stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
             settled = fit(
                 problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
             )

@@ -77,14 +77,14 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
     if limits := [f.name for f in c.free if at_limit(h, f, search.problem.values)]:
         return f"{limits[0]} is at its limit"
+    if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
+        return "" if outside(search, h, c) else "is within its tolerance"
     if s.steady < UNSURE:
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
         return "gains nothing on logs left out"
     if s.predicted < WORSE:
         return "predictions of logs left out are worse with it"
-    if c.kind == "parameter" and not outside(search, h, c):
-        return "is within its tolerance"
     return ""
 
 

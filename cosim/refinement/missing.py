@@ -79,17 +79,19 @@ def missing(problem: Problem, base: Filter, index: int) -> Missing:
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
 
 
-def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool]) -> dict[str, float]:
-    """Of each forced equation with an unknown input: its size over that of the state's derivative on the logs."""
-    found: dict[str, float] = {}
+def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
+    """Of each forced equation with an unknown input: its size over that of what moves states of its unit on the logs.
+
+    units: of the states
+    """
+    names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
+    moved: dict[str, float] = {}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
-    for k, (name, place) in enumerate(zip(problem.layout.forced, problem.layout.forced_places, strict=True)):
-        if not noisy[k]:
-            continue
+    for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
-        found[name] = float(np.exp(0.5 * at.noise.power[k]) / max(float(high - low), 1e-300))
-    return found
+        moved[units[name]] = max(moved.get(units[name], 1e-300), float(high - low))
+    return {n: float(p) / moved[units[n]] for n, p, there in zip(names, powers, noisy, strict=True) if there}
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:

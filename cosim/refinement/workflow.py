@@ -110,7 +110,7 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise)
     left = left_beside(nameless, a.best.fit, search.price)
     problem = search.problem
-    moves = unknown_inputs(problem, a.best.fit, a.noisy)
+    moves = unknown_inputs(problem, a.best.fit, a.noisy, {q.name: q.unit for q in model.states})
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
