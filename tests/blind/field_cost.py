@@ -5,8 +5,7 @@ noise and how large and how slow the disturbance is, says how the innovations wo
 base numbers, within their tolerances, and the study's other effects can take over of that is taken off. Half the
 square of what remains is the cost. Nothing of the project is in it.
 
-    python -m tests.blind.field_cost 40 --first 0      the costs of the known studies among 40 seeds
-    python -m tests.blind.field_cost --twins           catalogue effects that others mimic, and how well
+    python -m tests.blind.field_cost 40 --first 0      costs of the known studies among 40 seeds
 """
 
 from __future__ import annotations
@@ -240,3 +239,40 @@ class _Filter:
 def shaping(rig: Rig, p: Flat) -> tuple[float, ...]:
     """What of the numbers decides the acting commands."""
     return tuple(float(p.get(name, 0.0)) for name in rig.shaping)
+
+
+def distribution(seeds: Iterator[int]) -> str:
+    """Costs of the effects that known studies hide: how many are sized, how large; the rest is drawn, not sized."""
+    from tests.blind.field_study import LEAST, RIGS, draw  # it draws by the costs
+
+    sized: list[float] = []
+    drawn: list[float] = []
+    by_effect: dict[str, list[float]] = defaultdict(list)
+    for seed in seeds:
+        study = draw(seed)
+        for name, cost in study.costs.items():
+            if study.kind == "known":
+                (drawn if RIGS[study.plant].entries[name].fixed else sized).append(cost)
+                by_effect[f"{study.plant}: {name}"].append(cost)
+    if not by_effect:
+        return "no known study among them"
+    every = np.array(sized + drawn)
+    lines = [f"{name:36} {len(c):3d}  {min(c):9.0f} … {max(c):9.0f}" for name, c in sorted(by_effect.items())]
+    quantiles = np.percentile(every, (0, 10, 25, 50, 75, 90, 100))
+    lines.append(f"{every.size} effects, {len(drawn)} of them of a drawn size; least {LEAST:g} nats wanted")
+    lines.append("0, 10, 25, 50, 75, 90, 100 %: " + ", ".join(f"{q:.0f}" for q in quantiles) + " nats")
+    lines.append(f"below 100 nats: {100 * np.mean(every < 100.0):.0f} %; below 20: {np.sum(every < LEAST):d}")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.field_cost", description=__doc__.splitlines()[0])
+    parser.add_argument("count", type=int, metavar="N", help="how many seeds")
+    parser.add_argument("--first", type=int, default=0, help="the first of them")
+    options = parser.parse_args(arguments)
+    print(distribution(iter(range(options.first, options.first + options.count))))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

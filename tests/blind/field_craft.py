@@ -56,7 +56,7 @@ class CraftRig(Rig):
         "yaw_damping": Entry(("coefficient",), 1e-3, (1e-4, 0.02)),
         "yaw_coulomb_friction": Entry(("moment",), 1e-3, (1e-4, 0.012)),
         "actuator_delay": Entry(("time",), 0.02, (2e-3, 0.15)),
-        "servo_rate_limit": Entry(("rate",), 1.0, (0.4, 3.0), inverse=True),
+        "servo_rate_limit": Entry(("rate",), 0.7, (0.4, 3.0), inverse=True),
         "servo_backlash": Entry(("width",), 0.5 * _DEG, (0.1 * _DEG, 4.0 * _DEG)),
         "servo_dead_band": Entry(("width",), 0.5 * _DEG, (0.05 * _DEG, 3.0 * _DEG)),
         "tilt_offset": Entry(("right", "left"), 0.3 * _DEG, (0.02 * _DEG, 3.0 * _DEG)),
@@ -86,7 +86,6 @@ class CraftRig(Rig):
     # ±12° of both tilts at the nominal thrust give a range of 2.1 N forward and 0.36 N m; yaw is pushed a quarter of that
     pushes, correlation_time = (2.0, 2.0, 0.1), 1.0
     step, rows, horizon, preroll = 0.02, 2001, 2.0, 0.0
-    substeps = 2
     shaping = (
         "actuator_delay.time",
         "servo_backlash.width",

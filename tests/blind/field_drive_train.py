@@ -27,7 +27,6 @@ class DriveTrain(Rig):
     constants = {"belt_damping": 0.05}
     entries = {
         "command_delay": Entry(("time",), 3e-3, (5e-4, 0.06)),
-        "motor_coulomb": Entry(("level",), 0.03, (1e-3, 0.25)),
         "load_coulomb": Entry(("level",), 0.03, (1e-3, 0.4)),
         "load_stribeck": Entry(("breakaway",), 0.03, (2e-3, 0.4), shape={"speed": (3.0, 8.0)}),
         "fan_drag": Entry(("coefficient",), 1e-4, (1e-5, 3e-3)),
@@ -53,7 +52,7 @@ class DriveTrain(Rig):
         "dragging_brake": Entry(("level",), 0.1, (2e-3, 0.6), shape={"period": (4.0, 6.0), "length": (1.0, 2.0)}),
     }
     families = (
-        frozenset({"motor_coulomb", "load_coulomb", "load_stribeck"}),
+        frozenset({"load_coulomb", "load_stribeck"}),
         frozenset({"cubic_belt", "belt_play"}),
         frozenset({"torque_asymmetry", "torque_offset"}),
     )
@@ -65,7 +64,7 @@ class DriveTrain(Rig):
         inertia, driven, k, d = p["motor_inertia"], p["load_inertia"], p["stiffness"], p["belt_damping"]
         b_motor, b_load = p["motor_damping"], p["load_damping"]
         get = p.get
-        dry_motor, dry_load, sticky = get("motor_coulomb.level"), get("load_coulomb.level"), get("load_stribeck.breakaway")
+        dry_load, sticky = get("load_coulomb.level"), get("load_stribeck.breakaway")
         sticky_speed, fan, cubic = get("load_stribeck.speed"), get("fan_drag.coefficient"), get("cubic_belt.stiffness")
         play, sine, cosine = get("belt_play.width"), get("cogging.sine"), get("cogging.cosine")
         uneven, offset = get("torque_asymmetry.ratio"), get("torque_offset.value")
@@ -84,8 +83,6 @@ class DriveTrain(Rig):
                 torque = torque * (1.0 + depth * f.sin(2.0 * math.pi * hertz * t))
             if sine is not None:
                 torque = torque + sine * f.sin(4.0 * angle) + cosine * f.cos(4.0 * angle)
-            if dry_motor is not None:
-                torque = torque - dry_motor * f.tanh(speed / 0.3)
             twist = angle - load_angle
             belt = k * twist + d * (speed - load_speed)
             if cubic is not None:

@@ -7,7 +7,7 @@ effect is that at which leaving it out of the true model costs what was drawn fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,8 @@ COUNTS = (1, 2, 3, 4)  # effects of a known study
 DISTURBANCES = {"small": 0.0005, "large": 0.002}  # of the actuator's range: standard deviation
 LEAST = 20.0  # nats: what an effect costs at least where it is left out
 SMALL, LARGE = (25.0, 100.0), (100.0, 1600.0)  # nats, log-uniform
-SMALL_SHARE = 0.37  # of the effects that are sized; the others, latencies, are always large
+SMALL_SHARE = 0.38  # of the effects that are sized; the others, latencies, are always large
+NEAR = 0.15  # share of a size to which the search goes
 OUTSIDE_COST = (200.0, 1600.0)  # nats
 
 
@@ -152,11 +153,30 @@ def kept(study: Study, number: int) -> np.ndarray:
 
 @dataclass
 class _Sized:
-    """An effect on its way to the size that costs what is wanted."""
+    """An effect on its way to the size that costs what is wanted; `known` are sizes and what they cost."""
 
+    entry: Entry
     unit: dict[str, float]
     size: float
     wanted: float
+    known: list[tuple[float, float]] = field(default_factory=list)
+
+    def learn(self, cost: float) -> float:
+        """The next size to try, within what is plausible: cost grows as a power of it, at first the square."""
+        if self.entry.fixed:
+            return self.size
+        power = 2.0
+        if self.known and abs(math.log(self.size / self.known[-1][0])) > 1e-3:
+            size, before = self.known[-1]
+            power = math.log(max(cost, 1e-3) / max(before, 1e-3)) / math.log(self.size / size)
+        self.known.append((self.size, cost))
+        factor = (self.wanted / max(cost, 1e-3)) ** (1.0 / min(max(power, 1.0), 12.0))
+        return min(max(self.size * min(max(factor, 0.1), 10.0), self.entry.limits[0]), self.entry.limits[1])
+
+    @property
+    def hopeless(self) -> bool:
+        """It costs too little at its largest."""
+        return bool(self.known) and self.size == self.entry.limits[1] and self.known[-1][1] < LEAST
 
 
 def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
@@ -186,38 +206,30 @@ def _wanted(rng: np.random.Generator) -> float:
 def _begin(rig: Rig, name: str, rng: np.random.Generator, wanted: float) -> _Sized:
     entry = {**rig.entries, **rig.outside}[name]
     start = float(rng.uniform(*entry.limits)) if entry.fixed else entry.start
-    return _Sized(entry.unit(rng), start, wanted)
+    return _Sized(entry, entry.unit(rng), start, wanted)
 
 
 def _searched(study: Study, sized: dict[str, _Sized], tries: int = 6) -> Study | None:
     """The study with every effect at the size that costs what is wanted; None where one cannot cost enough."""
-    rig = study.rig
-    entries = {**rig.entries, **rig.outside}
     for _ in range(tries):
-        truth = {name: entries[name].at(s.unit, s.size) for name, s in sized.items()}
-        study = replace(study, truth=truth)
+        study = replace(study, truth={name: s.entry.at(s.unit, s.size) for name, s in sized.items()})
         try:
-            cost = costs(rig, study.base, truth, _conditions(study))
+            cost = costs(study.rig, study.base, study.truth, conditions(study))
         except ArithmeticError:
             return None
-        if any(s.size == entries[name].limits[1] and cost[name] < LEAST for name, s in sized.items()):
+        study = replace(study, costs=cost)
+        sizes = {name: s.learn(cost[name]) for name, s in sized.items()}
+        if any(s.hopeless for s in sized.values()):
             return None
-        sizes = {name: _nearer(entries[name], s, cost[name]) for name, s in sized.items()}
-        if all(abs(math.log(sizes[name] / s.size)) < 0.15 for name, s in sized.items()):
+        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in sized.items()):
             break
         for name, s in sized.items():
             s.size = sizes[name]
-    # the last sizes are those of `truth`, whose costs are known
-    return replace(study, costs=cost) if min(cost.values()) >= LEAST else None
+    return study if min(study.costs.values()) >= LEAST else None
 
 
-def _nearer(entry: Entry, s: _Sized, cost: float) -> float:
-    """A size that costs what is wanted, as far as it is plausible: cost grows with the square of the size."""
-    factor = min(max(math.sqrt(s.wanted / max(cost, 1e-3)), 0.1), 10.0)
-    return s.size if entry.fixed else min(max(s.size * factor, entry.limits[0]), entry.limits[1])
-
-
-def _conditions(study: Study) -> Conditions:
+def conditions(study: Study) -> Conditions:
+    """What the estimate of the cost knows of the estimation logs."""
     rig, recorder = study.rig, study.recorder
     flown = [course(study, number) for number in range(2)]
     still = [replace_pushes(run) for run, _ in flown]

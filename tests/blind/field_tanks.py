@@ -36,27 +36,27 @@ class Tanks(Rig):
         "overflow": Entry(("coefficient",), 5e-4, (1e-5, 1e-2)),
         "cross_flow": Entry(("coefficient",), 1e-5, (5e-7, 3e-4)),
         "left_gauge_bias": Entry(("value",), 3e-3, (1e-4, 0.06), signed=True),
-        "right_gauge_scale": Entry(("value",), 0.01, (5e-4, 0.2), signed=True, neutral=1.0),
+        "meter_scale": Entry(("value",), 0.01, (5e-4, 0.2), signed=True, neutral=1.0),
         "meter_bias": Entry(("value",), 1e-6, (3e-8, 2e-5), signed=True),
         "left_gauge_latency": Entry(("value",), 2.5, (1.5, 4.0), fixed=True),
     }
     sensors = {
         "left_gauge_bias": Sensor("level_left", "bias"),
-        "right_gauge_scale": Sensor("level_right", "scale"),
+        "meter_scale": Sensor("outflow", "scale"),
         "meter_bias": Sensor("outflow", "bias"),
         "left_gauge_latency": Sensor("level_left", "late"),
     }
     outside = {
         "backflow": Entry(("coefficient",), 1e-5, (3e-7, 1e-4)),
         "tapping_consumer": Entry(("flow",), 3e-6, (1e-7, 3e-5), shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
-        "one_way_pipe": Entry(("share",), 0.1, (5e-3, 1.0)),
+        "tiring_pump": Entry(("share",), 0.05, (5e-3, 0.8), shape={"time": (300.0, 900.0)}),
         "sloshing_gauge": Entry(("amplitude",), 1e-3, (1e-4, 0.03), shape={"period": (9.0, 15.0)}),
         "conical_tank": Entry(("slope",), 0.2, (5e-3, 1.5)),
     }
     families = (
         frozenset({"left_leak", "overflow"}),
         frozenset({"pump_dead_band", "pump_curve"}),
-        frozenset({"outlet_exponent", "constant_draw"}),
+        frozenset({"outlet_exponent", "constant_draw", "head_loss"}),
     )
     own_states = {"pump_lag": {"pump_lag.left": 5.0, "pump_lag.right": 5.0}}
     pushes, correlation_time = (6e-5, 6e-5), 30.0
@@ -72,7 +72,8 @@ class Tanks(Rig):
         excess, leak, draw = get("outlet_exponent.excess"), get("left_leak.coefficient"), get("constant_draw.flow")
         spill, seep, back = get("overflow.coefficient"), get("cross_flow.coefficient"), get("backflow.coefficient")
         tap, tap_period, tap_length = (get(f"tapping_consumer.{n}") for n in ("flow", "period", "length"))
-        valve, slosh, slosh_period = get("one_way_pipe.share"), get("sloshing_gauge.amplitude"), get("sloshing_gauge.period")
+        tired, tire_time = get("tiring_pump.share"), get("tiring_pump.time")
+        slosh, slosh_period = get("sloshing_gauge.amplitude"), get("sloshing_gauge.period")
         cone = get("conical_tank.slope")
 
         def out(level: Any) -> Any:
@@ -93,10 +94,10 @@ class Tanks(Rig):
                 flows = [q * (1.0 + curve * (v / 5.0 - 1.0)) for q, v in zip(flows, volts, strict=True)]
             if head is not None:
                 flows = [flows[0] * (1.0 - head * left), flows[1] * (1.0 - head * right)]
+            if tired is not None:
+                flows = [flows[0], flows[1] * (1.0 - tired * (1.0 - f.exp(-t / tire_time)))]
             fall = left - right
             across = pipe * fall * (fall * fall + 1e-4) ** -0.25
-            if valve is not None:
-                across = across * f.where(fall < 0.0, 1.0 - valve, 1.0)
             if seep is not None:
                 across = across + seep * fall
             lost_left, lost_right = 0.0, out(right)

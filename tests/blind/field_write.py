@@ -102,7 +102,7 @@ def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
 def answer(study: Study) -> str:
     """The answer as JSON, to be kept where the refiner never looks and opened after the verdict."""
     told: dict[str, Any] = {"half": "field"} | asdict(study)
-    told |= {"disturbed": True, "faults": list(study.faults), "error_true": true_error(study)}
+    told |= {"faults": list(study.faults), "sensors": list(study.rig.sensors), "error_true": true_error(study)}
     return json.dumps(told, indent=1) + "\n"
 
 

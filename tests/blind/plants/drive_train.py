@@ -15,7 +15,7 @@ from plant.sensors import Bias, Latency, Scale
 REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns at up to 50 rad/s
 TEETH = 4  # notches of the motor a turn
 TOLD_APART_BY = {
-    frozenset({"motor_coulomb", "load_coulomb", "load_stribeck", "fan_drag"}): "several speeds, and reversals at rest",
+    frozenset({"load_coulomb", "load_stribeck", "fan_drag"}): "several speeds, and reversals at rest",
     frozenset({"cubic_belt", "belt_play"}): "torques from small to full range, with the load held back by its inertia",
 }
 
@@ -23,8 +23,8 @@ TOLD_APART_BY = {
 class DriveTrainEffect(Effect):
     """A torque that the base model lacks, on the motor, on the load or in the belt."""
 
-    def motor(self, m: Namespace, torque: Number, angle: Number, speed: Number) -> Number:
-        """Torque [N m] on the motor, from the commanded one, its angle and its speed."""
+    def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
+        """Torque [N m] on the motor, from the commanded one and its angle."""
         return 0.0
 
     def load(self, m: Namespace, speed: Number) -> Number:
@@ -42,20 +42,6 @@ class CommandDelay(Delay, DriveTrainEffect):
 
     name = "command_delay"
     memory = (Quantity("torque", "N.m", "torque that acts until the delay has passed"),)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotorCoulomb(DriveTrainEffect):
-    """Dry friction of the motor's bearings and brushes: −F·tanh(ω/0.3)."""
-
-    name = "motor_coulomb"
-    equation = "torque −F·tanh(ω_m/0.3) on the motor"
-
-    level: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.05, doc="dry friction F")
-
-    def motor(self, m: Namespace, torque: Number, angle: Number, speed: Number) -> Number:
-        """−F·tanh(ω/0.3)."""
-        return -self.level * m.tanh(speed / REVERSAL)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +129,7 @@ class Cogging(DriveTrainEffect):
     sine: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="amplitude s")
     cosine: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="amplitude c")
 
-    def motor(self, m: Namespace, torque: Number, angle: Number, speed: Number) -> Number:
+    def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
         """s·sin 4θ + c·cos 4θ."""
         return self.sine * m.sin(TEETH * angle) + self.cosine * m.cos(TEETH * angle)
 
@@ -157,7 +143,7 @@ class TorqueAsymmetry(DriveTrainEffect):
 
     ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.05, doc="asymmetry a")
 
-    def motor(self, m: Namespace, torque: Number, angle: Number, speed: Number) -> Number:
+    def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
         """a·|u|."""
         return self.ratio * m.where(torque >= 0.0, torque, -torque)
 
@@ -171,7 +157,7 @@ class TorqueOffset(DriveTrainEffect):
 
     value: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="offset b")
 
-    def motor(self, m: Namespace, torque: Number, angle: Number, speed: Number) -> Number:
+    def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
         """The offset b."""
         return self.value
 
@@ -219,8 +205,7 @@ class DriveTrain(Model):
     inputs = (Quantity("torque", "N.m", "motor torque commanded"),)
     outputs = base_states
     catalogue = (
-        CommandDelay, MotorCoulomb, LoadCoulomb, LoadStribeck, FanDrag, CubicBelt, BeltPlay, Cogging, TorqueAsymmetry,
-        TorqueOffset,
+        CommandDelay, LoadCoulomb, LoadStribeck, FanDrag, CubicBelt, BeltPlay, Cogging, TorqueAsymmetry, TorqueOffset,
     )  # fmt: skip
     sensors = (TachoScale, TachoBias, LoadLatency)
     sensor_variance = {"motor_angle": 1e-4, "motor_speed": 0.25, "load_angle": 1e-4}  # noqa: RUF012 - a ClassVar of the base
@@ -266,7 +251,7 @@ class DriveTrain(Model):
                 belt = belt + term.belt(m, k, twist)
             motor = command[0] - b_motor * motor_speed - belt
             for term in on_motor:
-                motor = motor + term.motor(m, command[0], motor_angle, motor_speed)
+                motor = motor + term.motor(m, command[0], motor_angle)
             load = belt - b_load * load_speed
             for term in on_load:
                 load = load + term.load(m, load_speed)

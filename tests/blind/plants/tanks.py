@@ -199,11 +199,11 @@ class LeftGaugeBias(Bias):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RightGaugeScale(Scale):
-    """The right gauge reads s·h."""
+class MeterScale(Scale):
+    """The flow meter reads s·q."""
 
-    name = "right_gauge_scale"
-    output = "level_right"
+    name = "meter_scale"
+    output = "outflow"
 
     value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.05, doc="scale s")
 
@@ -246,7 +246,7 @@ class Tanks(Model):
     catalogue = (
         PumpDeadBand, PumpLag, PumpCurve, HeadLoss, OutletExponent, LeftLeak, ConstantDraw, Overflow, CrossFlow,
     )  # fmt: skip
-    sensors = (RightGaugeScale, LeftGaugeBias, MeterBias, LeftGaugeLatency)
+    sensors = (MeterScale, MeterBias, LeftGaugeBias, LeftGaugeLatency)
     sensor_variance = {"level_left": 4e-6, "level_right": 4e-6, "outflow": 1e-12}  # noqa: RUF012 - a ClassVar of the base
     start_variance = {"level_left": 0.01, "level_right": 0.01}  # noqa: RUF012
     forced = ("level_left", "level_right")
