@@ -1,5 +1,6 @@
 """The cart once more: the two equations of motion as a linear system in both accelerations, solved by Cramer's rule."""
 
+# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
 
 import math
@@ -129,7 +130,7 @@ class Cart(Rig):
         return rate, look
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Up to ±4 N, held from 0.1 s to 2.5 s, and steered back to the middle of the rail by the cart's motion on paper."""
+        """Up to ±4 N, held from 0.1 s to 2.5 s, and steered back to the rail's middle by the cart's motion on paper."""
         force = manoeuvre(rng, self.rows, self.step, (-4.0, 4.0), (0.1, 2.5))
         force[:15] = 0.0
         x = v = 0.0

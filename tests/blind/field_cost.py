@@ -27,7 +27,7 @@ Values = dict[str, float]
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the estimate knows of the logs: their courses, the variance of each cell (infinite: not measured), pushes."""
+    """What the estimate knows of the logs: courses, the variance of each cell (infinite: not measured), pushes."""
 
     runs: Sequence[Run]
     variances: Sequence[np.ndarray]  # (rows, outputs) each
@@ -40,7 +40,9 @@ def costs(rig: Rig, base: Values, truth: Mapping[str, Values], given: Conditions
     spread = base_deviations(rig)
     cases = [p | flat(name, left_out(rig, name, truth[name])) for name in truth]
     cases += [p | {name: p[name] + 0.5 * deviation} for name, deviation in spread.items()]
-    nudges = [(name, parameter, nudge(rig, name, parameter, v)) for name in truth for parameter, v in truth[name].items()]
+    nudges = [
+        (name, parameter, nudge(rig, name, parameter, v)) for name in truth for parameter, v in truth[name].items()
+    ]
     cases += [p | {f"{name}.{parameter}": truth[name][parameter] + by} for name, parameter, by in nudges]
     columns = innovations(rig, p, cases, given)
     missing, changes = columns[:, : len(truth)], columns[:, len(truth) :].copy()
@@ -129,7 +131,9 @@ class _Filter:
         for case in everyone:
             key = shaping(self.rig, case)
             if key not in made:
-                made[key] = np.stack([self.rig.acting(case, run, self.rig.substeps) for run in self.given.runs], axis=-1)
+                made[key] = np.stack(
+                    [self.rig.acting(case, run, self.rig.substeps) for run in self.given.runs], axis=-1
+                )
         return np.stack([made[shaping(self.rig, case)] for case in everyone], axis=-1)
 
     def whitened(self) -> np.ndarray:
@@ -167,7 +171,12 @@ class _Filter:
                 part[j, :, first + 2 * i] += steps[i]
                 part[j, :, first + 2 * i + 1] -= steps[i]
             right = [np.broadcast_to(v, x.shape[1:]) for v in self.look(t, x, d)]
-            y = np.stack([np.broadcast_to(rig.sensed(self.numbers, o, v), x.shape[1:]) for o, v in zip(rig.outputs, right, strict=True)])
+            y = np.stack(
+                [
+                    np.broadcast_to(rig.sensed(self.numbers, o, v), x.shape[1:])
+                    for o, v in zip(rig.outputs, right, strict=True)
+                ]
+            )
             h = np.zeros((logs, outputs, size))
             h[:, :, : n + q] = ((y[:, :, first::2] - y[:, :, first + 1 :: 2]) / (2.0 * steps)).transpose(1, 0, 2)
             y = y[:, :, :width]

@@ -3,6 +3,7 @@
 For the estimate of the cost its equations stand here once more on arrays, without what the field half does not hide.
 """
 
+# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
 
 import math
@@ -51,7 +52,9 @@ class CraftRig(Rig):
     constants = CONSTANTS
     entries = {
         "coulomb_friction": Entry(("force",), 0.01, (1e-3, 0.12)),
-        "stribeck_friction": Entry(("force",), 0.01, (1e-3, 0.06), shape={"speed": (0.1, 0.2)}, ratio={"static_force": (2.2, 3.0)}),
+        "stribeck_friction": Entry(
+            ("force",), 0.01, (1e-3, 0.06), shape={"speed": (0.1, 0.2)}, ratio={"static_force": (2.2, 3.0)}
+        ),
         "quadratic_drag": Entry(("coefficient",), 0.1, (0.01, 2.0)),
         "yaw_damping": Entry(("coefficient",), 1e-3, (1e-4, 0.02)),
         "yaw_coulomb_friction": Entry(("moment",), 1e-3, (1e-4, 0.012)),
@@ -83,7 +86,7 @@ class CraftRig(Rig):
         frozenset({"thrust_asymmetry", "com_offset", "tilt_offset"}),
         frozenset({"battery_sag", "inflow_thrust_loss"}),
     )
-    # ±12° of both tilts at the nominal thrust give a range of 2.1 N forward and 0.36 N m; yaw is pushed a quarter of that
+    # ±12° of both tilts at the nominal thrust: a range of 2 N forward, 0.36 N m of yaw, of which a quarter is pushed
     pushes, correlation_time = (2.0, 2.0, 0.1), 1.0
     step, rows, horizon, preroll = 0.02, 2001, 2.0, 0.0
     shaping = (
@@ -135,7 +138,12 @@ class CraftRig(Rig):
                 both = both * (1.0 - drop * (1.0 - f.exp(-t / sag)))
             right = right * lift(p["height"] + rise) * both * (1.0 + uneven)
             left = left * lift(p["height"] - rise) * both * (1.0 - uneven)
-            ahead_r, ahead_l, up_r, up_l = right * f.sin(tilt_r), left * f.sin(tilt_l), right * f.cos(tilt_r), left * f.cos(tilt_l)
+            ahead_r, ahead_l, up_r, up_l = (
+                right * f.sin(tilt_r),
+                left * f.sin(tilt_l),
+                right * f.cos(tilt_r),
+                left * f.cos(tilt_l),
+            )
             speed = f.sqrt(vx * vx + vy * vy + 1e-12)
             rubs = dry
             if slide is not None:
@@ -192,7 +200,7 @@ def fly_craft(
     pushes: np.ndarray,
     noise: np.ndarray,
 ) -> tuple[Run, Course]:
-    """A log in closed loop: the pilot sees the readings with the noise of the sensors, before the recorder spoils them."""
+    """A log in closed loop: the pilot sees the readings with the sensors' noise, before the recorder spoils them."""
     start = _moving(rng)
     flight = Flight(made, made.rest(**start))
     pilot = Pilot(rng, Style.draw(rng, bool(rng.random() < 0.5)), times.size, start.get("psi", 0.0))
@@ -244,5 +252,3 @@ def replay_craft(made: Craft, run: Run, course: Course, rig: CraftRig) -> np.nda
             now = flight.dynamics.outputs(float(run.times[j + 1]), flight.state)
             readings[j + 1] = [now[output] for output in rig.outputs]
     return readings
-
-

@@ -1,5 +1,6 @@
 """The drive train once more: two inertias and a belt, written as the power that flows from one to the other."""
 
+# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
 
 import math
@@ -68,7 +69,11 @@ class DriveTrain(Rig):
         sticky_speed, fan, cubic = get("load_stribeck.speed"), get("fan_drag.coefficient"), get("cubic_belt.stiffness")
         play, sine, cosine = get("belt_play.width"), get("cogging.sine"), get("cogging.cosine")
         uneven, offset = get("torque_asymmetry.ratio"), get("torque_offset.value")
-        weight, spot, wobble = get("load_imbalance.moment"), get("tight_spot.coefficient"), get("eccentric_encoder.amplitude")
+        weight, spot, wobble = (
+            get("load_imbalance.moment"),
+            get("tight_spot.coefficient"),
+            get("eccentric_encoder.amplitude"),
+        )
         depth, hertz = get("amplifier_hunting.depth"), get("amplifier_hunting.frequency")
         brake, period, length = (get(f"dragging_brake.{n}") for n in ("level", "period", "length"))
 

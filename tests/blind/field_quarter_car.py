@@ -1,5 +1,6 @@
 """The quarter car once more: forces on body and wheel, the table's lag before them."""
 
+# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
 
 import math
@@ -40,7 +41,7 @@ class QuarterCar(Rig):
         "damper_mount": Entry(("time",), 5e-3, (3e-3, 0.06)),
         "cubic_spring": Entry(("stiffness",), 4e5, (3e4, 2e7)),
         "bump_stop": Entry(("stiffness",), 2e5, (1e4, 1e7)),
-        "tyre_damping": Entry(("coefficient",), 40.0, (3.0, 800.0)),
+        "tyre_damping": Entry(("coefficient",), 40.0, (3.0, 300.0)),
         "preload": Entry(("force",), 5.0, (0.5, 200.0), signed=True),
         "travel_scale": Entry(("value",), 0.01, (1e-3, 0.2), signed=True, neutral=1.0),
         "accelerometer_bias": Entry(("value",), 0.01, (1e-3, 0.5), signed=True),
@@ -75,9 +76,15 @@ class QuarterCar(Rig):
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Pushes: forces on body and wheel, upward."""
         get = p.get
-        body, wheel, k, c, k_tyre, lag = (p[n] for n in ("body_mass", "wheel_mass", "spring", "damping", "tyre", "table_lag"))
+        body, wheel, k, c, k_tyre, lag = (
+            p[n] for n in ("body_mass", "wheel_mass", "spring", "damping", "tyre", "table_lag")
+        )
         gain, uneven, dry = get("road_gain.gain"), get("damper_asymmetry.coefficient"), get("damper_coulomb.level")
-        harder, mount, cubic = get("damper_progression.coefficient"), get("damper_mount.time"), get("cubic_spring.stiffness")
+        harder, mount, cubic = (
+            get("damper_progression.coefficient"),
+            get("damper_mount.time"),
+            get("cubic_spring.stiffness"),
+        )
         stop, rubber, load = get("bump_stop.stiffness"), get("tyre_damping.coefficient"), get("preload.force")
         groove, groove_width = get("bypass_grooves.depth"), get("bypass_grooves.width")
         fade, fade_time, slew = get("fading_damper.share"), get("fading_damper.time"), get("table_slew.speed")

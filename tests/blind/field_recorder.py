@@ -1,4 +1,4 @@
-"""What a recorder does to readings: rounds them, hits some, stamps them a little off, loses some; and noise as it is."""
+"""What a recorder does to readings: rounds them, hits some, stamps them a little off, loses some; and true noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Recorder:
     """How a study is recorded; what is not among its faults is at its harmless value.
 
     noise:     output → true standard deviation over the stated one
-    quantum:   output → size of a cell of the converter, in stated standard deviations
+    quantum:   output → size of a cell of the converter, in standard deviations of its noise
     outliers:  share of the cells
     jitter:    rows are taken up to this share of a step early or late, and stamped when they are taken
     lost:      share of rows, or of cells, that are lost; `whole_rows` which; `hole` of so many rows in each log
@@ -67,13 +67,13 @@ class Recorder:
         return np.array([sigma * self.noise[o] for o, sigma in rig.outputs.items()])
 
     def stamp_error(self, rig: Rig, readings: np.ndarray) -> float:
-        """Standard deviation [s] of the stamps: `timing` times what moves a reading by its noise, half a step at most."""
+        """Standard deviation [s] of stamps: `timing` times what moves a reading by its noise, half a step at most."""
         moving = np.sqrt(np.mean(np.gradient(readings, rig.step, axis=0) ** 2, axis=0))
         return min(0.5 * rig.step, self.timing * float(np.median(self.deviations(rig) / moving)))
 
     def variances(self, rig: Rig, readings: np.ndarray, stamp_error: float, kept: np.ndarray) -> np.ndarray:
         """Variance of each cell about the true reading; infinite where there is none. Outliers are not in it."""
-        cells = np.array([self.quantum.get(o, 0.0) * sigma for o, sigma in rig.outputs.items()])
+        cells = np.array([self.quantum.get(o, 0.0) for o in rig.outputs]) * self.deviations(rig)
         slopes = np.gradient(readings, rig.step, axis=0)
         return np.where(kept, self.deviations(rig) ** 2 + cells**2 / 12.0 + (stamp_error * slopes) ** 2, np.inf)
 
@@ -95,7 +95,7 @@ class Recorder:
         """Cells of the log, all of them: wrong stamps, noise, the converter's steps, outliers."""
         slopes = np.gradient(readings, rig.step, axis=0)
         cells = readings + stamp_error * rng.standard_normal((len(readings), 1)) * slopes + noise
-        for number, (output, sigma) in enumerate(rig.outputs.items()):
+        for number, (output, sigma) in enumerate(zip(rig.outputs, self.deviations(rig), strict=True)):
             if output in self.quantum:
                 quantum = self.quantum[output] * sigma
                 cells[:, number] = quantum * np.round(cells[:, number] / quantum)

@@ -1,7 +1,7 @@
-"""What the truths of the field half have in common: how effects are sized, how a run is integrated. Nothing of the project.
+"""What the truths of the field half have in common: how effects are sized, how a run is integrated.
 
-A rig writes its equations once, for floats and for arrays: floats run under scipy's DOP853, arrays carry many slightly
-different rigs at once, which is how `field_cost` finds what an effect is worth.
+Nothing of the project is in it. A rig writes its equations once, for floats and for arrays: floats run under scipy's
+DOP853, arrays carry many slightly different rigs at once, which is how `field_cost` finds what an effect is worth.
 """
 
 from __future__ import annotations

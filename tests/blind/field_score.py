@@ -82,7 +82,7 @@ def claims(line: Line) -> list[bool]:
 
 
 def sealed_ratio(line: Line) -> float:
-    """Sealed error of the claim, else of what is nearest, over the true model's: mean over channels; failed: infinite."""
+    """Sealed error of the claim, else of what is nearest, over the true model's, mean over channels; of failures ∞."""
     if line["verdict"] == "failed":
         return math.inf
     stage = "nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"

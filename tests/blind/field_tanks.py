@@ -1,5 +1,6 @@
 """The tanks once more: volumes in, volumes out, divided by the surfaces."""
 
+# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
 
 import math
@@ -48,7 +49,9 @@ class Tanks(Rig):
     }
     outside = {
         "backflow": Entry(("coefficient",), 1e-5, (3e-7, 1e-4)),
-        "tapping_consumer": Entry(("flow",), 3e-6, (1e-7, 3e-5), shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
+        "tapping_consumer": Entry(
+            ("flow",), 3e-6, (1e-7, 3e-5), shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}
+        ),
         "tiring_pump": Entry(("share",), 0.05, (5e-3, 0.8), shape={"time": (300.0, 900.0)}),
         "sloshing_gauge": Entry(("amplitude",), 1e-3, (1e-4, 0.03), shape={"period": (9.0, 15.0)}),
         "conical_tank": Entry(("slope",), 0.2, (5e-3, 1.5)),
@@ -68,7 +71,12 @@ class Tanks(Rig):
         get = p.get
         area_left, area_right, pipe, outlet = p["area_left"], p["area_right"], p["pipe"], p["outlet"]
         gains = p["gain_left"], p["gain_right"]
-        band, time, curve, head = get("pump_dead_band.width"), get("pump_lag.time"), get("pump_curve.curvature"), get("head_loss.slope")
+        band, time, curve, head = (
+            get("pump_dead_band.width"),
+            get("pump_lag.time"),
+            get("pump_curve.curvature"),
+            get("head_loss.slope"),
+        )
         excess, leak, draw = get("outlet_exponent.excess"), get("left_leak.coefficient"), get("constant_draw.flow")
         spill, seep, back = get("overflow.coefficient"), get("cross_flow.coefficient"), get("backflow.coefficient")
         tap, tap_period, tap_length = (get(f"tapping_consumer.{n}") for n in ("flow", "period", "length"))

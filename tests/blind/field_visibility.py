@@ -1,6 +1,6 @@
 """Whether one effect can pass for another in the field half, in the same nats as `field_cost`.
 
-    python -m tests.blind.field_visibility [PLANT …]     each stranger and each effect: who mimics it best, what is left
+python -m tests.blind.field_visibility [PLANT …]     each stranger and each effect: who mimics it best, what is left
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def middling(rig: Rig, name: str, share: float = 1.0) -> list[Values]:
 
 
 def mimics(study: Study) -> tuple[float, dict[str, float]]:
-    """Nats that the one effect of a study costs, and catalogue effect → share of them that it leaves at its best size."""
+    """Nats that a study's one effect costs, and catalogue effect → share of them that it leaves at its best size."""
     rig = study.rig
     ((name, values),) = study.truth.items()
     p = rig.numbers(study.base, study.truth)
@@ -69,7 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             cost, left = mimics(plain(plant, {name: middling(rig, name)[0]}))
             nearest = sorted(left.items(), key=lambda item: item[1])[:3]
             told = ", ".join(f"{other} {100 * share:.0f} %" for other, share in nearest)
-            print(f"{plant:12} {'outside' if name in rig.outside else '':8} {name:20} {cost:10.0f} nats; left by {told}")
+            print(
+                f"{plant:12} {'outside' if name in rig.outside else '':8} {name:20} {cost:10.0f} nats; left by {told}"
+            )
     return 0
 
 

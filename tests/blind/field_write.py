@@ -1,4 +1,4 @@
-"""A study of the field half on disk: study.yaml, the model file of its plant, two logs to learn from, one to be judged by.
+"""A study of the field half on disk: study.yaml, its plant's model file, two logs to learn from, one to be judged by.
 
     python -m tests.blind.field_write 3 /tmp/study      seed and folder; the answer is printed
 

@@ -1,6 +1,7 @@
-"""A cart on a rail with a bob hanging from it, like a small crane: pushed open loop by a motor.
+"""A cart on a rail with a bob hanging from it, like a small crane, pushed open loop by a motor.
 
-Measured are the position by a camera, the angle by a potentiometer and its rate by a gyroscope. The bob swings at 0.8 Hz.
+Measured are the position by a camera, the angle by a potentiometer and its rate by a gyroscope; the bob swings at
+0.8 Hz.
 """
 
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from plant.sensors import Bias, Latency, Scale
 CREEP = 0.02  # [m/s] below which the rail's dry friction is smoothed
 TURN = 0.1  # [rad/s] below which the pivot's is
 PITCH = 0.1  # [m] from notch to notch of the belt
+SENSOR_VARIANCE = {"position": 4e-6, "angle": 2.5e-5, "rate": 2.5e-3}
+START_VARIANCE = {"position": 1.0, "velocity": 0.25, "angle": 0.04, "rate": 0.25}
 TOLD_APART_BY = {
     frozenset({"cart_coulomb", "cart_drag", "force_dead_band"}): "several speeds, slow ones among them, with reversals",
     frozenset({"pivot_coulomb", "bob_drag"}): "swings from large to small, left to decay",
@@ -237,8 +240,7 @@ class Cart(Model):
         TrackTilt,
     )  # fmt: skip
     sensors = (PositionScale, GyroBias, CameraLatency)
-    sensor_variance = {"position": 4e-6, "angle": 2.5e-5, "rate": 2.5e-3}  # noqa: RUF012 - a ClassVar of the base
-    start_variance = {"position": 1.0, "velocity": 0.25, "angle": 0.04, "rate": 0.25}  # noqa: RUF012
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("velocity", "rate")
     calibrated = ("cart_mass", "bob_mass", "length", "cart_friction", "pivot_friction")
     told_apart_by = TOLD_APART_BY

@@ -14,6 +14,8 @@ from plant.sensors import Bias, Latency, Scale
 
 REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns at up to 50 rad/s
 TEETH = 4  # notches of the motor a turn
+SENSOR_VARIANCE = {"motor_angle": 1e-4, "motor_speed": 0.25, "load_angle": 1e-4}
+START_VARIANCE = {"motor_angle": 1.0, "motor_speed": 25.0, "load_angle": 1.0, "load_speed": 25.0}
 TOLD_APART_BY = {
     frozenset({"load_coulomb", "load_stribeck", "fan_drag"}): "several speeds, and reversals at rest",
     frozenset({"cubic_belt", "belt_play"}): "torques from small to full range, with the load held back by its inertia",
@@ -112,7 +114,9 @@ class BeltPlay(DriveTrainEffect):
     name = "belt_play"
     equation = "belt torque −k·w·tanh(twist/(w + 0.001)) beside k·twist"
 
-    width: float = parameter(0.0, unit="rad", bounds=(0, 0.1), neutral=0.0, typical=0.01, doc="half width w of the play")
+    width: float = parameter(
+        0.0, unit="rad", bounds=(0, 0.1), neutral=0.0, typical=0.01, doc="half width w of the play"
+    )
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
         """−k·w·tanh(twist/(w + 0.001))."""
@@ -208,8 +212,7 @@ class DriveTrain(Model):
         CommandDelay, LoadCoulomb, LoadStribeck, FanDrag, CubicBelt, BeltPlay, Cogging, TorqueAsymmetry, TorqueOffset,
     )  # fmt: skip
     sensors = (TachoScale, TachoBias, LoadLatency)
-    sensor_variance = {"motor_angle": 1e-4, "motor_speed": 0.25, "load_angle": 1e-4}  # noqa: RUF012 - a ClassVar of the base
-    start_variance = {"motor_angle": 1.0, "motor_speed": 25.0, "load_angle": 1.0, "load_speed": 25.0}  # noqa: RUF012
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("motor_speed", "load_speed")
     calibrated = ("motor_inertia", "load_inertia", "stiffness", "motor_damping", "load_damping")
     told_apart_by = TOLD_APART_BY

@@ -14,6 +14,14 @@ from plant.sensors import Bias, Latency, Scale
 
 CREEP = 0.02  # [m/s] below which dry friction of the damper is smoothed
 STOP = 0.025  # [m] of travel at which the bump stop is met
+SENSOR_VARIANCE = {"travel": 1e-6, "body_acceleration": 0.04, "body_height": 4e-6}
+START_VARIANCE = {
+    "body_height": 1e-4,
+    "body_speed": 0.01,
+    "wheel_height": 1e-4,
+    "wheel_speed": 0.01,
+    "table_height": 1e-4,
+}
 TOLD_APART_BY = {
     frozenset({"damper_coulomb", "damper_asymmetry", "damper_progression"}): "slow and fast strokes of the damper",
     frozenset({"cubic_spring", "bump_stop"}): "long strokes both ways, slow ones among them",
@@ -241,8 +249,7 @@ class QuarterCar(Model):
         TyreDamping, Preload,
     )  # fmt: skip
     sensors = (TravelScale, AccelerometerBias, LaserLatency)
-    sensor_variance = {"travel": 1e-6, "body_acceleration": 0.04, "body_height": 4e-6}  # noqa: RUF012 - a ClassVar of the base
-    start_variance = {"body_height": 1e-4, "body_speed": 0.01, "wheel_height": 1e-4, "wheel_speed": 0.01, "table_height": 1e-4}  # noqa: RUF012, E501
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("body_speed", "wheel_speed")
     calibrated = ("body_mass", "wheel_mass", "spring", "damping", "tyre", "table_lag")
     told_apart_by = TOLD_APART_BY

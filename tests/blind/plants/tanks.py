@@ -14,6 +14,8 @@ SHALLOW = 1e-3  # [m] below which a tank presses nothing out
 EDGE = 0.42  # [m] at which the left tank spills
 USUAL = 5.0  # [V] at which the pumps were measured
 DEEP = 0.25  # [m] at which the outlet was measured
+SENSOR_VARIANCE = {"level_left": 4e-6, "level_right": 4e-6, "outflow": 1e-12}
+START_VARIANCE = {"level_left": 0.01, "level_right": 0.01}
 TOLD_APART_BY = {
     frozenset({"left_leak", "constant_draw", "cross_flow", "overflow"}): "levels from shallow to full, in both tanks",
     frozenset({"pump_dead_band", "pump_curve", "head_loss"}): "both pumps at several voltages, and off",
@@ -247,8 +249,7 @@ class Tanks(Model):
         PumpDeadBand, PumpLag, PumpCurve, HeadLoss, OutletExponent, LeftLeak, ConstantDraw, Overflow, CrossFlow,
     )  # fmt: skip
     sensors = (MeterScale, MeterBias, LeftGaugeBias, LeftGaugeLatency)
-    sensor_variance = {"level_left": 4e-6, "level_right": 4e-6, "outflow": 1e-12}  # noqa: RUF012 - a ClassVar of the base
-    start_variance = {"level_left": 0.01, "level_right": 0.01}  # noqa: RUF012
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("level_left", "level_right")
     calibrated = ("area_left", "area_right", "pipe", "outlet", "gain_left", "gain_right")
     told_apart_by = TOLD_APART_BY
