@@ -273,7 +273,8 @@ class Cart(Model):
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             position, velocity, angle, rate, *own = state
-            force, slopes = command[0], ()
+            slopes: Values = ()
+            force = command[0]
             for term in driven:
                 force = term.drive(m, force)
             for term in lagged:

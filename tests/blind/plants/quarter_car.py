@@ -287,7 +287,8 @@ class QuarterCar(Model):
             """Force of spring and damper on the body, and the derivatives of the effects' states."""
             height, speed, wheel_height, wheel_speed, _, *own = state
             travel, closing = wheel_height - height, wheel_speed - speed
-            force, slopes = c * closing, ()
+            slopes: Values = ()
+            force = c * closing
             for term in dampers:
                 force = force + term.damper(m, closing)
             for term in mounts:
