@@ -260,7 +260,24 @@ def test_the_command_ends_with_one_line_of_figures(
     script.write_text(PRETENDER)
     command = f"{sys.executable} {script} {{study}} {{out}}"
     results = str(tmp_path / "r.jsonl")
-    assert harness.main(["3", "--jobs", "2", "--only", "nothing", "--results", results, "--command", command]) == 0
+    assert (
+        harness.main(
+            [
+                "3",
+                "--half",
+                "laboratory",
+                "--jobs",
+                "2",
+                "--only",
+                "nothing",
+                "--results",
+                results,
+                "--command",
+                command,
+            ]
+        )
+        == 0
+    )
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert list(figures) == [
         "studies",

@@ -1,9 +1,10 @@
 """The blind suite: draw studies, let the refiner judge each, open the answer, count.
 
-    python -m tests.blind.harness 200 [--jobs 2] [--only coulomb_friction outside] [--first 0]
+    python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
-Results are lines of JSON, one a study, appended as they come; a run that is started again skips those its git revision
-has a verdict on. The last line of the output is JSON with the figures of `score.summary`.
+Two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), each of so many studies. Results are lines of
+JSON, one a study, appended as they come; a run that is started again skips those its git revision has a verdict on.
+The last line of the output is JSON with the figures of `score.summary`, those of the field under `field`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from tests.blind import score
+from tests.blind import field_score, field_study, field_write, score
 from tests.blind.truth import answer, draw, write
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_study import BASE, EFFECTS, SENSORS
@@ -30,6 +31,9 @@ from tests.blind.truth_study import BASE, EFFECTS, SENSORS
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.jsonl"
 KINDS = ("known", "nothing", "outside")
+
+LABORATORY, FIELD = "laboratory", "field"
+HALVES = {LABORATORY: (LABORATORY,), FIELD: (FIELD,), "both": (LABORATORY, FIELD)}
 
 Refiner = Callable[[Path, Path], None]  # (study.yaml, folder to leave refine.json in)
 
@@ -75,14 +79,14 @@ def revision() -> str:
     return commit + ("+" if changed else "")
 
 
-def conduct(seed: int, refiner: Refiner) -> dict[str, Any]:
+def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> dict[str, Any]:
     """One study: the refiner sees a folder with study.yaml and logs; the answer is read when its verdict stands."""
     with tempfile.TemporaryDirectory() as open_to_all, tempfile.TemporaryDirectory() as sealed:
         folder, out, secret = Path(open_to_all) / "study", Path(open_to_all) / "out", Path(sealed) / "answer.json"
         out.mkdir()
         with _writing:
-            study = write(draw(seed), folder)
-            secret.write_text(answer(draw(seed)))
+            study, told = invent(half, seed, folder)
+            secret.write_text(told)
         begin = time.perf_counter()
         try:
             refiner(study, out)
@@ -93,11 +97,20 @@ def conduct(seed: int, refiner: Refiner) -> dict[str, Any]:
         return json.loads(secret.read_text()) | verdict | {"seconds": round(seconds, 2)}
 
 
+def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
+    """Write the study of a seed; its study.yaml and its answer."""
+    if half == FIELD:
+        drawn = field_study.draw(seed)
+        return field_write.write(drawn, folder), field_write.answer(drawn)
+    return write(draw(seed), folder), answer(draw(seed))
+
+
 def _verdict(path: Path) -> dict[str, Any]:
     """What of refine.json goes into the result line: errors are those of the sealed run."""
     try:
         found = json.loads(path.read_text())
-        error = {stage: found["error"][stage]["validation"] for stage in ("before", "recalibrated", "after")}
+        stages = ("before", "recalibrated", "after", *(("nearest",) if found["error"].get("nearest") else ()))
+        error = {stage: found["error"][stage]["validation"] for stage in stages}
         line = {
             "verdict": found["verdict"],
             "effects": [{"name": e["name"], "parameters": dict(e["parameters"])} for e in found["effects"]],
@@ -105,48 +118,71 @@ def _verdict(path: Path) -> dict[str, Any]:
             "error": error,
             "noise_floor": found["noise_floor"],
         }
+        line |= {"grade": found["grade"]} if found.get("grade") else {}
         score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
         return line
     except (OSError, ValueError, KeyError, TypeError) as e:
         raise RefinerFailed(f"{path.name}: {type(e).__name__}: {e}") from e
 
 
-def seeds(count: int, first: int, only: Sequence[str]) -> list[int]:
-    """`count` consecutive seeds from `first`; with `only`, those whose kind or truth is among it."""
+def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -> list[int]:
+    """`count` consecutive seeds from `first`; with `only`, those whose kind, plant or truth is among it."""
+    chosen = set(only) & known_names(half)
+    if only and not chosen:
+        return []  # this half has none of it
 
     def wanted(seed: int) -> bool:
+        if not only:
+            return True
+        if half == FIELD:
+            dealt = field_study.deal(seed)
+            if chosen <= {*KINDS, *field_study.PLANTS}:
+                return bool({dealt.kind, dealt.plant} & chosen)
+            drawn = field_study.draw(seed)
+            return bool({drawn.kind, drawn.plant, *drawn.truth} & chosen)
         study = draw(seed)
-        return not only or study.kind in only or bool(study.truth.keys() & set(only))
+        return study.kind in chosen or bool(study.truth.keys() & chosen)
 
     return list(itertools.islice(filter(wanted, itertools.count(first)), count))
 
 
-def read(results: Path, of_revision: str) -> dict[int, dict[str, Any]]:
-    """Seed → its line of that revision; of several the last."""
+def known_names(half: str) -> set[str]:
+    """What `--only` may name: kinds, plants, effects, base numbers."""
+    if half == FIELD:
+        rigs = field_study.RIGS.values()
+        return {*KINDS, *field_study.PLANTS, *(name for rig in rigs for name in (*rig.entries, *rig.outside))}
+    return {*KINDS, *EFFECTS, *BASE, *SENSORS, *OUTSIDE}
+
+
+def read(results: Path, of_revision: str, half: str = LABORATORY) -> dict[int, dict[str, Any]]:
+    """Seed → its line of that revision and half; of several the last. Lines of old name no half: the laboratory's."""
     if not results.exists():
         return {}
     lines = [json.loads(text) for text in results.read_text().splitlines() if text.strip()]
-    return {line["seed"]: line for line in lines if line["revision"] == of_revision}
+    of_half = (line for line in lines if line.get("half", LABORATORY) == half)
+    return {line["seed"]: line for line in of_half if line["revision"] == of_revision}
 
 
-def run(todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1) -> list[dict[str, Any]]:
+def run(
+    todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1, half: str = LABORATORY
+) -> list[dict[str, Any]]:
     """Conduct what has no verdict yet (a failure is tried again), append each line at once; gives all lines."""
-    have = read(results, of_revision)
+    have, counted = read(results, of_revision, half), field_score if half == FIELD else score
     missing = [seed for seed in todo if seed not in have or have[seed]["verdict"] == "failed"]
     results.parent.mkdir(parents=True, exist_ok=True)
-    for number, line in enumerate(_conducted(missing, refiner, jobs), start=1):
+    for number, line in enumerate(_conducted(missing, refiner, jobs, half), start=1):
         line = {"study": f"{line['seed']:05d}", "revision": of_revision} | line
         have[line["seed"]] = line
         with results.open("a") as file:
             file.write(json.dumps(line) + "\n")
-        heard = line.get("failure") or score.said(line)
-        print(f"{number:4d}/{len(missing)}  {score.label(line):40} {heard}  {line['seconds']} s", file=sys.stderr)
+        heard = line.get("failure") or counted.said(line)
+        print(f"{number:4d}/{len(missing)}  {counted.label(line):40} {heard}  {line['seconds']} s", file=sys.stderr)
     return [have[seed] for seed in todo]
 
 
-def _conducted(todo: Sequence[int], refiner: Refiner, jobs: int) -> Iterator[dict[str, Any]]:
+def _conducted(todo: Sequence[int], refiner: Refiner, jobs: int, half: str) -> Iterator[dict[str, Any]]:
     with ThreadPoolExecutor(jobs) as pool:
-        pending = [pool.submit(conduct, seed, refiner) for seed in todo]
+        pending = [pool.submit(conduct, seed, refiner, half) for seed in todo]
         try:
             yield from (done.result() for done in as_completed(pending))
         finally:
@@ -155,9 +191,10 @@ def _conducted(todo: Sequence[int], refiner: Refiner, jobs: int) -> Iterator[dic
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.blind.harness", description=__doc__.splitlines()[0])
-    parser.add_argument("count", type=int, metavar="N", help="how many studies")
+    parser.add_argument("count", type=int, metavar="N", help="how many studies of each half")
+    parser.add_argument("--half", choices=HALVES, default="both", help="the laboratory, the field, or both")
     parser.add_argument("--jobs", type=int, default=1, help="studies at a time (seconds are honest with 1)")
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds or effects to draw")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds, plants, effects to draw")
     parser.add_argument("--first", type=int, default=0, help="first seed; develop on others than you report")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--command", default=default_command(), help="refiner, with {study} and {out}")
@@ -165,13 +202,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.count < 1 or options.jobs < 1 or options.first < 0:
         parser.error("N and --jobs are at least 1, --first at least 0")
-    if strangers := set(options.only) - {*KINDS, *EFFECTS, *BASE, *SENSORS, *OUTSIDE}:
+    halves = HALVES[options.half]
+    if strangers := set(options.only).difference(*map(known_names, halves)):
         parser.error(f"--only does not know {', '.join(sorted(strangers))}")
-    todo = seeds(options.count, options.first, options.only)
-    refiner = command_refiner(options.command, options.timeout)
-    lines = run(todo, refiner, options.results, revision(), options.jobs)
-    print(score.table(lines))
-    print(json.dumps(score.summary(lines)))
+    refiner, of_revision = command_refiner(options.command, options.timeout), revision()
+    lines = {}
+    for half in halves:
+        todo = seeds(options.count, options.first, options.only, half)
+        lines[half] = run(todo, refiner, options.results, of_revision, options.jobs, half)
+    for half, judged in lines.items():
+        print((field_score if half == FIELD else score).table(judged), end="\n\n")
+    figures = score.summary(lines[LABORATORY]) if LABORATORY in lines else {}
+    if FIELD in lines:
+        figures |= {"field": field_score.summary(lines[FIELD])}
+    print(json.dumps(figures))
     return 0
 
 

@@ -36,12 +36,22 @@ def named(line: Line) -> set[str]:
     return {effect["name"] for effect in line["effects"]}
 
 
-def expected_verdict(truth: Iterable[str]) -> str:
+def expected_verdict(truth: Iterable[str], sensors: Iterable[str] = SENSORS) -> str:
     """Wrong base numbers are a parameter_error, sensor errors a sensor_error, all else an effect_found."""
     names = set(truth)
     if names <= set(BASE):
         return "parameter_error"
-    return "sensor_error" if names <= set(SENSORS) else "effect_found"
+    return "sensor_error" if names <= set(sensors) else "effect_found"
+
+
+def alternatives(line: Line) -> list[set[str]]:
+    """The rivals of an `ambiguous` verdict, each a set of names: `a + b` are two effects together."""
+    return [set(re.split(r"\s*[+,&]\s*", rival.strip())) for rival in line["rivals"]]
+
+
+def share(hits: int, of: int) -> float | None:
+    """A fraction to four digits; None of nothing."""
+    return round(hits / of, 4) if of else None
 
 
 def is_right(line: Line) -> bool:
@@ -60,10 +70,10 @@ def is_in_set(line: Line) -> bool:
     if line["verdict"] != "ambiguous":
         return False
     truth = set(line["truth"])
-    alternatives = [set(re.split(r"\s*[+,&]\s*", rival.strip())) for rival in line["rivals"]]
-    if truth in alternatives and len(alternatives) <= LARGEST_SET:
+    sets = alternatives(line)
+    if truth in sets and len(sets) <= LARGEST_SET:
         return True
-    together = set().union(named(line), *alternatives)
+    together = set().union(named(line), *sets)
     return truth <= together and len(together) <= LARGEST_SET
 
 

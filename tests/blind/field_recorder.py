@@ -1,0 +1,103 @@
+"""What a recorder does to readings: rounds them, hits some, stamps them a little off, loses some; and true noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.blind.field_rig import Rig
+
+FAULTS = ("quantised", "outliers", "jitter", "dropouts", "noise", "timing")
+OUTLIER_SHARE, OUTLIER_SIZE = 0.005, 30.0  # of the cells; in standard deviations
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """How a study is recorded; what is not among its faults is at its harmless value.
+
+    noise:     output → true standard deviation over the stated one
+    quantum:   output → size of a cell of the converter, in standard deviations of its noise
+    outliers:  share of the cells
+    jitter:    rows are taken up to this share of a step early or late, and stamped when they are taken
+    lost:      share of rows, or of cells, that are lost; `whole_rows` which; `hole` of so many rows in each log
+    timing:    standard deviation [s] of stamps that are wrong, over the time in which the readings move by their noise
+    """
+
+    faults: tuple[str, ...]
+    noise: dict[str, float]
+    quantum: dict[str, float]
+    outliers: float
+    jitter: float
+    lost: float
+    whole_rows: bool
+    hole: int
+    timing: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, outputs: Sequence[str], longest_hole: int) -> Recorder:
+        """One or two of the faults."""
+        faults = tuple(sorted(str(f) for f in rng.choice(FAULTS, rng.integers(1, 3), replace=False)))
+        noise = {o: float(np.exp(rng.uniform(np.log(0.4), np.log(2.5)))) for o in outputs}
+        coarse = [o for o in outputs if rng.random() < 0.6] or [str(rng.choice(outputs))]
+        quantum = {o: float(rng.uniform(1.0, 4.0)) for o in coarse}
+        jitter, lost, timing = (float(rng.uniform(*between)) for between in ((0.05, 0.2), (0.01, 0.03), (1.0, 3.0)))
+        whole, hole = bool(rng.random() < 0.5), int(rng.integers(3, longest_hole + 1)) * int(rng.random() < 0.3)
+        return cls(
+            faults,
+            noise if "noise" in faults else dict.fromkeys(outputs, 1.0),
+            quantum if "quantised" in faults else {},
+            OUTLIER_SHARE if "outliers" in faults else 0.0,
+            jitter if "jitter" in faults else 0.0,
+            lost if "dropouts" in faults else 0.0,
+            whole,
+            hole if "dropouts" in faults else 0,
+            timing if "timing" in faults else 0.0,
+        )
+
+    def times(self, rng: np.random.Generator, count: int, step: float) -> np.ndarray:
+        """When the rows are taken."""
+        away = self.jitter * rng.uniform(-1.0, 1.0, count)
+        away[0] = 0.0
+        return np.round((np.arange(count) + away) * step, 6)
+
+    def deviations(self, rig: Rig) -> np.ndarray:
+        """Standard deviation of each sensor's noise as it is."""
+        return np.array([sigma * self.noise[o] for o, sigma in rig.outputs.items()])
+
+    def stamp_error(self, rig: Rig, readings: np.ndarray) -> float:
+        """Standard deviation [s] of stamps: `timing` times what moves a reading by its noise, half a step at most."""
+        moving = np.sqrt(np.mean(np.gradient(readings, rig.step, axis=0) ** 2, axis=0))
+        return min(0.5 * rig.step, self.timing * float(np.median(self.deviations(rig) / moving)))
+
+    def variances(self, rig: Rig, readings: np.ndarray, stamp_error: float, kept: np.ndarray) -> np.ndarray:
+        """Variance of each cell about the true reading; infinite where there is none. Outliers are not in it."""
+        cells = np.array([self.quantum.get(o, 0.0) for o in rig.outputs]) * self.deviations(rig)
+        slopes = np.gradient(readings, rig.step, axis=0)
+        return np.where(kept, self.deviations(rig) ** 2 + cells**2 / 12.0 + (stamp_error * slopes) ** 2, np.inf)
+
+    def kept(self, rng: np.random.Generator, count: int, width: int) -> np.ndarray:
+        """Which cells are there: (rows, outputs)."""
+        if not self.lost:
+            return np.ones((count, width), bool)
+        drawn = rng.random((count, 1 if self.whole_rows else width)) >= self.lost
+        kept = np.broadcast_to(drawn, (count, width)).copy()
+        if self.hole:
+            begin = int(rng.integers(count // 4, 3 * count // 4))
+            kept[begin : begin + self.hole] = False
+        kept[[0, -1]] = True
+        return kept
+
+    def spoil(
+        self, rng: np.random.Generator, rig: Rig, readings: np.ndarray, noise: np.ndarray, stamp_error: float
+    ) -> np.ndarray:
+        """Cells of the log, all of them: wrong stamps, noise, the converter's steps, outliers."""
+        slopes = np.gradient(readings, rig.step, axis=0)
+        cells = readings + stamp_error * rng.standard_normal((len(readings), 1)) * slopes + noise
+        for number, (output, sigma) in enumerate(zip(rig.outputs, self.deviations(rig), strict=True)):
+            if output in self.quantum:
+                quantum = self.quantum[output] * sigma
+                cells[:, number] = quantum * np.round(cells[:, number] / quantum)
+        hit = rng.random(cells.shape) < self.outliers
+        return cells + hit * rng.choice([-1.0, 1.0], cells.shape) * OUTLIER_SIZE * self.deviations(rig)

@@ -1,0 +1,180 @@
+"""What counts as right in the field half, where a refiner may grade what it says: claimed, part, nearest.
+
+Fractions are of the studies they speak of, failed ones included, as in `score`. Only what is claimed can be right.
+What is said to be part of the answer is neither right nor wrong, unless a name in it is not of the truth; what is
+only nearest names nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from tests.blind.score import (
+    CONFIDENT,
+    LARGEST_SET,
+    Line,
+    alternatives,
+    covered,
+    expected_verdict,
+    named,
+    share,
+    wilson,
+)
+
+
+def grade(line: Line) -> str:
+    """`claimed`, `part`, `nearest` or nothing; a refiner that does not grade claims what it names in confidence."""
+    given = line.get("grade")
+    return str(given) if given else "claimed" if line["verdict"] in CONFIDENT else ""
+
+
+def put_forward(line: Line) -> set[str]:
+    """Names that are claimed, or said to be part of the answer."""
+    return named(line) if grade(line) in ("claimed", "part") else set()
+
+
+def is_right(line: Line) -> bool:
+    """Known: claimed under the verdict that fits, and exactly the names of the truth."""
+    fits = line["verdict"] == expected_verdict(line["truth"], line["sensors"])
+    return fits and grade(line) == "claimed" and named(line) == set(line["truth"])
+
+
+def is_in_set(line: Line) -> bool:
+    """Known: right; or `ambiguous`, and the truth is one of at most three alternatives, or all the names are it."""
+    if is_right(line):
+        return True
+    if line["verdict"] != "ambiguous" or not put_forward(line) <= set(line["truth"]):
+        return False
+    truth, sets = set(line["truth"]), alternatives(line)
+    if truth in sets and len(sets) <= LARGEST_SET:
+        return True
+    together = set().union(named(line), *sets)
+    return truth <= together and len(together) <= LARGEST_SET
+
+
+def is_wrong(line: Line) -> bool:
+    """Known: a name put forward that is not of the truth."""
+    return not put_forward(line) <= set(line["truth"])
+
+
+def is_false_alarm(line: Line) -> bool:
+    """Nothing hidden: any verdict but `no_effect` and `unexplained`, or a name put forward."""
+    return line["verdict"] not in ("no_effect", "unexplained", "failed") or bool(put_forward(line))
+
+
+def is_misnamed(line: Line) -> bool:
+    """Outside: any name put forward."""
+    return bool(put_forward(line))
+
+
+def is_flagged(line: Line) -> bool:
+    """Outside: `unexplained` or `ambiguous`, with no name put forward."""
+    return line["verdict"] in ("unexplained", "ambiguous") and not put_forward(line)
+
+
+def claims(line: Line) -> list[bool]:
+    """For each parameter of the truth that is claimed: does its 95 % interval hold the truth?"""
+    return covered(line) if grade(line) == "claimed" else []
+
+
+def sealed_ratio(line: Line) -> float:
+    """Sealed error of the claim, else of what is nearest, over the true model's, mean over channels; of failures ∞."""
+    if line["verdict"] == "failed":
+        return math.inf
+    stage = "nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"
+    error, true = line["error"][stage], line["error_true"]
+    return statistics.fmean(error[c] / true[c] for c in true if c in error)
+
+
+def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
+    """Figure → (how many, of how many)."""
+    known, nothing, outside = ([line for line in lines if line["kind"] == k] for k in ("known", "nothing", "outside"))
+
+    def held(chosen: Iterable[Line]) -> tuple[int, int]:
+        hits = [hit for line in chosen for hit in claims(line)]
+        return sum(hits), len(hits)
+
+    return {
+        "right": (sum(map(is_right, known)), len(known)),
+        "in_set": (sum(map(is_in_set, known)), len(known)),
+        "wrong": (sum(map(is_wrong, known)), len(known)),
+        "false_alarms": (sum(map(is_false_alarm, nothing)), len(nothing)),
+        "no_effect": (sum(line["verdict"] == "no_effect" for line in nothing), len(nothing)),
+        "outside_flagged": (sum(map(is_flagged, outside)), len(outside)),
+        "outside_misnamed": (sum(map(is_misnamed, outside)), len(outside)),
+        "coverage": held(known),
+        "coverage_disturbed_small": held(line for line in known if line["disturbance"] == "small"),
+        "coverage_disturbed_large": held(line for line in known if line["disturbance"] == "large"),
+    }
+
+
+def summary(lines: Sequence[Line]) -> dict[str, Any]:
+    """What stands under `field` in the last line of the output; None where there is nothing to count."""
+    known = [line for line in lines if line["kind"] == "known"]
+    ratios, seconds = sorted(map(sealed_ratio, known)), sorted(line["seconds"] for line in lines)
+    by_number = {
+        str(number): {"studies": len(chosen)} | _shares(counts(chosen), ("right", "in_set", "wrong"))
+        for number in sorted({len(line["truth"]) for line in known})
+        if (chosen := [line for line in known if len(line["truth"]) == number])
+    }
+    return {
+        "studies": len(lines),
+        **_shares(counts(lines)),
+        "sealed_ratio_median": _ranked(ratios, 0.5),
+        "sealed_ratio_90": _ranked(ratios, 0.9),
+        "by_effects": by_number,
+        "seconds_median": _ranked(seconds, 0.5),
+        "seconds_95": _ranked(seconds, 0.95),
+    }
+
+
+def _shares(counted: dict[str, tuple[int, int]], names: Sequence[str] = ()) -> dict[str, float | None]:
+    return {name: share(*counted[name]) for name in names or counted}
+
+
+def _ranked(values: Sequence[float], part: float) -> float | None:
+    """The value that `part` of them do not exceed; None where there are none, or it is infinite."""
+    if not values:
+        return None
+    value = values[max(0, math.ceil(part * len(values)) - 1)]
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def label(line: Line) -> str:
+    """What was hidden where, in a row's words."""
+    names = " + ".join(sorted(line["truth"])) or "nothing"
+    return f"{line['plant']}: {'outside: ' if line['kind'] == 'outside' else ''}{names}"
+
+
+def said(line: Line) -> str:
+    """What came of a study, in a word; names that were put forward wrongly after a colon."""
+    names = " + ".join(sorted(put_forward(line)))
+    if line["kind"] == "known":
+        word = "right" if is_right(line) else "in set" if is_in_set(line) else "wrong" if is_wrong(line) else ""
+        return f"wrong: {names}" if word == "wrong" else word or (f"part: {names}" if names else str(line["verdict"]))
+    return f"wrong: {names}" if names else str(line["verdict"])
+
+
+def table(lines: Sequence[Line]) -> str:
+    """For each plant, and for each effect wherever it is hidden: what came of the studies; then the figures."""
+    rows: dict[tuple[str, str], list[Line]] = defaultdict(list)
+    for line in lines:
+        rows["", f"{line['plant']}, {line['kind']}"].append(line)
+        for name in line["truth"]:
+            rows[line["kind"], f"{line['plant']}: {name}"].append(line)
+    columns = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
+    text = [f"{'field':48} {'n':>3}  " + "  ".join(columns)]
+    for (kind, name), chosen in sorted(rows.items()):
+        heard = [said(line).split(": ")[0] for line in chosen]
+        cells = "  ".join(f"{heard.count(c) or '·':>{len(c)}}" for c in columns)
+        text.append(f"{'outside: ' if kind == 'outside' else ''}{name}".ljust(48) + f" {len(chosen):3d}  {cells}")
+    text.append("")
+    for name, (hits, of) in counts(lines).items():
+        low, high = wilson(hits, of)
+        part = f"{100 * hits / of:5.1f} %" if of else "    – "
+        text.append(f"{name:25} {hits:4d} of {of:4d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]")
+    return "\n".join(text)

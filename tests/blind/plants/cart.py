@@ -1,0 +1,298 @@
+"""A cart on a rail with a bob hanging from it, like a small crane, pushed open loop by a motor.
+
+Measured are the position by a camera, the angle by a potentiometer and its rate by a gyroscope; the bob swings at
+0.8 Hz.
+"""
+
+from dataclasses import dataclass
+
+from plant.model import Effect, Equations, Model, Number, Values, overrides
+from plant.namespaces import Namespace
+from plant.quantities import Quantity, parameter
+from plant.sensors import Bias, Latency, Scale
+
+CREEP = 0.02  # [m/s] below which the rail's dry friction is smoothed
+TURN = 0.1  # [rad/s] below which the pivot's is
+PITCH = 0.1  # [m] from notch to notch of the belt
+SENSOR_VARIANCE = {"position": 4e-6, "angle": 2.5e-5, "rate": 2.5e-3}
+START_VARIANCE = {"position": 1.0, "velocity": 0.25, "angle": 0.04, "rate": 0.25}
+TOLD_APART_BY = {
+    frozenset({"cart_coulomb", "cart_drag", "force_dead_band"}): "several speeds, slow ones among them, with reversals",
+    frozenset({"pivot_coulomb", "bob_drag"}): "swings from large to small, left to decay",
+}
+
+
+class CartEffect(Effect):
+    """A force on the cart or a moment on the pivot that the base model lacks."""
+
+    def drive(self, m: Namespace, force: Number) -> Number:
+        """Force of the motor in place of the commanded one."""
+        return force
+
+    def lag(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
+        """Force after the motor's own dynamics, and the derivative of its state."""
+        raise NotImplementedError
+
+    def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Force [N] on the cart."""
+        return 0.0
+
+    def pivot(self, m: Namespace, rate: Number) -> Number:
+        """Moment [N m] about the pivot."""
+        return 0.0
+
+    def slope(self, m: Namespace) -> Number:
+        """Angle [rad] by which the rail is not level."""
+        return 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceDeadBand(CartEffect):
+    """The amplifier swallows small commands: u − w·tanh(u/(w + 0.02))."""
+
+    name = "force_dead_band"
+    equation = "force u − w·tanh(u/(w + 0.02)) in place of u"
+
+    width: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="half width w of the band")
+
+    def drive(self, m: Namespace, force: Number) -> Number:
+        """u − w·tanh(u/(w + 0.02))."""
+        return force - self.width * m.tanh(force / (self.width + 0.02))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceAsymmetry(CartEffect):
+    """The motor pushes harder one way than the other: u + a·|u|."""
+
+    name = "force_asymmetry"
+    equation = "force u + a·|u| in place of u"
+
+    ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.03, doc="asymmetry a")
+
+    def drive(self, m: Namespace, force: Number) -> Number:
+        """u + a·|u|."""
+        return force + self.ratio * m.where(force >= 0.0, force, -force)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorLag(CartEffect):
+    """The motor's force builds up: τ·ḟ = u − f."""
+
+    name = "motor_lag"
+    equation = "τ·ḟ = u − f, f in place of u"
+    states = (Quantity("force", "N", "force after the lag"),)
+
+    time: float = parameter(0.0, unit="s", bounds=(0, 1), neutral=0.0, typical=0.03, doc="time constant τ; 0 = off")
+
+    def lag(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
+        """The state in place of the force; time constants below 5 ms, a quarter of a row, are as 5 ms."""
+        return m.where(self.time > 0.0, states[0], force), (force - states[0]) / m.maximum(self.time, 0.005)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartCoulomb(CartEffect):
+    """Dry friction of the rail: −F·tanh(v/0.02)."""
+
+    name = "cart_coulomb"
+    equation = "force −F·tanh(v/0.02)"
+
+    level: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="dry friction F")
+
+    def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """−F·tanh(v/0.02)."""
+        return -self.level * m.tanh(velocity / CREEP)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartDrag(CartEffect):
+    """Drag of the cart: −k·|v|·v."""
+
+    name = "cart_drag"
+    equation = "force −k·|v|·v"
+
+    coefficient: float = parameter(
+        0.0, unit="N.s2/m2", bounds=(0, 10), neutral=0.0, typical=0.3, doc="drag coefficient k"
+    )
+
+    def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """−k·|v|·v."""
+        return -self.coefficient * m.where(velocity >= 0.0, velocity, -velocity) * velocity
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableSpring(CartEffect):
+    """The supply cable pulls the cart back to the middle: −k·x."""
+
+    name = "cable_spring"
+    equation = "force −k·x"
+
+    stiffness: float = parameter(0.0, unit="N/m", bounds=(0, 20), neutral=0.0, typical=0.2, doc="stiffness k")
+
+    def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """−k·x."""
+        return -self.stiffness * position
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeltRipple(CartEffect):
+    """Notches of the belt, one every 0.1 m: s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
+
+    name = "belt_ripple"
+    equation = "force s·sin(2πx/0.1) + c·cos(2πx/0.1)"
+
+    sine: float = parameter(0.0, unit="N", bounds=(-3, 3), neutral=0.0, typical=0.2, doc="amplitude s")
+    cosine: float = parameter(0.0, unit="N", bounds=(-3, 3), neutral=0.0, typical=0.2, doc="amplitude c")
+
+    def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
+        phase = 6.283185307179586 / PITCH * position
+        return self.sine * m.sin(phase) + self.cosine * m.cos(phase)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PivotCoulomb(CartEffect):
+    """Dry friction of the pivot: −T·tanh(ω/0.1)."""
+
+    name = "pivot_coulomb"
+    equation = "moment −T·tanh(ω/0.1) about the pivot"
+
+    level: float = parameter(0.0, unit="N.m", bounds=(0, 0.2), neutral=0.0, typical=0.005, doc="dry friction T")
+
+    def pivot(self, m: Namespace, rate: Number) -> Number:
+        """−T·tanh(ω/0.1)."""
+        return -self.level * m.tanh(rate / TURN)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BobDrag(CartEffect):
+    """Drag of the swinging bob: −k·|ω|·ω."""
+
+    name = "bob_drag"
+    equation = "moment −k·|ω|·ω about the pivot"
+
+    coefficient: float = parameter(
+        0.0, unit="N.m.s2/rad2", bounds=(0, 0.2), neutral=0.0, typical=0.003, doc="drag coefficient k"
+    )
+
+    def pivot(self, m: Namespace, rate: Number) -> Number:
+        """−k·|ω|·ω."""
+        return -self.coefficient * m.where(rate >= 0.0, rate, -rate) * rate
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackTilt(CartEffect):
+    """The rail is not level: gravity pulls along it, and the bob hangs askew."""
+
+    name = "track_tilt"
+    equation = "gravity turned by α about the rail"
+
+    angle: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="tilt α, uphill in +x")
+
+    def slope(self, m: Namespace) -> Number:
+        """The tilt α."""
+        return self.angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionScale(Scale):
+    """The camera reads s·x."""
+
+    name = "position_scale"
+    output = "position"
+
+    value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.03, doc="scale s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroBias(Bias):
+    """The gyroscope reads ω + b."""
+
+    name = "gyro_bias"
+    output = "rate"
+
+    value: float = parameter(0.0, unit="rad/s", bounds=(-1, 1), neutral=0.0, typical=0.01, doc="bias b")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraLatency(Latency):
+    """The camera's picture takes time: the position comes T late."""
+
+    name = "camera_latency"
+    output = "position"
+    outputs = ("position",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cart(Model):
+    """A cart and a bob on a rod."""
+
+    title = "Cart with a hanging bob"
+    base_states = (
+        Quantity("position", "m", "position of the cart"),
+        Quantity("velocity", "m/s", "its velocity"),
+        Quantity("angle", "rad", "angle of the bob from hanging straight, forward positive", bounds=(-1.5, 1.5)),
+        Quantity("rate", "rad/s", "its rate"),
+    )
+    inputs = (Quantity("force", "N", "force of the motor commanded"),)
+    outputs = base_states
+    catalogue = (
+        ForceDeadBand, ForceAsymmetry, MotorLag, CartCoulomb, CartDrag, CableSpring, BeltRipple, PivotCoulomb, BobDrag,
+        TrackTilt,
+    )  # fmt: skip
+    sensors = (PositionScale, GyroBias, CameraLatency)
+    sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
+    forced = ("velocity", "rate")
+    calibrated = ("cart_mass", "bob_mass", "length", "cart_friction", "pivot_friction")
+    told_apart_by = TOLD_APART_BY
+    rate, substep, horizon = 0.02, 0.005, 2.0
+
+    cart_mass: float = parameter(1.0, unit="kg", bounds=(0.05, 50), tolerance=0.05, doc="mass of cart and motor")
+    bob_mass: float = parameter(0.3, unit="kg", bounds=(0.01, 10), tolerance=0.1, doc="mass of the bob")
+    length: float = parameter(0.5, unit="m", bounds=(0.05, 5), tolerance=0.02, doc="from pivot to bob")
+    cart_friction: float = parameter(
+        2.0, unit="N.s/m", bounds=(0, 50), tolerance=0.3, doc="viscous friction of the rail"
+    )
+    pivot_friction: float = parameter(
+        0.008, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction of the pivot"
+    )
+    gravity: float = parameter(9.81, unit="m/s2", bounds=(1, 30), doc="gravity")
+
+    def equations(self, m: Namespace) -> Equations:
+        """Bind the equations to a namespace, with the bob on a rod of length l, α the slope of the rail.
+
+        (M + m)·ẍ + m·l·(φ̈·cos φ − φ̇²·sin φ) = f − b·ẋ − (M + m)·g·sin α + forces on the cart
+        m·l²·φ̈ + m·l·cos φ·ẍ = −m·g·l·sin(φ + α) − c·φ̇ + moments about the pivot
+        """
+        cart_mass, bob, length, g = self.cart_mass, self.bob_mass, self.length, self.gravity
+        b, c, awake = self.cart_friction, self.pivot_friction, self.awake
+        driven = overrides(awake, "drive", CartEffect)
+        lagged = overrides(awake, "lag", CartEffect)
+        on_cart = overrides(awake, "cart", CartEffect)
+        on_pivot = overrides(awake, "pivot", CartEffect)
+        alpha = sum(term.slope(m) for term in overrides(awake, "slope", CartEffect))
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            position, velocity, angle, rate, *own = state
+            slopes: Values = ()
+            force = command[0]
+            for term in driven:
+                force = term.drive(m, force)
+            for term in lagged:
+                force, slope = term.lag(m, force, tuple(own))
+                slopes = (slope,)
+            force = force - b * velocity - (cart_mass + bob) * g * m.sin(alpha)
+            for term in on_cart:
+                force = force + term.cart(m, position, velocity)
+            moment = -bob * g * length * m.sin(angle + alpha) - c * rate
+            for term in on_pivot:
+                moment = moment + term.pivot(m, rate)
+            sin, cos = m.sin(angle), m.cos(angle)
+            pull = force + bob * length * rate * rate * sin - moment * cos / length
+            acceleration = pull / (cart_mass + bob * sin * sin)
+            swing = (moment / (bob * length) - acceleration * cos) / length
+            return velocity, acceleration, rate, swing, *slopes
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            return tuple(state[:4])
+
+        return Equations(derivative, output)
