@@ -45,9 +45,8 @@ class RefinerFailed(Exception):
 
 
 def default_command() -> str:
-    """`cosim refine`, preferably that of the running environment."""
-    beside = Path(sys.executable).with_name("cosim")
-    return f"{shlex.quote(str(beside)) if beside.exists() else 'cosim'} refine {{study}} --out {{out}}"
+    """`cosim refine` of the tree that the suite is started in: a `cosim` that is installed may be of another."""
+    return f"{shlex.quote(sys.executable)} -m cosim.cli refine {{study}} --out {{out}}"
 
 
 def command_refiner(template: str, timeout: float) -> Refiner:
