@@ -27,6 +27,7 @@ class _Log(ctypes.Structure):
         ("u", ctypes.c_void_p),
         ("y", ctypes.c_void_p),
         ("ramps", ctypes.c_void_p),
+        ("late", ctypes.c_void_p),
     )
 
 
@@ -42,12 +43,14 @@ class CompiledKernel(ArrayKernel):
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
         ramps = self._ramps(data)
         times = (len(u), data.substeps, data.settle, data.step, data.start)
-        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data)
+        late = self._late(data)
+        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data, late.ctypes.data)
         return int(self._library.filter(ctypes.byref(log), *map(_address, (*given, *room))))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
         ramps = self._ramps(data)
-        log = _Log(len(u), data.substeps, data.settle, data.step, data.start, u.ctypes.data, None, ramps.ctypes.data)
+        times = (len(u), data.substeps, data.settle, data.step, data.start)
+        log = _Log(*times, u.ctypes.data, None, ramps.ctypes.data, None)
         self._library.simulate(ctypes.byref(log), first, *map(_address, (*given, *room)))
 
 

@@ -119,6 +119,7 @@ def filter(
     substeps: int,
     settle: int,
     ramps: Rows,
+    late: Array,
     log_u: Array,
     log_y: Array,
     p: Array,
@@ -133,10 +134,12 @@ def filter(
 ) -> int:
     """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after.
 
-    r (rows, NY): variance of the noise of each measurement
+    r (rows, NY): variance of the noise of each measurement; late (NY): part of a row by which readings are older
     """
     x, acting, shaped, y, work = x0.copy(), np.empty((3, NU)), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
-    command = np.empty(NU)
+    command, before_step, delayed = np.empty(NU), np.empty(NY), False
+    for j in range(NY):
+        delayed = delayed or late[j] != 0.0
     P, square, C, moved = P0.copy(), np.empty((3, NS, NS)), np.empty((NY, NS)), np.empty(NS)
     memory = np.zeros(NM)
     h = step / substeps
@@ -145,6 +148,9 @@ def filter(
         t = start + k * step
         if k > 0:
             before = t - step
+            if delayed:
+                held(log_u, ramps, k, command)  # what acted since: an output that takes a command did not jump
+                measure(before, x, command, p, before_step)
             for s in range(substeps):
                 act(log_u, ramps, substeps, k, s, delay, memory, p, acting, shaped)
                 if s == 0 and k <= settle:
@@ -154,6 +160,9 @@ def filter(
                 rk4(before + s * h, h, x, acting, p, work)
         held(log_u, ramps, k, command)
         measure(t, x, command, p, y)
+        if delayed and k > 0:
+            for j in range(NY):
+                y[j] -= late[j] * (y[j] - before_step[j])
         measure_jacobian(t, x, command, p, C.reshape(NY * NS))
         update(log_y[k], y, C, r[k], P, moved, errors[k], variances[k])
         for i in range(NS):

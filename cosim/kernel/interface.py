@@ -5,7 +5,8 @@ A kernel need not have been generated: whoever has a `Layout` and the two calls 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from cosim.arrays import Array
@@ -72,6 +73,7 @@ class Data:
 
     substeps: RK4 steps from row to row
     interpolated: names of inputs that run straight from row to row; the others are held
+    late:     output → part of a row, −½ … ½, by which its readings are older than the row they stand in
     settle:   rows after the first over which the covariance stays P0, for so long no state is known better
     """
 
@@ -82,6 +84,7 @@ class Data:
     substeps: int
     settle: int = 0
     interpolated: frozenset[str] = frozenset()
+    late: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class JitKernel(ArrayKernel):
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
         times = (data.step, data.start, data.substeps, data.settle)
-        return int(self._module.filter(*times, self._ramps(data), u, y, *given, *room))
+        return int(self._module.filter(*times, self._ramps(data), self._late(data), u, y, *given, *room))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
         self._module.simulate(data.step, data.start, data.substeps, self._ramps(data), u, first, *given, *room)
@@ -62,7 +62,7 @@ def _compiled(source: str) -> Any:
         setattr(module, name, numba.njit(function, **options))
     grid, v, M, flags = (float64, float64, intp), float64[::1], float64[:, ::1], numba.int32[::1]
     signatures = {
-        "filter": intp(*grid, intp, flags, M, M, v, v, M, v, M, M, M, M, M),
+        "filter": intp(*grid, intp, flags, v, M, M, v, v, M, v, M, M, M, M, M),
         "simulate": intp(*grid, flags, M, intp, v, v, v, M, M, M, M),
     }
     for name, signature in signatures.items():

@@ -139,7 +139,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
 
     Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
     """
-    data, first = problem.data(values, index)[0], unscored(problem.logs[index])
+    data, first = problem.data(values, index), unscored(problem.logs[index])
     rows = len(data.u)
     length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (rows - first) // 2))

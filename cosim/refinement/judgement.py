@@ -107,6 +107,7 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
         for h in search.tried.values()
         if h.ended
         and h.score - best.score < NEAR
+        and len(h.candidates) <= len(best.candidates)
         and not set(h.names) <= set(best.names)
         and not set(h.names) >= set(best.names)
     ]

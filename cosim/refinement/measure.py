@@ -134,7 +134,7 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
     """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
     problem = filtering(problem, variant.model, logs)
     runs = (problem.run(variant.values, variant.noise, index, states=True) for index in range(len(logs)))
-    read = (problem.data(variant.values, index)[0] for index in range(len(logs)))
+    read = (problem.data(variant.values, index) for index in range(len(logs)))
     missed = [_missed(variant, problem, *each) for each in zip(logs, read, runs, strict=True)]
     return _root_mean_squares(problem, missed)
 

@@ -334,14 +334,22 @@ class Problem:
         q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.coloured else power
         return q
 
-    def data(self, values: Mapping[str, float], index: int) -> tuple[Data, Array]:
-        """A log with its late readings put where they belong, and which readings are scored."""
-        readings, data = self.readings[index], self.logs[index]
-        late = {place: values[name] / data.step for name, places in self.late.items() for place in places}
-        if not any(late.values()):
-            return data, readings.scored
-        y, scored = readings.in_time(late)
-        return replace(data, y=y), scored
+    def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
+        """Rows by which readings are late, by the place of their output; nothing where none are."""
+        step = self.logs[index].step
+        late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
+        return late if any(late.values()) else {}
+
+    def data(self, values: Mapping[str, float], index: int) -> Data:
+        """A log with its late readings put where they belong.
+
+        To the nearest row; by how much of a row they are older or younger than that, the filter takes into account.
+        """
+        data, late = self.logs[index], self.lateness(values, index)
+        if not late:
+            return data
+        y = self.readings[index].in_time({k: round(rows) for k, rows in late.items()})
+        return replace(data, y=y, late={self.layout.outputs[k]: rows - round(rows) for k, rows in late.items()})
 
     def variances(self, noise: Noise, index: int) -> Array:
         """Variance of each reading of a log: its sensor's, and what an error of its time stamp makes of its speed."""
@@ -353,7 +361,7 @@ class Problem:
 
     def run(self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False) -> Filtered:
         """Filter one log."""
-        return self.filtered(self.data(values, index)[0], values, noise, index, states=states)
+        return self.filtered(self.data(values, index), values, noise, index, states=states)
 
     def filtered(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False
@@ -371,9 +379,11 @@ class Problem:
         """Filter all logs, or some."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
-            data, valid = self.data(values, index)
-            filtered = self.filtered(data, values, noise, index)
-            errors.append(filtered.errors[valid])
-            variances.append(filtered.variances[valid])
+            filtered = self.filtered(self.data(values, index), values, noise, index)
+            e, s, valid = filtered.errors, filtered.variances, self.readings[index].scored
+            for k, late in self.lateness(values, index).items():  # back to the rows in which they were logged
+                e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
+            errors.append(e[valid])
+            variances.append(s[valid])
             rows.append(np.nonzero(valid)[0])
         return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)), np.concatenate(rows))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags
 
 NEAR = 4  # readings on each side, over which a slope is taken
 EQUAL = 1e-6  # of a resolution, within which values stand on its grid
@@ -25,25 +25,19 @@ class Readings:
     """
 
     y: Array
-    scored: Array
+    scored: Flags
     slopes: Array
     resolution: Array
     spread: Array
 
-    def in_time(self, late: Mapping[int, float]) -> tuple[Array, Array]:
-        """Readings, and which are scored, with those of some outputs put `late` rows earlier.
-
-        To the next whole row; what is left of a row is mended by the slope, which adds no noise to speak of.
-        """
-        y, scored = self.y.copy(), self.scored.copy()
+    def in_time(self, late: Mapping[int, int]) -> Array:
+        """Readings, those of some outputs put so many whole rows earlier."""
+        y = self.y.copy()
         for j, rows in late.items():
-            if rows == 0.0:
-                continue
-            whole = round(rows)
-            mended = self.y[:, j] + (rows - whole) * self.slopes[:, j]
-            y[:, j], scored[:, j] = np.nan, False
-            y[: len(y) - whole, j], scored[: len(y) - whole, j] = mended[whole:], self.scored[whole:, j]
-        return y, scored
+            if rows:
+                y[:, j] = np.nan
+                y[: len(y) - rows, j] = self.y[rows:, j]
+        return y
 
 
 def readings_of(y: Array, unscored: int) -> Readings:
