@@ -44,8 +44,8 @@ class ArrayKernel:
         return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
 
     def _late(self, data: Data) -> Array:
-        """Part of a row by which the readings of each output are older than theirs."""
-        return np.array([data.late.get(name, 0.0) for name in self.layout.outputs])
+        """Part of a row by which each reading is older than its row; without rows where none is."""
+        return _plain(np.empty((0, len(self.layout.outputs))) if data.late is None else data.late)
 
     def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
         """Fill errors, variances, states and memory from p, x0, P0, q and r; the number of rows done."""

@@ -44,7 +44,7 @@ class CompiledKernel(ArrayKernel):
         ramps = self._ramps(data)
         times = (len(u), data.substeps, data.settle, data.step, data.start)
         late = self._late(data)
-        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data, late.ctypes.data)
+        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data, _address(late))
         return int(self._library.filter(ctypes.byref(log), *map(_address, (*given, *room))))
 
     def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:

@@ -46,12 +46,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
     static const int S[NS + 1] = STOCHASTIC;
     double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
     double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1], before_step[NY];
-    int late = 0;
+    const double *late = log->late;
     const double h = log->step / log->substeps;
     const double delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
     memcpy(x, x0, sizeof(double) * NX);
     memcpy(P, P0, sizeof(double) * NS * NS);
-    for (int j = 0; j < NY; j++) late |= log->late[j] != 0.0;
     for (int k = 0; k < log->rows; k++) {
         double t = log->start + k * log->step;
         if (k > 0) {
@@ -76,7 +75,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         held(log, k, command);
         measure(t, x, command, p, y);
         if (late && k > 0)
-            for (int j = 0; j < NY; j++) y[j] -= log->late[j] * (y[j] - before_step[j]);
+            for (int j = 0; j < NY; j++) y[j] -= late[NY * k + j] * (y[j] - before_step[j]);
         measure_jacobian(t, x, command, p, C);
         for (int i = 0; i < NS; i++) moved[i] = 0.0; /* what the measurements of this row have moved the state by */
         for (int j = 0; j < NY; j++) {

@@ -134,12 +134,10 @@ def filter(
 ) -> int:
     """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after.
 
-    r (rows, NY): variance of the noise of each measurement; late (NY): part of a row by which readings are older
+    r (rows, NY): variance of the noise of each measurement; late (rows, NY; or none): part of a row by which it is older
     """
     x, acting, shaped, y, work = x0.copy(), np.empty((3, NU)), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
-    command, before_step, delayed = np.empty(NU), np.empty(NY), False
-    for j in range(NY):
-        delayed = delayed or late[j] != 0.0
+    command, before_step, delayed = np.empty(NU), np.empty(NY), len(late) > 0
     P, square, C, moved = P0.copy(), np.empty((3, NS, NS)), np.empty((NY, NS)), np.empty(NS)
     memory = np.zeros(NM)
     h = step / substeps
@@ -162,7 +160,7 @@ def filter(
         measure(t, x, command, p, y)
         if delayed and k > 0:
             for j in range(NY):
-                y[j] -= late[j] * (y[j] - before_step[j])
+                y[j] -= late[k, j] * (y[j] - before_step[j])
         measure_jacobian(t, x, command, p, C.reshape(NY * NS))
         update(log_y[k], y, C, r[k], P, moved, errors[k], variances[k])
         for i in range(NS):

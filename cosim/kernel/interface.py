@@ -5,8 +5,7 @@ A kernel need not have been generated: whoever has a `Layout` and the two calls 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from cosim.arrays import Array
@@ -73,7 +72,7 @@ class Data:
 
     substeps: RK4 steps from row to row
     interpolated: names of inputs that run straight from row to row; the others are held
-    late:     output → part of a row, −½ … ½, by which its readings are older than the row they stand in
+    late:     (rows, outputs) part of a row, −½ … ½, by which a reading is older than the row it stands in; None: by none
     settle:   rows after the first over which the covariance stays P0, for so long no state is known better
     """
 
@@ -84,7 +83,7 @@ class Data:
     substeps: int
     settle: int = 0
     interpolated: frozenset[str] = frozenset()
-    late: Mapping[str, float] = field(default_factory=dict)
+    late: Array | None = None
 
 
 @dataclass(frozen=True)

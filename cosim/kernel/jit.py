@@ -62,7 +62,7 @@ def _compiled(source: str) -> Any:
         setattr(module, name, numba.njit(function, **options))
     grid, v, M, flags = (float64, float64, intp), float64[::1], float64[:, ::1], numba.int32[::1]
     signatures = {
-        "filter": intp(*grid, intp, flags, v, M, M, v, v, M, v, M, M, M, M, M),
+        "filter": intp(*grid, intp, flags, M, M, M, v, v, M, v, M, M, M, M, M),
         "simulate": intp(*grid, flags, M, intp, v, v, v, M, M, M, M),
     }
     for name, signature in signatures.items():

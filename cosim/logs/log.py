@@ -49,7 +49,7 @@ class Log:
     inputs:    name → (rows,), every value known
     outputs:   name → (rows,), NaN where nothing was measured
     units:     name → unit of the model; `written`: name → unit of the header, "" where it gave none
-    step:      median time between rows [s]
+    step:      usual time between rows [s], see `usual_step`
     unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
     header:    line of the file that names the columns
     """
@@ -122,7 +122,7 @@ class _Reader:
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
         inputs, units = {n: columns[n] for n in self.inputs}, {n: self.known[n] for n in columns}
         written = {name: column.heading.unit for name, column in self.table.columns.items()}
-        step = float(f"{np.median(np.diff(time)):.9g}")
+        step = usual_step(time)
         return Log(self.faults.path, time, inputs, outputs, units, step, written, unwrapped, self.table.header)
 
     # -- header -------------------------------------------------------------------------------
@@ -202,6 +202,21 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
     smooth = angle.copy()
     smooth[rows] = np.unwrap(values)
     return smooth, jumps
+
+
+def usual_step(time: Array) -> float:
+    """[s] from row to row: of the straight line through the times by their number, each hole so many steps long.
+
+    The median alone, off by a thousandth where stamps jitter, would be off by whole rows at the end of a log.
+    """
+    apart = np.diff(time)
+    median = float(np.median(apart))
+    usual = apart < MISSING * median
+    number = np.concatenate([[0.0], np.cumsum(np.where(usual, 1.0, np.rint(apart / median)))])
+    if np.max(np.abs(time - time[0] - median * number)) < 1e-6 * median * time.size:
+        return float(f"{median:.9g}")
+    slope = float(np.polyfit(number, time - time[0], 1)[0])
+    return float(f"{slope:.9g}") if abs(slope - median) < 0.02 * median else float(f"{median:.9g}")
 
 
 def slowness(step: float) -> int:

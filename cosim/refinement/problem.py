@@ -25,6 +25,7 @@ RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, fo
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
+JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
 USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
 LONGEST_MEMORY = 0.1  # of a log
 WITHIN = 10.0  # times, by which a stated variance of a sensor is believed: a standard deviation of its logarithm
@@ -92,8 +93,32 @@ def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated:
     for j, name in enumerate(measured):
         if name in log.outputs:
             y[grid, j] = log.outputs[name]
-    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), interpolated=interpolated)
+    away = np.zeros((rows, 1))
+    away[grid, 0] = grid - (log.time - log.time[0]) / log.step  # rows by which a reading is older than its row
+    late = None
+    if np.max(np.abs(away)) > JITTER:
+        late = np.repeat(away, len(measured), axis=1)
+        u = _as_acted(log, u, grid)
+    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), 0, interpolated, late)
     return replace(data, settle=int(min(settle / log.step, unscored(data))))
+
+
+def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
+    """The mean of each command over each equal step, where it was given at times between: its impulse is exact."""
+    edges = np.arange(len(u) + 1, dtype=np.float64)
+    given = (log.time - log.time[0]) / log.step
+    commands = u[grid]
+    lasting = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(given)[:, None], axis=0)])
+    # the last command goes on, and so does the first before it was given
+    times = np.concatenate([[min(0.0, given[0]) - 1.0], given, [edges[-1] + 1.0]])
+    total = np.vstack(
+        [
+            lasting[0] + commands[0] * (times[0] - given[0]),
+            lasting,
+            lasting[-1] + commands[-1] * (times[-1] - given[-1]),
+        ]
+    )
+    return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
 
 
 def unscored(data: Data) -> int:
@@ -348,8 +373,12 @@ class Problem:
         data, late = self.logs[index], self.lateness(values, index)
         if not late:
             return data
-        y = self.readings[index].in_time({k: round(rows) for k, rows in late.items()})
-        return replace(data, y=y, late={self.layout.outputs[k]: rows - round(rows) for k, rows in late.items()})
+        whole = {k: round(rows) for k, rows in late.items()}
+        y = Readings.earlier(data.y, whole)
+        older = np.zeros_like(y) if data.late is None else np.nan_to_num(Readings.earlier(data.late, whole))
+        for k, rows in late.items():
+            older[:, k] += rows - whole[k]
+        return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
         """Variance of each reading of a log: its sensor's, and what an error of its time stamp makes of its speed."""

@@ -30,14 +30,15 @@ class Readings:
     resolution: Array
     spread: Array
 
-    def in_time(self, late: Mapping[int, int]) -> Array:
-        """Readings, those of some outputs put so many whole rows earlier."""
-        y = self.y.copy()
+    @staticmethod
+    def earlier(table: Array, late: Mapping[int, int]) -> Array:
+        """A table of the readings' size, the columns of some outputs put so many whole rows earlier."""
+        moved = table.copy()
         for j, rows in late.items():
             if rows:
-                y[:, j] = np.nan
-                y[: len(y) - rows, j] = self.y[rows:, j]
-        return y
+                moved[:, j] = np.nan
+                moved[: len(moved) - rows, j] = table[rows:, j]
+        return moved
 
 
 def readings_of(y: Array, unscored: int) -> Readings:

@@ -117,7 +117,9 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
     if left.gain > MUCH * (a.base.score - a.best.score):
         return True
     beside = Hypothesis(a.best.candidates, left.fit, 0.0)
-    neutral = {f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in left.fit.free}
+    neutral = {
+        f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in left.fit.free
+    }
     for c in a.best.candidates:
         if loss_without(beside, c, neutral) < left.cost:
             return True

@@ -10,7 +10,7 @@ typedef struct {
     const double *u;      /* rows x NU */
     const double *y;      /* rows x NY, NaN where missing */
     const int *ramps;     /* NU: whether an input runs straight from row to row, or is held */
-    const double *late;   /* NY: part of a row by which readings are older than theirs */
+    const double *late;   /* rows x NY: part of a row by which readings are older than theirs; NULL: by none */
 } Log;
 
 static const double *row_of(const Log *log, int row)
