@@ -18,7 +18,7 @@ from cosim.refinement.candidates import Candidate
 from cosim.refinement.hypotheses import Found, Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem, coarsened
+from cosim.refinement.problem import Problem, coarsened, stamps_err
 from cosim.refinement.screen import Choice, ScoreTest, Terms
 from cosim.refinement.search import Parts, Progress, Search, key_of
 from plant.model import Model
@@ -31,6 +31,7 @@ DONE = 1.0  # of score, below which a round has found nothing better
 ROUNDS = 10
 HOPE = 2.0  # times what a score test promises, that a fit may bring
 SETTLING = 15  # iterations
+USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
 FINALISTS = 6
 
 
@@ -54,7 +55,7 @@ class Attributor:
         """Base fit, rounds, finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = search.hypothesis((), None)
+        base = self._timed(search.hypothesis((), None))
         search.tried[()] = base
         search.reached = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
@@ -74,7 +75,25 @@ class Attributor:
             else:
                 idle = 0
                 (best,) = search.fit_again([best], SETTLING)  # the noise of the sensors was that of the last best
+                best = self._timed(best)
+                search.tried[best.names] = best
         return self._decided(base, best)
+
+    def _timed(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, fitted again with stamps that err, where innovations are larger the faster readings change."""
+        search = self.search
+        problem, noise = search.problem, h.fit.noise
+        late = stamps_err(problem, h.fit)
+        if not late.any():
+            return h
+        usual = 2.0 * np.log(USUAL_STAMP * max(d.step for d in problem.logs))
+        noise = replace(noise, timing=np.where(late, usual, noise.timing))
+        for which in (self.fine, search.problem):
+            which.sensing = noise
+            which.__dict__.pop("limits", None)
+        start = replace(h.fit, noise=noise)
+        timed = search.hypothesis(h.candidates, start, loosen=False)
+        return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposed(self, best: Hypothesis) -> list[tuple[Parts, Mapping[str, float] | None]]:
         """The sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""

@@ -19,6 +19,7 @@ RIVAL = 5.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
 NEAR = 12.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
+HELD = 0.7  # of what a part gains, that it gains on logs left out too
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
 WORSE, BETTER = -3.0, 3.0  # times its scatter, by which predictions on logs left out refuse a part, or bear it out
 TOLERANCES = (0.5, 2.0)  # times which the tolerances are taken, to see whether a claim hangs on them
@@ -79,7 +80,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
         return "" if outside(search, h, c) else "is within its tolerance"
-    if s.steady < UNSURE:
+    if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # what acts seldom gains in few blocks, but in each log
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
         return "gains nothing on logs left out"

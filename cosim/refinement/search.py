@@ -20,6 +20,8 @@ from plant.model import Model
 
 SCREEN_ITERATIONS = 12
 ENTRY = 3.0  # of score, beside what its parameters cost, for a candidate
+NEGLIGIBLE = 1.0  # of ln of an unknown input's power above the least
+LEADING, DONE = 8, 0.5  # iterations of a fit without one, and what it must gain
 TO_THE_END = 60  # iterations, within which every fit met so far has converged
 
 Parts = tuple[Candidate, ...]
@@ -119,9 +121,37 @@ class Search:
 
     def fit_again(self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END) -> list[Hypothesis]:
         """Fit hypotheses further, from where they are, noise of the sensors and all."""
-        fitted = in_parallel(lambda h: self.hypothesis(h.candidates, h.fit, iterations, loosen=False), hypotheses)
+
+        def one(h: Hypothesis) -> Hypothesis:
+            return self._without_noise(self._otherwise(self.hypothesis(h.candidates, h.fit, iterations, loosen=False)))
+
+        fitted = in_parallel(one, hypotheses)
         self.tried |= {h.names: h for h in fitted}
         return fitted
+
+    def _otherwise(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
+        plain = self.problem.plain
+        power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
+        start = replace(h.fit, noise=replace(h.fit.noise, power=power, memory=plain.memory))
+        goal = h.fit.objective - DONE
+        other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+        return replace(other, ended=h.ended) if other.fit.objective < goal else h
+
+    def _without_noise(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, or one fitted without some unknown input where that leads further: a fit goes there slowly."""
+        least = self.problem.noise.smallest
+        for k in np.argsort(h.fit.noise.power - least)[::-1]:
+            if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
+                continue
+            power = h.fit.noise.power.copy()
+            power[k] = least[k]
+            start = replace(h.fit, noise=replace(h.fit.noise, power=power))
+            goal = h.fit.objective - DONE
+            other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+            if other.fit.objective < goal:
+                h = replace(other, ended=h.ended)
+        return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """What candidates cost a hypothesis."""

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cosim.errors import Fault, InputError
 from cosim.logs.gate import gate, gate_faults
+from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.models.file import LoadedModel, load_model
 from cosim.refinement.problem import Settings
@@ -177,7 +178,7 @@ def least_duration(log: Log, horizon: float) -> float:
 def judged(log: Log, horizon: float) -> list[Log]:
     """The stretches of a log that measure something and last long enough."""
     least = least_duration(log, horizon) - 0.5 * log.step
-    return [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+    return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
 def _too_short(log: Log, horizon: float) -> Fault:

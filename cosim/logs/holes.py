@@ -1,0 +1,48 @@
+"""Rows that a recorder lost: what was commanded in them is not known, and is put in as the input is seen to move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.arrays import Array, Rows
+from cosim.logs.log import Log
+
+SMOOTH = 0.5  # of what holding misses, up to which a straight line between neighbours is the better guess
+
+
+def filled(log: Log) -> Log:
+    """The log with its lost rows put in, nothing measured in them, where some input runs smoothly enough to say what it was.
+
+    Each input is held or taken on the straight line, whichever misses less of the rows that are there.
+    """
+    grid = log.grid
+    lost = np.setdiff1d(np.arange(int(grid[-1]) + 1), grid)
+    smooth = {name for name, values in log.inputs.items() if _is_smooth(values, grid)}
+    if not lost.size or not smooth:
+        return log
+    place = np.searchsorted(grid, lost)
+    after, before = np.minimum(place, log.rows - 1), place - 1
+    share = (lost - grid[before]) / np.maximum(1, grid[after] - grid[before])
+    times = log.time[before] + share * (log.time[after] - log.time[before])
+    order = np.argsort(np.concatenate([grid, lost]), kind="stable")
+
+    def joined(values: Array, added: Array) -> Array:
+        return np.asarray(np.concatenate([values, added])[order])
+
+    inputs = {}
+    for name, values in log.inputs.items():
+        rise = values[after] - values[before] if name in smooth else 0.0
+        inputs[name] = joined(values, values[before] + share * rise)
+    nothing = np.full(lost.size, np.nan)
+    outputs = {name: joined(values, nothing) for name, values in log.outputs.items()}
+    return replace(log, time=joined(log.time, times), inputs=inputs, outputs=outputs)
+
+
+def _is_smooth(values: Array, grid: Rows) -> bool:
+    """Of three rows in a line the middle one is nearer to the mean of the others than to the first."""
+    whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
+    first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
+    held, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
+    return line < SMOOTH * held
