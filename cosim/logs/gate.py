@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
 from cosim.logs.log import MISSING, Log
-from cosim.logs.noise import noise_level, surprise
+from cosim.logs.noise import noise_level
+from cosim.logs.spikes import SCALE, out_of_line
 from cosim.text import amount, counted, percent, plain
 from plant.traits import Traits
 
@@ -22,8 +22,6 @@ ORDER = ("fault", "warning", "note")
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
 SPIKE = 8.0  # times the noise
-JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
-ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
 ALIKE = 0.98  # correlation of two inputs that cannot be separated
 
 
@@ -215,18 +213,8 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
 
 def _spikes(log: Log, name: str, values: Array) -> Iterator[Finding]:
     """Single values far from what their neighbours say."""
-    place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
-    whole = np.full(place[-1] + 1, math.nan)
-    whole[place] = values  # what stands on the far side of a pause is no neighbour
-    seen = np.pad(np.isfinite(whole), 2)
-    beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
-    scale = math.sqrt(70 / 36)  # of what four equal neighbours do not say, to the noise
-    off = scale * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
-    off[_answering(log)] = 0.0
     low, high = np.nanpercentile(values, [1, 99])
-    limit = max(SPIKE * noise_level(values) * scale, 0.05 * (high - low)) if np.any(off) else math.inf
-    around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
-    spikes = np.flatnonzero((off > limit) & (off >= around))
+    spikes, off = out_of_line(log, values, max(SPIKE * noise_level(values) * SCALE, 0.05 * float(high - low)))
     if spikes.size:
         worst = spikes[np.argmax(off[spikes])]
         yield Finding(
@@ -236,14 +224,3 @@ def _spikes(log: Log, name: str, values: Array) -> Iterator[Finding]:
             "leave such cells empty",
             {"count": float(spikes.size), "first": float(log.time[spikes[0]]), "worst": float(off[worst])},
         )  # fmt: skip
-
-
-def _answering(log: Log) -> NDArray[np.bool_]:
-    """Rows at which an input has just jumped, or that have such a row as a neighbour."""
-    jumps = np.zeros(log.rows)
-    for values in log.inputs.values():
-        change = np.abs(np.diff(values, prepend=values[0]))
-        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
-    after = max(5, round(ANSWER / log.step))
-    near = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows]
-    return np.asarray(near > 0.5)

@@ -57,7 +57,7 @@ def replays(
     for index, log in enumerate(logs):
         filtered = problem.run(variant.values, variant.noise, index, states=True)
         corrected = without_sensor_errors(log, variant)
-        with Drive(corrected, variant.fmu) as drive:
+        with Drive(corrected, variant.fmu, interpolated=problem.settings.interpolated) as drive:
             for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}

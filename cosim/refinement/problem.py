@@ -29,6 +29,7 @@ RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, fo
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
+TOO_QUIET, UNKNOWN = 0.1, 1e-4  # of a stated standard deviation, below which it is no sensor's; where none is stated
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there
 JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
 USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
@@ -325,8 +326,9 @@ class Problem:
             logs=[logs[k] for k in taken],
             readings=[readings_of(logs[k].y, unscored(logs[k])) for k in taken],
             x0=[self.x0[k] for k in taken],
+            sensing=None,  # limits do not move with what was fitted
         )
-        return noise_range(lambda power: short.scored(self.values, self.at(power)).variances, len(self.layout.noisy))
+        return noise_range(lambda power: short.scored(self.values, short.at(power)).variances, len(self.layout.noisy))
 
     def at(self, power: Array) -> Noise:
         """Unknown inputs of this power; memory and sensors as they are known so far."""
@@ -347,7 +349,8 @@ class Problem:
         finest = np.max([r.resolution for r in self.readings], axis=0)
         spread = np.max([r.spread for r in self.readings], axis=0)
         stated = np.log(self.r)
-        low = np.log(np.maximum(1e-6 * np.exp(stated), finest**2 / 12.0))
+        least = np.where(self.stated, TOO_QUIET, UNKNOWN) ** 2 * np.exp(stated)
+        low = np.log(np.maximum(least, finest**2 / 12.0))
         high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)

@@ -8,7 +8,7 @@ import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -17,6 +17,7 @@ from cosim.errors import Fault, InputError
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
+from cosim.logs.spikes import cleaned
 from cosim.models.file import LoadedModel, load_model
 from cosim.refinement.problem import Settings
 from cosim.registry import BASE
@@ -28,6 +29,7 @@ from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+Between = Literal["held", "interpolated"]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=2)]
 
 
@@ -58,7 +60,13 @@ class StudyFile(BaseModel):
     logs: LogLists
     noise: dict[str, Positive] = {}
     tolerance: Share | dict[str, Share] = {}
+    inputs: Between | dict[str, Between] = "held"
     candidates: list[str] | None = None
+
+    def interpolated(self, model: Model) -> frozenset[str]:
+        """The inputs that run straight from row to row."""
+        ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in model.inputs}
+        return frozenset(name for name, way in ways.items() if way == "interpolated")
 
     def tolerance_of(self, model: Model) -> dict[str, float]:
         """Base parameter → share by which it may be off: a number is of all that are recalibrated."""
@@ -92,13 +100,14 @@ class Study:
     @property
     def settings(self) -> Settings:
         """What it says of its logs, for the fits."""
-        return Settings(tolerance=self.content.tolerance_of(self.loaded.model))
+        model = self.loaded.model
+        return Settings(self.content.interpolated(model), self.content.tolerance_of(model))
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
         model = self.loaded.model
         logs = (read_log(self.path.parent / n, model.inputs, model.outputs) for n in self.content.logs.validation)
-        return tuple(stretch for log in logs for stretch in judged(log, model.horizon))
+        return tuple(stretch for log in logs for stretch in judged(cleaned(log)[0], model.horizon))
 
 
 def read_study(path: Path) -> Study:
@@ -127,6 +136,8 @@ def read_study(path: Path) -> Study:
         digests[name] = _digest(log)
         findings = gate(log, model.rate, traits=traits)
         faults += gate_faults(log, findings)
+        log, lost = cleaned(log)
+        warnings += [_left_out(name, channel, count) for channel, count in lost.items()]
         whole = judged(log, model.horizon)
         faults += [] if whole else [_too_short(log, model.horizon)]
         warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
@@ -179,6 +190,10 @@ def judged(log: Log, horizon: float) -> list[Log]:
     """The stretches of a log that measure something and last long enough."""
     least = least_duration(log, horizon) - 0.5 * log.step
     return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+
+
+def _left_out(log: str, channel: str, count: int) -> str:
+    return f"{log}: {counted(count, 'reading')} of {channel} far off {'its' if count == 1 else 'their'} neighbours left out"
 
 
 def _too_short(log: Log, horizon: float) -> Fault:

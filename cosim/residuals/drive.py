@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -25,6 +25,7 @@ from plant.planar import PlanarFrame
 
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500
+PER_ROW = 8  # steps from row to row where inputs run straight between them, each held in its middle
 Steps = tuple[list[float], list[float], list[int]]
 
 
@@ -57,7 +58,13 @@ class StoppedReplay(SimulationError):
 class Drive:
     """Context: the FMU is loaded at the first run and freed at the end."""
 
-    def __init__(self, log: Log, fmu: Path, progress: Callable[[int], None] | None = None) -> None:
+    def __init__(
+        self,
+        log: Log,
+        fmu: Path,
+        progress: Callable[[int], None] | None = None,
+        interpolated: Container[str] = (),
+    ) -> None:
         self.log, self.fmu, self.progress = log, fmu, progress
         self.description = read_description(fmu)
         self.traits = traits_of(fmu)  # None of an FMU that is not ours
@@ -68,7 +75,9 @@ class Drive:
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
         self.variables = {v.name for v in self.description.modelVariables}
         self.variable_step = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
-        self._commands = np.column_stack([log.inputs[name] for name in self.inputs]).tolist() if self.inputs else []
+        self._table = np.column_stack([log.inputs[name] for name in self.inputs]) if self.inputs else np.empty((0, 0))
+        self._commands = self._table.tolist()
+        self._ramps = np.array([name in interpolated for name in self.inputs], bool)
         self._row = (ctypes.c_double * (len(self.block.inputs) + len(self.outputs)))()
         self.block.bind(self._row, 0)
         self._driven = [0]  # steps so far, shared by copies
@@ -133,6 +142,7 @@ class Drive:
         table = np.zeros((len(reached), len(self.outputs)))
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, commands, acting, done = table.ctypes.data, self.block, self._commands, first, 0
+        ramping = bool(self._ramps.any())
         try:
             self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
             block.start()
@@ -140,13 +150,12 @@ class Drive:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
             for done, (t, h, k) in enumerate(zip(times, held, rows, strict=True), 1):
-                if k != acting:
-                    if visit is not None:
-                        visit(k)
-                    if commands:
-                        self._row[: len(self.inputs)] = commands[k]
-                        block.put()
-                    acting = k
+                if k != acting and visit is not None:
+                    visit(k)
+                if commands and (ramping or k != acting):
+                    self._row[: len(self.inputs)] = self._between(k, t + 0.5 * h) if ramping else commands[k]
+                    block.put()
+                acting = k
                 block.advance(t, h)
                 block.get()
                 ctypes.memmove(there + done * size, here, size)
@@ -178,9 +187,10 @@ class Drive:
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
             dt = np.diff(time)
-            count = np.maximum(1, np.rint(dt / step)).astype(np.intp)
+            count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (PER_ROW if self._ramps.any() else 1)
             length = dt / count
-            length[np.abs(length - step) < 1e-6 * step] = step  # rounding of printed times is no jitter
+            usual = step / PER_ROW if self._ramps.any() else step
+            length[np.abs(length - usual) < 1e-6 * usual] = usual  # rounding of printed times is no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             rows = np.repeat(np.arange(first, last), count)
@@ -189,6 +199,14 @@ class Drive:
         times = time[0] + step * np.arange(steps)
         rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
         return times.tolist(), [step] * steps, rows.tolist()
+
+    def _between(self, k: int, t: float) -> list[Any]:
+        """The command at a time after row k: on the way to the next row where it is interpolated, else as held."""
+        here, there = self._table[k], self._table[min(k + 1, len(self._table) - 1)]
+        time = self.log.time
+        share = (t - time[k]) / (time[k + 1] - time[k]) if k + 1 < time.size else 0.0
+        moved: list[Any] = (here + np.where(self._ramps, share * (there - here), 0.0)).tolist()
+        return moved
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """The rows of the log among the steps that were made; between two steps by interpolation."""
