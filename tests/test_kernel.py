@@ -18,7 +18,7 @@ from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.compiled import CompiledKernel
 from cosim.kernel.generate import generate
-from cosim.kernel.interface import Data, Filtered, Layout, Simulated
+from cosim.kernel.interface import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.jit import JitKernel
 from cosim.kernel.settling import settling
 from cosim.models.file import own_model
@@ -62,7 +62,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
-    values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | changes
+    values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | {MEMORY: 0.15} | changes
     return np.array([values[name] for name in layout.parameters])
 
 
@@ -122,8 +122,12 @@ def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(jitted: JitKernel,
 
 
 @NEEDS_C
-def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data) -> None:
+@pytest.mark.parametrize("as_recorded", [True, False], ids=["held", "interpolated and late"])
+def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data, as_recorded: bool) -> None:
     model = Hovercraft()
+    if not as_recorded:
+        late = 0.4 * np.random.default_rng(3).uniform(-1.0, 1.0, seen.y.shape)
+        seen = replace(seen, interpolated=frozenset({"duty_right", "tilt_left"}), late=late)
     compiled = CompiledKernel(generate(model, IMU, C(), unnamed=True))
     assert compiled.layout == jitted.layout
     p = parameters(model, jitted.layout, **AWAKE)
@@ -174,10 +178,11 @@ def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
     assert isinstance(k, JitKernel)
     torque = 0.1 * np.sin(2.0 * times(2.0))[:, None]
     data = Data(0.02, 0.0, torque, np.full_like(torque, np.nan), 4)
-    run = k.simulate(data, parameters(table, k.layout, **{"dry_friction.level": 0.05}), np.zeros(2), np.zeros(0))
+    run = k.simulate(data, parameters(table, k.layout, **{"dry_friction.level": 0.05}), np.zeros(3), np.zeros(0))
+    assert not run.states[:, 2].any()  # an unknown input that is none stays none
     stepper = Stepper(table.with_values({"dry_friction.level": 0.05}))
     moment = stepper.start()
-    for state, u in zip(run.states, torque.tolist(), strict=True):
+    for state, u in zip(run.states[:, :2], torque.tolist(), strict=True):
         assert state == pytest.approx(moment.state, rel=1e-9, abs=1e-12)  # the same steps, sums in another order
         moment = stepper.step(moment, tuple(u), 0.02)
 
@@ -230,7 +235,7 @@ def test_a_damaged_cache_is_made_anew(
         file.unlink() if file.suffix == ".so" else None  # the one loaded above is mapped
         file.write_bytes(b"damaged")
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    assert np.isfinite(make(g).simulate(data, parameters(table, g.layout), np.zeros(2), np.zeros(0)).states).all()
+    assert np.isfinite(make(g).simulate(data, parameters(table, g.layout), np.zeros(3), np.zeros(0)).states).all()
 
 
 def cut(file: Path) -> None:
@@ -240,7 +245,7 @@ def cut(file: Path) -> None:
 SIMULATE = (
     "import sys, pickle, numpy as np; from cosim.kernel.compiled import CompiledKernel; from cosim.kernel.interface"
     " import Data; g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
-    "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(2), np.zeros(0)).states).all())"
+    "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(3), np.zeros(0)).states).all())"
 )
 
 
@@ -275,5 +280,5 @@ def test_what_numba_keeps_may_be_cut(
     for file in chosen:
         cut(file)
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    states = JitKernel(g).simulate(data, parameters(table, g.layout), np.zeros(2), np.zeros(0)).states
+    states = JitKernel(g).simulate(data, parameters(table, g.layout), np.zeros(3), np.zeros(0)).states
     assert np.isfinite(states).all()
