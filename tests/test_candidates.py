@@ -6,23 +6,43 @@ from dataclasses import dataclass
 
 import pytest
 
-from cosim.refinement.candidates import BASE_RANGE, base_parameters, candidates, neutral_values
+from cosim.refinement.candidates import base_parameters, candidates, neutral_values
 from plant.hovercraft import Hovercraft
 from plant.model import Equations, Model
 from plant.namespaces import Namespace
 from plant.quantities import parameter
 
 
-def test_a_base_parameter_is_looked_for_around_its_value() -> None:
+def test_a_base_parameter_is_looked_for_within_its_own_bounds_near_its_value() -> None:
     craft = Hovercraft()
-    mass = next(f for f in base_parameters(craft, neutral_values(craft)) if f.name == "mass")
-    assert (mass.low, mass.high) == pytest.approx((BASE_RANGE[0] * 0.705, BASE_RANGE[1] * 0.705))
-    assert mass.prior == pytest.approx((0.705, 0.00705))
+    mass = next(f for f in base_parameters(craft, neutral_values(craft), {}) if f.name == "mass")
+    assert (mass.low, mass.high) == craft.declared["mass"].bounds
+    assert mass.prior == pytest.approx((0.705, 0.00705))  # 2 % hold 95 %: a standard deviation is half of that
+
+
+def test_the_tolerance_of_a_study_goes_before_that_of_the_model_and_that_before_the_usual() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Stated(Model):
+        calibrated = ("sure", "usual")
+        sure: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force", tolerance=0.1)
+        usual: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force")
+        loose: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force", tolerance=0.3)
+        left: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force")
+
+        def equations(self, m: Namespace) -> Equations:
+            raise NotImplementedError
+
+    def sigmas(stated: dict[str, float]) -> dict[str, float]:
+        found = base_parameters(Stated(), dict.fromkeys(("sure", "usual", "loose", "left"), 2.0), stated)
+        return {f.name: f.prior[1] for f in found if f.prior}
+
+    assert sigmas({}) == pytest.approx({"sure": 0.1, "usual": 0.02, "loose": 0.3})
+    assert sigmas({"sure": 0.2, "left": 0.4}) == pytest.approx({"sure": 0.2, "usual": 0.02, "loose": 0.3, "left": 0.4})
 
 
 def test_a_craft_without_friction_may_turn_out_to_have_some() -> None:
     craft = Hovercraft(friction=0.0)
-    friction = next(f for f in base_parameters(craft, neutral_values(craft)) if f.name == "friction")
+    friction = next(f for f in base_parameters(craft, neutral_values(craft), {}) if f.name == "friction")
     assert friction.low == 0.0 < friction.high
     assert friction.size > 0.0
     assert friction.prior is not None
@@ -38,7 +58,7 @@ def test_a_negative_parameter_has_limits_on_both_sides() -> None:
         def equations(self, m: Namespace) -> Equations:
             raise NotImplementedError
 
-    (lean,) = base_parameters(Leaning(), {"lean": -0.3})
+    (lean,) = base_parameters(Leaning(), {"lean": -0.3}, {})
     assert lean.low < -0.3 < lean.high
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from cosim.logs.log import Log
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import candidates
+from cosim.refinement.evidence import held_out
+from cosim.refinement.judgement import decided
 from cosim.refinement.problem import build_problem
 from plant.hovercraft import OUTPUTS, Hovercraft
 from plant.integrate import Stepper
@@ -59,6 +61,8 @@ def test_logs_that_are_unlike_confirm_what_each_other_shows(tmp_path: Path) -> N
     problem = build_problem(model, logs)
     trial = [c for c in candidates(model, problem.values, ()) if c.name in ("thrust_asymmetry", "com_offset")]
     found = Attributor(model, problem, trial).run()
-    assert (found.best.names, found.rivals) == (("thrust_asymmetry",), ())
+    attribution = decided(found)
+    assert (attribution.best.names, attribution.rivals) == (("thrust_asymmetry",), ())
+    base, best = attribution.base, attribution.best
     # what the quiet log cannot know of inertia and process noise weighs neither for the claim nor against it
-    assert 100.0 < found.held_out < found.base.score - found.best.score
+    assert 100.0 < held_out(found.search, best, base)[0] < base.score - best.score
