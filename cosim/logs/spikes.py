@@ -16,15 +16,19 @@ SCALE = (70 / 36) ** 0.5  # of what four equal neighbours do not say, to the noi
 WILD = 12.0  # times the noise, from which a value out of line is left out
 
 
-def out_of_line(log: Log, values: Array, least: float) -> tuple[Rows, Array]:
-    """Rows that are further off their neighbours than `least`, and how far every row is; not where an input jumps."""
+def out_of_line(log: Log, values: Array, least: float, *, answers: bool = True) -> tuple[Rows, Array]:
+    """Rows that are further off their neighbours than `least`, and how far every row is.
+
+    With `answers`, not where an input jumps: an output may answer.
+    """
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, np.nan)
     whole[place] = values  # what stands on the far side of a pause is no neighbour
     seen = np.pad(np.isfinite(whole), 2)
     beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
     off = SCALE * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
-    off[_answering(log)] = 0.0
+    if answers:
+        off[_answering(log)] = 0.0
     around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
     return np.flatnonzero((off > least) & (off >= around)), off
 
@@ -39,7 +43,7 @@ def cleaned(log: Log) -> tuple[Log, dict[str, int]]:
         level = noise_level(values) * SCALE
         if not level > 0.0:
             continue
-        rows, _ = out_of_line(log, values, WILD * level)
+        rows, _ = out_of_line(log, values, WILD * level, answers=False)
         alone = [k for k in rows.tolist() if _neighbours_agree(values, k, WILD * level)]
         if alone:
             kept = values.copy()

@@ -74,10 +74,18 @@ class Attributor:
                     break
             else:
                 idle = 0
-                (best,) = search.fit_again([best], SETTLING)  # the noise of the sensors was that of the last best
-                best = self._timed(best)
-                search.tried[best.names] = best
+                best = self._settled(best)
         return self._decided(base, best)
+
+    def _settled(self, h: Hypothesis) -> Hypothesis:
+        """The best with noise of its own; what was fitted beside it with that of the last is taken to gain as much."""
+        search = self.search
+        (settled,) = search.fit_again([h], SETTLING)
+        settled = self._timed(settled)
+        further = h.score - settled.score
+        search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
+        search.tried[settled.names] = settled
+        return settled
 
     def _timed(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, fitted again with stamps that err, where innovations are larger the faster readings change."""

@@ -15,9 +15,9 @@ from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem
 from cosim.refinement.search import Search, key_of
 
-RIVAL = 5.0  # score within which another hypothesis explains as well
+RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
-NEAR = 12.0  # of score, beyond which none is a rival however it scatters
+NEAR = 8.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
 HELD = 0.7  # of what a part gains, that it gains on logs left out too
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
