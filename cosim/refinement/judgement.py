@@ -17,6 +17,7 @@ from cosim.refinement.search import Search, key_of
 
 RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
+SMALL, SMALL_UNSURE = 3.0, 3.0  # the same of a part that gains less than so many times what it costs
 NEAR = 8.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
 HELD = 0.7  # of what a part gains, that it gains on logs left out too
@@ -80,6 +81,8 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
         return "" if outside(search, h, c) else "is within its tolerance"
+    if s.steady < SMALL_UNSURE and s.gain < SMALL * search.cost([c]):
+        return f"gains little, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # what acts seldom gains in few blocks, but in each log
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
