@@ -134,7 +134,8 @@ def filter(
 ) -> int:
     """Filter a log: errors and variances (rows, NY) of each measurement before it is taken; states (rows, NX) after.
 
-    r (rows, NY): variance of the noise of each measurement; late (rows, NY; or none): part of a row by which it is older
+    r (rows, NY): variance of the noise of each measurement
+    late (rows, NY; or without rows): part of a row by which each is older than its row
     """
     x, acting, shaped, y, work = x0.copy(), np.empty((3, NU)), np.empty(NU + NM), np.empty(NY), np.empty((5, NX))
     command, before_step, delayed = np.empty(NU), np.empty(NY), len(late) > 0

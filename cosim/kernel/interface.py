@@ -72,7 +72,7 @@ class Data:
 
     substeps: RK4 steps from row to row
     interpolated: names of inputs that run straight from row to row; the others are held
-    late:     (rows, outputs) part of a row, −½ … ½, by which a reading is older than the row it stands in; None: by none
+    late:     (rows, outputs) part of a row, −½ … ½, by which a reading is older than its row; None: by none
     settle:   rows after the first over which the covariance stays P0, for so long no state is known better
     """
 

@@ -13,7 +13,7 @@ SMOOTH = 0.5  # of what holding misses, up to which a straight line between neig
 
 
 def filled(log: Log) -> Log:
-    """The log with its lost rows put in, nothing measured in them, where some input runs smoothly enough to say what it was.
+    """The log with its lost rows put in, nothing measured in them, where some input runs smoothly enough for a guess.
 
     Each input is held or taken on the straight line, whichever misses less of the rows that are there.
     """

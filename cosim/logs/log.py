@@ -20,6 +20,7 @@ from fmus.units import alternatives, factor
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # rows at least that are lost in a pause
+USUALLY = 3.0  # times what usually lies between rows that measure something, beyond which there is a pause
 BEYOND = 1e6  # times the usual size of a column, from which a value is none
 ORDINARY = 1e9  # in any SI unit, up to which a column that mostly rests may jump
 NEVER = 1e30  # in any SI unit
@@ -227,13 +228,42 @@ def slowness(step: float) -> int:
     return max(1, math.ceil(step / USUAL - 0.1))
 
 
+def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
+    """Within some rows, where something is measured without a pause: (first, end) from `first`; all where nothing is.
+
+    A pause is longer than what is usual between measured rows too: a slow sensor is no pause.
+    """
+    seen = np.zeros(end - first, bool)
+    for values in log.outputs.values():
+        seen |= np.isfinite(values[first:end])
+    rows = np.flatnonzero(seen)
+    if not rows.size:
+        return [(0, end - first)]
+    time = log.time[first:end]
+    apart = np.diff(time[rows])
+    limit = max(log.pause, USUALLY * float(np.median(apart))) if apart.size else log.pause
+    edges = np.flatnonzero(apart > limit)
+    starts, ends = [rows[0], *rows[edges + 1]], [*rows[edges] + 1, rows[-1] + 1]
+    # what is commanded before the first and after the last measurement is kept, if that is no pause
+    starts[0] = 0 if time[rows[0]] - time[0] <= limit else rows[0]
+    ends[-1] = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
+    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+
 def stretches(log: Log) -> list[Log]:
-    """A log cut at its pauses, over which neither commands nor state are known; each stretch is a log of its own."""
-    cuts = np.flatnonzero(np.diff(log.time) > log.pause) + 1
-    if not cuts.size:
+    """A log cut at its pauses; each stretch is a log of its own.
+
+    In a pause rows are missing, and neither commands nor state are known, or nothing is measured, and the state is not.
+    """
+    pieces = [
+        (first + a, first + b)
+        for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows])
+        for a, b in _measuring(log, first, end)
+    ]
+    if pieces == [(0, log.rows)]:
         return [log]
     found = []
-    for first, end in pairwise([0, *cuts.tolist(), log.rows]):
+    for first, end in pieces:
         rows = slice(first, end)
         outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
         inputs = {name: values[rows] for name, values in log.inputs.items()}

@@ -21,6 +21,7 @@ from plant.model import Effect, Model, overrides
 from plant.quantities import Parameter, Quantity, parameters_of
 from plant.sensors import SensorError
 
+WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
 DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 
 
@@ -141,6 +142,9 @@ def _values(owner: Any) -> Found:
         ):
             if (word == "default" or value is not None) and (fault := p.fault(value)):
                 yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
+        if p.tolerance is not None and not 0.0 < p.tolerance <= WIDEST:
+            text = f"the tolerance of {prefix}{p.name} is {p.tolerance!r}; it is a share of the value, as 0.1 for 10 %"
+            yield owner, p.name, text
         if p.typical is not None and not 0.0 < p.typical < math.inf:
             yield owner, p.name, f"the typical of {prefix}{p.name} is {p.typical!r}; it is a size above 0"
 

@@ -88,7 +88,7 @@ class Attributor:
         return settled
 
     def _timed(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, fitted again with stamps that err, where innovations are larger the faster readings change."""
+        """The hypothesis, fitted with stamps that err where innovations are larger the faster readings change."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = stamps_err(problem, h.fit)

@@ -38,7 +38,8 @@ class Support:
     gain:      log-likelihood, priors included
     steady:    how many times its own scatter over blocks of time the gain is
     held_out:  log-likelihood gained on each log, as the others have it; NaN: not asked for
-    predicted: how many times its scatter the square error of open-loop predictions on logs left out is less; NaN as before
+    predicted: by how many times its scatter the square error of open-loop predictions of logs left out is less; NaN:
+               as before
     """
 
     gain: float
@@ -86,9 +87,9 @@ def _nll(s: Scored) -> Array:
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
 
-    What is claimed is as the other logs have it, and what is not as the model has it. For the likelihood the rest, base parameters and noise, settles on
-    the log itself, for both alike: logs that excite little leave it open. Predictions have nothing of the log. Of a
-    single log, halves.
+    What is claimed is as the other logs have it, and what is not as the model has it. For the likelihood the rest, base
+    parameters and noise, settles on the log itself, for both alike: logs that excite little leave it open. Predictions
+    have nothing of the log. Of a single log, halves.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     count = len(problem.logs)

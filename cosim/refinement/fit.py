@@ -27,7 +27,7 @@ PROMISE = 3.0  # times the improvement the quadratic model promises, before a fi
 
 @dataclass(frozen=True)
 class Fit:
-    """Result: values of all parameters, noise, NLL by log, and the information of the free ones, those of noise last."""
+    """Result: values of all parameters, noise, NLL by log, and the information of what is free, noise last."""
 
     values: Mapping[str, float]
     noise: Noise

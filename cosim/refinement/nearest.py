@@ -1,4 +1,4 @@
-"""The model that comes nearest, where not all is claimed: by predictions of each estimation log, the others learnt from.
+"""The model that comes nearest, where not all is claimed: by predictions of each log, the others learnt from.
 
 It may be the best hypothesis, claimed or not, the model recalibrated, or the model as it was given; sealed logs have no
 say. Errors are those of replays over the model's own horizon, each from the filtered state, as the kernel runs them.

@@ -302,6 +302,11 @@ class Problem:
     adjusted: Flags
     sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
 
+    def with_noise(self, levels: Mapping[str, float]) -> Problem:
+        """The problem with a first guess of the noise [standard deviation] of some outputs."""
+        guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
+        return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r))
+
     @property
     def layout(self) -> Layout:
         """What stands where in the kernel's arrays."""

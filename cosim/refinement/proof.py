@@ -1,4 +1,4 @@
-"""A verdict held against replays of the estimation logs: they change what is claimed, and its grade, never the model."""
+"""A verdict held against replays of the estimation logs: they change what is claimed and its grade, never erase it."""
 
 from __future__ import annotations
 

@@ -139,15 +139,15 @@ class Record(_Entry):
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
-        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error; `nearest`: model.yaml is "
-        "no claim, nearest.yaml is the model that predicts best"
+        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error; `nearest`: nothing is "
+        "claimed for sure, and nearest.yaml is the model that predicts best"
     )
     effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
     rivals: list[str] = Field(description="names the data cannot distinguish, where the verdict is `ambiguous`")
     experiment: str = Field(description="the input that would separate rivals, else empty")
     nearest: list[str] = Field(
-        description="what nearest.yaml has more than the model that was given, where not all is claimed; none where it is "
-        "that model, recalibrated or as it was"
+        description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "
+        "it is that model, recalibrated or as it was"
     )
     candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")

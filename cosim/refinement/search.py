@@ -139,7 +139,7 @@ class Search:
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, or one fitted without some unknown input where that leads further: a fit goes there slowly."""
+        """The hypothesis, or one fitted without some unknown input where that leads further: a fit is slow there."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:

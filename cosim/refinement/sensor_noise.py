@@ -9,12 +9,12 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.logs.noise import noise_level, surprise, white_noise
+from cosim.refinement.noise_model import Noise
 from cosim.refinement.problem import Problem, own_run
 from cosim.text import plain
 from plant.model import Model
 
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
-TOO_QUIET = 0.1  # of the model's, below which it is no sensor's: an encoder between its steps, a filtered reading
 REST = 1.2  # times its noise, up to which the spread of a channel is no motion
 SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it from row to row
 
@@ -37,36 +37,31 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     return levels
 
 
-def other_noise(problem: Problem, model: Model, given: Mapping[str, float]) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Noise of the logs where it is plainly another than the model's, to be used; and warnings of it.
-
-    given: what the study says, which holds. Where the logs are far too quiet, the model's noise stays: it may stand for
-    more than noise.
-    """
-    known = dict(zip(problem.layout.outputs, np.sqrt(problem.r).tolist(), strict=True))
-    estimated = {name: level for name, level in sensor_noise(problem).items() if name not in given}
-    off = {n: level for n, level in estimated.items() if not known[n] / OFF <= level <= OFF * known[n]}
-    quiet = {n: level for n, level in off.items() if level < TOO_QUIET * known[n] and n in model.sensor_variance}
-    used = {n: level for n, level in off.items() if n not in quiet and level > 0.0}
+def noise_warnings(problem: Problem, found: Noise, model: Model) -> tuple[str, ...]:
+    """Where the logs have another noise than is stated, or none is stated; to be read beside a verdict."""
+    stated, levels = np.sqrt(problem.r).tolist(), np.exp(0.5 * found.sensors).tolist()
+    known = dict(zip(problem.layout.outputs, stated, strict=True))
+    estimated = dict(zip(problem.layout.outputs, levels, strict=True))
+    free = {n for n, moved in zip(problem.layout.outputs, problem.adjusted, strict=True) if moved}
     units = {q.name: q.unit for q in model.outputs}
+    off = {
+        n: level
+        for n, level in estimated.items()
+        if n in free and n in model.sensor_variance and not known[n] / OFF <= level <= OFF * known[n]
+    }
     warnings = []
-    if used:
+    if off:
         warnings.append(
-            f"the noise in the logs is not the model's ({_beside(used, known, units)}); "
-            f"that of the logs is used, as {_line(used)} in the study would say"
+            f"the noise in the logs is not the model's ({_beside(off, known, units)}); "
+            f"that of the logs is used, as {_line(off)} in the study would say"
         )
-    if quiet:
+    if unknown := {n: estimated[n] for n in estimated if n in free and n not in model.sensor_variance}:
+        names = " and ".join(unknown)
         warnings.append(
-            f"the logs show next to no noise ({_beside(quiet, known, units)}); "
-            f"the model's is used, unless the study says {_line(quiet)}"
+            f"how much noise {names} has, the model does not say (sensor_variance); "
+            f"the logs say {_line(unknown)}, unless the study says another"
         )
-    if unknown := [n for n in known if n not in model.sensor_variance and n not in given and n not in used]:
-        line = f"`noise: {{{', '.join(f'{n}: …' for n in unknown)}}}`"
-        warnings.append(
-            f"how much noise {' and '.join(unknown)} has, neither the model says (sensor_variance) nor the logs; "
-            f"1 is used, unless the study says {line}"
-        )
-    return used, tuple(warnings)
+    return tuple(warnings)
 
 
 def _beside(levels: Mapping[str, float], known: Mapping[str, float], units: Mapping[str, str]) -> str:

@@ -193,7 +193,7 @@ def judged(log: Log, horizon: float) -> list[Log]:
 
 
 def _left_out(log: str, channel: str, count: int) -> str:
-    return f"{log}: {counted(count, 'reading')} of {channel} far off {'its' if count == 1 else 'their'} neighbours left out"
+    return f"{log}: {counted(count, 'reading')} of {channel} left out, far off all neighbours"
 
 
 def _too_short(log: Log, horizon: float) -> Fault:
@@ -211,6 +211,7 @@ def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> l
         for name in content.noise
         if name not in outputs
     ]
+    faults += _unknown_settings(yaml, content, loaded)
     known = candidate_names(loaded)
     if content.candidates is not None and not content.candidates:
         faults.append(yaml.fault(("candidates",), "names none; name some, or leave the key out to try all"))
@@ -218,6 +219,19 @@ def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> l
         if name not in known:
             faults.append(yaml.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, known)}'))
     return faults
+
+
+def _unknown_settings(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> Iterator[Fault]:
+    """Tolerances of what is no base parameter, and ways of what is no input."""
+    model = loaded.model
+    numbers = [p.name for p in model.parameters if not isinstance(p.default, bool)]
+    for name in content.tolerance if isinstance(content.tolerance, dict) else ():
+        if name not in numbers:
+            yield yaml.fault(("tolerance", name), f'no base parameter "{name}"{did_you_mean(name, numbers)}', key=True)
+    inputs = [q.name for q in model.inputs]
+    for name in content.inputs if isinstance(content.inputs, dict) else ():
+        if name not in inputs:
+            yield yaml.fault(("inputs", name), f'no input "{name}"{did_you_mean(name, inputs)}', key=True)
 
 
 def candidate_names(loaded: LoadedModel) -> Sequence[str]:

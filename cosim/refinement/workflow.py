@@ -29,7 +29,7 @@ from cosim.refinement.problem import Problem, build_problem, coarsened, varied_i
 from cosim.refinement.proof import held_against_replays
 from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.sensor_noise import at_rest
+from cosim.refinement.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
@@ -57,6 +57,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     progress("weighing what was found", 0.0)
     attribution = decided(found)
     verdict = _judged(study, attribution, found, progress)
+    noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
+    study = replace(study, warnings=(*study.warnings, *noted))
     near = _nearest(found, attribution, verdict)
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
@@ -91,8 +93,10 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
 
 def _posed(study: Study) -> Problem:
     """The fitting problem."""
-    loaded = study.loaded
-    return build_problem(loaded.model, study.logs, False, study.content.noise, loaded.values, study.settings)
+    loaded, given = study.loaded, study.content.noise
+    problem = build_problem(loaded.model, study.logs, False, given, loaded.values, study.settings)
+    guessed = {n: level for n, level in sensor_noise(problem).items() if n not in loaded.model.sensor_variance}
+    return problem.with_noise({n: level for n, level in guessed.items() if n not in given and level > 0.0})
 
 
 def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
