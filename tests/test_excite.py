@@ -26,6 +26,7 @@ from cosim.logs.log import read_log
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import candidates
 from cosim.refinement.hypotheses import Attribution
+from cosim.refinement.judgement import decided
 from cosim.refinement.problem import build_problem
 from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
@@ -74,7 +75,7 @@ def attributed(log: Path) -> Attribution:
     model = Hovercraft()
     problem = build_problem(model, [read_log(log, model.inputs, model.outputs)])
     trial = [c for c in candidates(model, problem.values, ()) if c.name in RIVALS]
-    return Attributor(model, problem, trial).run()
+    return decided(Attributor(model, problem, trial).run())
 
 
 @pytest.fixture(scope="module")

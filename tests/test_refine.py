@@ -22,6 +22,7 @@ from cosim.blocks.fmu import read_description
 from cosim.checks import check_files
 from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
+from cosim.kernel.interface import DISTURBANCE, MEMORY
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
 from cosim.refinement import measure, workflow
@@ -155,7 +156,12 @@ def test_nothing_missing_is_said_and_the_model_left_alone(tmp_path: Path) -> Non
     r = proven(path, tmp_path / "out")
     assert r.record["verdict"] == "no_effect"
     assert r.record["effects"] == []
+    assert (r.record["grade"], r.record["nearest"]) == ("nearest", [])
+    written = ["model.yaml", "nearest.fmu", "nearest.yaml", "plant.fmu", "refine.json"]
+    assert sorted(p.name for p in r.folder.iterdir()) == written
+    assert read_model(r.folder / "model.yaml").parameters == {}
     for error in (r.record["error"], *r.record["horizons"].values()):
+        assert error["nearest"]["validation"].keys() == error["after"]["validation"].keys()
         assert error["before"] == error["after"]
         assert set(error["after"]["estimation"]) - set(error["after"]["validation"]) == {"x_world", "y_world"}
 
@@ -183,7 +189,7 @@ def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     study.write_text("model: base\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
     r = proven(study, tmp_path / "out")
     assert r.record["verdict"] == "ambiguous"
-    assert "excite too little" in r.record["sentence"]
+    assert r.record["sentence"].startswith("Nothing moves in these logs: ")
     assert len(r.record["rivals"]) > 5
     assert r.record["experiment"]
 
@@ -198,11 +204,18 @@ def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
     assert r.record["residual"]["equation"] in {"vx", "vy"}
 
 
-def test_an_effect_that_drowns_in_a_disturbance_is_not_claimed(tmp_path: Path) -> None:
+def test_an_effect_that_rises_above_a_disturbance_is_claimed_at_its_size(tmp_path: Path) -> None:
     r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.06}}, disturbed=True)
-    assert r.record["verdict"] == "unexplained"
-    why = {tuple(row["names"]): row["why"] for row in r.record["candidates"]}
-    assert why["quadratic_drag",] == "less than 15 standard deviations from neutral, and process noise is left"
+    assert (r.record["verdict"], named(r)) == ("effect_found", {"quadratic_drag"})
+    assert holds(r, "quadratic_drag", "coefficient", 0.06)
+    assert r.record["held_out_gain"] > 0.0
+    assert any(entry["inflated"] for entry in r.record["residual"]["process_noise"].values())  # it is there still
+
+
+def test_an_effect_that_drowns_in_a_disturbance_is_not_claimed(tmp_path: Path) -> None:
+    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.01}}, disturbed=True)
+    assert r.record["verdict"] in {"no_effect", "unexplained"}
+    assert r.record["effects"] == []
 
 
 def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
@@ -219,11 +232,14 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
         "actuator_second_order.natural_frequency": 14.0, "actuator_second_order.damping_ratio": 0.4,
         "com_offset.right": 0.004, "coriolis.gain": 1.0, "table_tilt.x": 0.003, "inflow_thrust_loss.coefficient": 0.2,
     }  # fmt: skip
-    p = np.array([values[name] for name in generated.parameters])
+    lasting = {MEMORY: 0.15}
+    p = np.array([(values | lasting)[name] for name in generated.parameters])
     run = problem.kernel.simulate(data, p, problem.x0[0], np.zeros(generated.memory))
     sensors = {k.name for k in craft.sensors}
     stepper = Stepper(craft.with_values({n: v for n, v in values.items() if n.split(".")[0] not in sensors}))
     start = dict(zip(generated.states, problem.x0[0].tolist(), strict=True))
+    unknown = [name for name in start if name.startswith(DISTURBANCE)]
+    assert [start.pop(name) for name in unknown] == [0.0] * len(craft.forced)
     start |= {f"actuator_delay.{q.name}": float(data.u[0, j]) for j, q in enumerate(craft.inputs)}
     moment = stepper.start(0.0, start)
     columns = [generated.states.index(q.name) for q in stepper.model.states]
@@ -323,7 +339,7 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     place = problem.kernel.layout.states.index("x_world")
     assert problem.x0[0][place] == 0.0
     assert problem.P0[0, 0] == 1.0
-    run = problem.run(problem.values, problem.noise.plain, 0, states=True)
+    run = problem.run(problem.values, problem.plain, 0, states=True)
     assert np.abs(run.states[75:, place] - late["x_world"][75:]).max() < 0.02  # from its first measurement on
 
 
@@ -380,7 +396,8 @@ def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypa
     path, out = study_of(tmp_path / "study", {}), tmp_path / "out"
     in_study(path.parent, FEW, "[mass]")
     out.mkdir()
-    for name in ("model.yaml", "plant.fmu", "refine.json", "report.html"):
+    files = ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "refine.json", "report.html")
+    for name in files:
         (out / name).write_text("earlier")
 
     def interrupted(*_: object) -> None:
@@ -389,9 +406,14 @@ def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypa
     monkeypatch.setattr(workflow, "noise_floor", interrupted)
     with pytest.raises(KeyboardInterrupt):
         refine(path, out)
-    assert {p.name: p.read_text() for p in out.iterdir()} == dict.fromkeys(
-        ("model.yaml", "plant.fmu", "refine.json", "report.html"), "earlier"
-    )
+    assert {p.name: p.read_text() for p in out.iterdir()} == dict.fromkeys(files, "earlier")
+
+
+def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinement, tmp_path: Path) -> None:
+    for name in ("nearest.yaml", "nearest.fmu"):
+        (tmp_path / name).write_text("earlier")
+    assert refine(rubbing.study.path, tmp_path).record["grade"] == "claimed"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
 
 
 def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

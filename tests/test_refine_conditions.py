@@ -14,7 +14,7 @@ from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
 from cosim.refinement.fit import inverse
 from cosim.refinement.problem import build_problem
-from cosim.refinement.sensor_noise import other_noise, sensor_noise
+from cosim.refinement.sensor_noise import noise_warnings, sensor_noise
 from cosim.refinement.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
@@ -126,8 +126,8 @@ def test_sensors_with_more_noise_than_the_model_says_are_believed(tmp_path: Path
     assert r.record["noise_floor"]["x_world"] == pytest.approx(
         r.record["error"]["after"]["validation"]["x_world"], rel=0.2
     )
-    told = {"x_world": 3.2e-3, "y_world": 3.2e-3}
-    assert other_noise(r.problem, Hovercraft(), told) == ({}, ())  # a study that says so is not told again
+    told = build_problem(Hovercraft(), r.study.logs, noise={"x_world": 3.2e-3, "y_world": 3.2e-3})
+    assert noise_warnings(told, told.plain, Hovercraft()) == ()  # a study that says so is not told again
 
 
 def test_noise_is_told_from_motion_unless_the_sensor_is_slower_than_that(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_a_slow_position_with_more_noise_does_not_dilute_friction(tmp_path: Path
 def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:
     r = proven(motor_study(tmp_path, 0.0), tmp_path / "out")
     assert (r.record["verdict"], r.record["rivals"]) == ("ambiguous", ["fan", "no_effect"])
-    assert r.record["sentence"].startswith("These logs excite too little: the one effect would not show in them")
+    assert r.record["sentence"].startswith("Nothing moves in these logs: the one effect would not show in them")
     found = excite(str(tmp_path / "out"), tmp_path / "flight", limits=["voltage=6"], experiments=4)
     assert found.apart[("fan", "nothing")] > 10.0
 
@@ -174,9 +174,8 @@ def test_a_model_that_runs_away_tells_nothing_of_its_start(tmp_path: Path) -> No
     read = read_study(study)
     model = read.loaded.model
     problem = build_problem(model, read.logs)
-    assert problem.P0.tolist() == [[1.0]]
-    used, (warning,) = other_noise(problem, model, {})
-    assert used == {}
+    assert problem.P0.tolist() == [[1.0, 0.0], [0.0, 0.0]]  # of the unknown input, what a filter takes it for
+    (warning,) = noise_warnings(problem, problem.plain, model)
     assert "how much noise tacho has" in warning
 
 
