@@ -32,7 +32,7 @@ ROUNDS = 10
 HOPE = 2.0  # times what a score test promises, that a fit may bring
 SETTLING = 15  # iterations
 USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
-FINALISTS = 6
+FINALISTS = 4  # hypotheses beside the best that are fitted to the end
 
 
 class Attributor:
@@ -164,12 +164,23 @@ class Attributor:
         """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
-        search.problem = replace(self.fine, sensing=base.fit.noise)
-        near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
-        *fitted, again = search.fit_again([*(h for h in near[:FINALISTS] if h.names), base])
+        search.problem = replace(self.fine, sensing=best.fit.noise)
+        again, best = (search.fit_again([h])[0] for h in (base, best))
         search.reached = again.fit.objective
-        best = min((again, *fitted), key=lambda h: h.score)
+        for _ in range(2):  # one that comes out best has rivals of its own
+            beside = [h for h in self._beside(best) if not h.ended]
+            fitted = search.fit_alike([h for h in beside if h.names], best)
+            before, best = best, min((again, best, *fitted), key=lambda h: h.score)
+            if best is before:
+                break
         shown = self.identifiable
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
         return Found(search, best, tuple(hidden))
+
+    def _beside(self, best: Hypothesis) -> list[Hypothesis]:
+        """What comes near the best and is not more, or less, of the same."""
+        names = set(best.names)
+        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR]
+        other = [h for h in near if not (set(h.names) >= names or set(h.names) <= names)]
+        return sorted(other, key=lambda h: h.score)[:FINALISTS]

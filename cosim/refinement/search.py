@@ -129,6 +129,16 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
+    def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
+        """Fit hypotheses to the end, from where they are and with the noise of another."""
+
+        def one(h: Hypothesis) -> Hypothesis:
+            return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
+
+        fitted = in_parallel(one, hypotheses)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
+
     def _otherwise(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
         plain = self.problem.plain
