@@ -39,15 +39,17 @@ class ErrorRow:
     floor: str
     excess: str
     marks: Marks | None
+    nearest: str = MISSING
 
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Errors on one set of logs."""
+    """Errors on one set of logs; `nearest`: with those of the nearest model, where not all is claimed."""
 
     title: str
     note: str
     rows: tuple[ErrorRow, ...]
+    nearest: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
         note = "What was learnt from." if part == "estimation" else "Opened once, when all was decided."
-        tables.append(ErrorTable(title, note, rows))
+        tables.append(ErrorTable(title, note, rows, bool(error.get("nearest"))))
     return tables
 
 
@@ -124,7 +126,9 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     said = percent(max(0.0, left))
     if math.isnan(left):
         said = "within noise" if before < NOISE * floor else "under twice the floor" if floor else MISSING
-    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor))
+    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(name, math.nan))
+    said_near = error_size(near, units(r).get(name, ""), after) if math.isfinite(near) else MISSING
+    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), said_near)
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:

@@ -109,6 +109,7 @@ def _badges(r: Refinement) -> list[Badge]:
     seconds = sum(float(log.time[-1] - log.time[0]) for log in r.study.logs)
     return [
         Badge(text, tone),
+        *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
         Badge(f"{counted(len(r.study.logs), 'log')} learnt from, {plain(seconds)} s"),
         Badge(f"{counted(sealed, 'log')} sealed" if sealed else "no log sealed", "plain" if sealed else "warn"),
         Badge(_tried(r)),
@@ -138,10 +139,17 @@ def _rivals(r: Refinement) -> str:
     if r.verdict.name == "unexplained" and r.verdict.rivals:
         verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
         return (
-            f"{' and '.join(r.verdict.rivals)} {verb} not claimed: what is left still depends on a "
-            "signal, or it does not hold on a log that was not fitted. The model is left as it was."
+            f"{' and '.join(r.verdict.rivals)} {verb} not claimed: something without a name does as much beside it, "
+            f"or replays are not near enough. model.yaml is the model as it was; {_near(r)}"
         )
     return ""
+
+
+def _near(r: Refinement) -> str:
+    """What nearest.yaml holds."""
+    names = r.record.get("nearest") or []
+    held = f"has {' and '.join(names)} in it" if names else "is the model recalibrated, or as it was"
+    return f"nearest.yaml, which predicts logs that it did not see best, {held}."
 
 
 def _term_lead(r: Refinement) -> str:
@@ -195,11 +203,11 @@ def _innovation_lead(claimed: bool) -> str:
 
 
 def _ranking_lead(r: Refinement) -> str:
-    gain = r.record["held_out_gain"]
+    gain = r.record.get("held_out_gain")
     lead = (
-        "Candidates were fitted with the base parameters and the process noise free, but for those of which a score "
-        "test promised too little. The score is the log-likelihood gained on the base model and on the priors of its "
-        "parameters, less ½ ln N for each parameter added."
+        "Of every set of candidates a score test said what it promises; those that promised enough were fitted, base "
+        "parameters and noise free. The score is the log-likelihood gained on the base model and on the priors of its "
+        "parameters, less ½ ln N for each parameter added and, for each candidate, 3 and the logarithm of their number."
     )
     if r.verdict.claimed is not None and gain is not None:
         lead += f" On each log, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
