@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from cosim.refinement.candidates import Candidate
+from cosim.refinement.evidence import scatter
 from cosim.refinement.hypotheses import Found, Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.parallel import in_parallel
@@ -59,7 +60,7 @@ class Attributor:
         search.tried[()] = base
         search.reached = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
-        best, idle = base, 0
+        best, idle = self._scattered(base), 0
         for number in range(ROUNDS):
             proposed = self._proposed(best)
             if not proposed:
@@ -85,7 +86,18 @@ class Attributor:
         further = h.score - settled.score
         search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
         search.tried[settled.names] = settled
-        return settled
+        return self._scattered(settled)
+
+    def _scattered(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, and what candidates cost beside it where equations are trusted: what is left is not white."""
+        search = self.search
+        if not search.problem.trusted:
+            return h
+        search.scatter = scatter(search.problem, h.fit)
+        search.tried = {
+            n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
+        }
+        return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _timed(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, fitted with stamps that err where innovations are larger the faster readings change."""
@@ -166,6 +178,7 @@ class Attributor:
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self.fine, sensing=best.fit.noise)
         again, best = (search.fit_again([h])[0] for h in (base, best))
+        best = self._scattered(best)
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
             beside = [h for h in self._beside(best) if not h.ended]

@@ -17,14 +17,13 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.kernel.interface import Data
-from cosim.logs.log import slowness
 from cosim.refinement.fit import Fit, fit, inverse, scores
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.parallel import in_parallel
 from cosim.refinement.problem import Problem, Scored, halved, unscored
 from cosim.refinement.search import SCREEN_ITERATIONS, Search
 
-BLOCK = 2.0  # [s] at least; slow logs longer
+BLOCK = 100  # rows at least
 LASTING = 3.0  # times as long as an unknown input lasts
 FEWEST = 12  # blocks, over all logs
 BACK = 200  # rows before a replay, for a delay to look into
@@ -51,7 +50,7 @@ class Support:
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     """Number of the block of time in which each scored measurement stands."""
     data = problem.logs[0]
-    rows = max(1, round(max(BLOCK * slowness(data.step), LASTING * memory) / data.step))
+    rows = max(BLOCK, round(LASTING * memory / data.step))
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
@@ -162,6 +161,14 @@ def _part(data: Data, row: int, length: int) -> tuple[Data, int]:
     """The rows of a replay, with enough before them for a delay to look into, and the first of them."""
     first, end = max(0, row - BACK), row + length + 1
     return replace(data, start=data.start + first * data.step, u=data.u[first:end], y=data.y[first:end]), first
+
+
+def scatter(problem: Problem, f: Fit) -> float:
+    """How many times larger variances of estimates are as they scatter over time than for a white residual; 1 at least."""
+    spread, white = scattered(problem, f).scattered, inverse(f.information)
+    assert spread is not None
+    ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
+    return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
 def scattered(problem: Problem, f: Fit) -> Fit:

@@ -6,18 +6,15 @@ say. Errors are those of replays over the model's own horizon, each from the fil
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from cosim.arrays import Array
 from cosim.refinement.evidence import learnt_without, open_loop
 from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.problem import halved
 from cosim.refinement.search import Search
+from cosim.refinement.trust import size
 
 SIMPLER = 0.01  # of the error, within which the simpler model is taken
 
@@ -34,19 +31,10 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
 
     def error(fits: Sequence[Fit]) -> float:
         missed = [open_loop(problem, search.model.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
-        return _size(missed)
+        return size(missed)
 
     found.append((error([given] * len(logs)), None))
     for h in (a.base, *best):
         found.append((error([learnt_without(search, problem, h, k) for k in logs]), h))
     least = min(size for size, _ in found)
     return next(h for size, h in found if size <= least + SIMPLER)
-
-
-def _size(missed: Sequence[Array]) -> float:
-    """Mean over the outputs of the logarithm of the root mean square."""
-    rows = np.concatenate([m.reshape(-1, m.shape[-1]) for m in missed])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
-    sizes = sizes[np.isfinite(sizes)]
-    return float(np.mean(sizes)) if sizes.size else math.inf

@@ -301,6 +301,7 @@ class Problem:
     stated: Flags
     adjusted: Flags
     sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
+    trusted: bool = False  # equations are: no unknown input is free
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
         """The problem with a first guess of the noise [standard deviation] of some outputs."""
@@ -343,8 +344,8 @@ class Problem:
 
     @property
     def plain(self) -> Noise:
-        """Unknown inputs that are plainly detected."""
-        return self.at(self.noise.plain)
+        """Unknown inputs that are plainly detected, or none where equations are trusted."""
+        return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property
     def limits(self) -> NoiseLimits:
@@ -363,11 +364,18 @@ class Problem:
         wide = np.full(ny, np.inf)
         power = len(self.layout.noisy)
         memory = np.log([2.0 * min(steps), max(LONGEST_MEMORY * longest, 4.0 * min(steps))])
-        if not self.layout.coloured:
+        if not self.layout.coloured or self.trusted:
             memory = np.full(2, now.memory)
         return NoiseLimits(
             low=np.concatenate([self.noise.smallest, memory[:1], low, np.where(timed, in_time[0], now.timing)]),
-            high=np.concatenate([self.noise.largest, memory[1:], high, np.where(timed, in_time[1], now.timing)]),
+            high=np.concatenate(
+                [
+                    self.noise.smallest if self.trusted else self.noise.largest,
+                    memory[1:],
+                    high,
+                    np.where(timed, in_time[1], now.timing),
+                ]
+            ),
             mean=np.concatenate([np.zeros(power + 1), stated, np.zeros(ny)]),
             sigma=np.concatenate(
                 [np.full(power + 1, np.inf), np.where(self.stated & self.adjusted, np.log(WITHIN), np.inf), wide]

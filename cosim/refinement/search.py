@@ -39,6 +39,7 @@ class Search:
     price:   score that each parameter of a candidate costs: ½·ln N; entry: what each candidate does beside it
     tried:   names → hypothesis
     reached: objective of the base model, recalibrated; below it, every hypothesis comes when it is fitted
+    scatter: how many times further estimates scatter over time than a white residual lets them, squared
     """
 
     def __init__(self, model: Model, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -48,6 +49,7 @@ class Search:
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # names, log left out → fit of the others
         self.reached = np.inf
+        self.scatter = 1.0
 
     def hypothesis(
         self,
@@ -70,7 +72,9 @@ class Search:
         moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
         known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
         noise = start.noise if start is not None else self.problem.plain
-        if loosen:
+        if self.problem.trusted:
+            noise = replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
+        elif loosen:
             noise = replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet))
         begins = [{**known, **promised}] if promised else []
         count = max([1, *(len(c.starts) for c in parts)])
@@ -123,7 +127,8 @@ class Search:
         """Fit hypotheses further, from where they are, noise of the sensors and all."""
 
         def one(h: Hypothesis) -> Hypothesis:
-            return self._without_noise(self._otherwise(self.hypothesis(h.candidates, h.fit, iterations, loosen=False)))
+            fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
+            return fitted if self.problem.trusted else self._without_noise(self._otherwise(fitted))
 
         fitted = in_parallel(one, hypotheses)
         self.tried |= {h.names: h for h in fitted}
@@ -165,7 +170,7 @@ class Search:
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """What candidates cost a hypothesis."""
-        return float(sum(self.entry + self.price * len(c.free) for c in parts))
+        return self.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def _reached(self, parts: Parts) -> float:
         """Objective that some of the parts reach without the others: all together can do no worse when fitted."""

@@ -18,7 +18,6 @@ import numpy as np
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
-from cosim.refinement.attribution import Attributor
 from cosim.refinement.candidates import Candidate, candidates
 from cosim.refinement.hypotheses import Attribution, Found, Hypothesis
 from cosim.refinement.judgement import decided
@@ -31,6 +30,7 @@ from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, know
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.refinement.study import Study, read_study
+from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
@@ -53,7 +53,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     study, folder = read_study(Path(path)), Path(folder)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
-    found = Attributor(study.loaded.model, problem, _on_trial(study, problem), progress).run()
+    found = attributed(study.loaded.model, problem, _on_trial(study, problem), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
     verdict = _judged(study, attribution, found, progress)

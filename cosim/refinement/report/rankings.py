@@ -138,7 +138,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     note = "The model keeps its own: a sensor's error is none of the plant's." if hypothesis.of_sensors else ""
     rest = ParameterTable(
         f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
-        note or "Held to the data sheet by their tolerance: what is within it is no discovery.", "Data sheet", tuple(names[False]),
+        note or "Held to the data sheet: within its tolerance is no discovery.", "Data sheet", tuple(names[False]),
     )  # fmt: skip
     return [t for t in (added, rest) if t.rows]
 
