@@ -419,7 +419,7 @@ def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinemen
 def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = study_of(tmp_path / "study", {})
     (tmp_path / "out").write_text("a file")
-    monkeypatch.setattr(workflow, "Attributor", None)
+    monkeypatch.setattr(workflow, "attributed", None)
     with pytest.raises(InputError, match="cannot be the folder for results"):
         refine(path, tmp_path / "out")
 
