@@ -164,7 +164,7 @@ def _part(data: Data, row: int, length: int) -> tuple[Data, int]:
 
 
 def scatter(problem: Problem, f: Fit) -> float:
-    """How many times larger variances of estimates are as they scatter over time than for a white residual; 1 at least."""
+    """How many times larger variances of estimates are as they scatter over time than for a white residual."""
     spread, white = scattered(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]

@@ -7,6 +7,7 @@ validation logs are opened when everything is decided.
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -68,9 +69,10 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         fmus, variant = _build_fmus(study.loaded, refined, scratch), None
         if verdict.grade != "claimed":
             write_model(scratch / "nearest.yaml", nearer, folder)
-            fmu = build(nearer.recipe(), scratch / "nearest.fmu")
-            variant = variant_of(nearer, near, attribution.base.fit, fmu)
+            variant = _nearest_variant(study, attribution, verdict, near, nearer, fmus, scratch)
         variants = variants_of(study, attribution, verdict.claimed, refined, fmus, variant)
+        if variant is not None and variant.fmu == fmus[1]:
+            variants["nearest"] = variants["after"]
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
         replayed = _replayed(variants, problem, sets)
@@ -129,6 +131,24 @@ def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | Non
         return verdict.claimed
     close = {h.names: h for h in (a.best, found.best) if h.candidates}
     return nearest(found.search, a, list(close.values()))
+
+
+def _nearest_variant(
+    study: Study,
+    a: Attribution,
+    verdict: Verdict,
+    near: Hypothesis | None,
+    nearer: LoadedModel,
+    fmus: tuple[Path, Path],
+    scratch: Path,
+) -> Variant:
+    """The nearest model and its FMU: a copy of another's where it is the same."""
+    same = {id(verdict.claimed): fmus[1], id(None): fmus[0]}.get(id(near))
+    target = scratch / "nearest.fmu"
+    if same is None:
+        return variant_of(nearer, near, a.base.fit, build(nearer.recipe(), target))
+    shutil.copyfile(same, target)
+    return variant_of(nearer, near, a.base.fit, same)
 
 
 def _build_fmus(loaded: LoadedModel, refined: LoadedModel, scratch: Path) -> tuple[Path, Path]:
