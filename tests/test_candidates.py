@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from cosim.refinement.candidates import base_parameters, candidates, neutral_values
+from cosim.estimation.candidates import base_parameters, candidates, neutral_values
 from plant.hovercraft import Hovercraft
 from plant.model import Equations, Model
 from plant.namespaces import Namespace

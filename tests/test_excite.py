@@ -20,14 +20,14 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.cli import app
 from cosim.errors import InputError
+from cosim.estimation.candidates import candidates
+from cosim.estimation.problem import build_problem
 from cosim.experiment.excite import Excitation, excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.candidates import candidates
 from cosim.refinement.hypotheses import Attribution
 from cosim.refinement.judgement import decided
-from cosim.refinement.problem import build_problem
 from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.estimation.candidates import candidates
+from cosim.estimation.problem import build_problem
 from cosim.logs.log import Log
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.candidates import candidates
 from cosim.refinement.evidence import held_out
 from cosim.refinement.judgement import decided
-from cosim.refinement.problem import build_problem
 from plant.hovercraft import OUTPUTS, Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times

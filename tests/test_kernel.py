@@ -14,6 +14,8 @@ import pytest
 
 from cosim.arrays import Array
 from cosim.errors import InputError
+from cosim.estimation.candidates import neutral_values
+from cosim.estimation.problem import as_data, start_state
 from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.compiled import CompiledKernel
@@ -22,8 +24,6 @@ from cosim.kernel.interface import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.jit import JitKernel
 from cosim.kernel.settling import settling
 from cosim.models.file import own_model
-from cosim.refinement.candidates import neutral_values
-from cosim.refinement.problem import as_data, start_state
 from fmus.native.cache import cached
 from fmus.native.compiler import compiler
 from plant.effects.actuator import ActuatorDelay

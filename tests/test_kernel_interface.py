@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from cosim.arrays import Array
+from cosim.estimation.candidates import Free
+from cosim.estimation.fit import fit
+from cosim.estimation.problem import Problem, build_problem
 from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
-from cosim.refinement.candidates import Free
-from cosim.refinement.fit import fit
-from cosim.refinement.problem import Problem, build_problem
 from plant.model import Equations, Model, Number, Values
 from plant.namespaces import Namespace
 from plant.quantities import Quantity, parameter

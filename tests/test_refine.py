@@ -22,12 +22,12 @@ from cosim.blocks.fmu import read_description
 from cosim.checks import check_files
 from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
+from cosim.estimation.candidates import neutral_values
+from cosim.estimation.problem import build_problem
 from cosim.kernel.interface import DISTURBANCE, MEMORY
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
 from cosim.refinement import measure, workflow
-from cosim.refinement.candidates import neutral_values
-from cosim.refinement.problem import build_problem
 from cosim.refinement.record import SCHEMA, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.page import write_refine_report

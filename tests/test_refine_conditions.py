@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.estimation.fit import inverse
+from cosim.estimation.problem import build_problem
+from cosim.estimation.sensor_noise import noise_warnings, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
-from cosim.refinement.fit import inverse
-from cosim.refinement.problem import build_problem
-from cosim.refinement.sensor_noise import noise_warnings, sensor_noise
 from cosim.refinement.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log

@@ -17,15 +17,16 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.cli import app
+from cosim.estimation.candidates import candidates
+from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import build_problem
+from cosim.estimation.screen import ScoreTest
 from cosim.models.file import BASE, LoadedModel
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.candidates import candidates
 from cosim.refinement.evidence import Support
-from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import decided
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.problem import build_problem
 from cosim.refinement.proof import proven
 from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
@@ -35,7 +36,6 @@ from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.page import context, write_refine_report
 from cosim.refinement.report.plots import runs
 from cosim.refinement.report.terms import Shown, shown
-from cosim.refinement.screen import ScoreTest
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.unnamed import Leftover, Unnamed, left_beside
 from cosim.refinement.variants import Variant

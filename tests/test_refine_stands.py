@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.fit import Fit
+from cosim.estimation.problem import build_problem, coarsened
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
 from cosim.models.file import load_model
-from cosim.refinement.candidates import Candidate
-from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.problem import build_problem, coarsened
 from cosim.refinement.proof import proven
 from cosim.refinement.verdict import Verdict
 from cosim.refinement.workflow import refine

@@ -15,13 +15,13 @@ import numpy as np
 from cosim import registry
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
+from cosim.estimation.problem import build_problem
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import slowness
-from cosim.refinement.problem import build_problem
 from cosim.table import write_columns
 from cosim.text import counted
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.errors import Fault, InputError
+from cosim.estimation.candidates import Candidate, candidates, neutral_values
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
 from cosim.models.file import LoadedModel, load_model
-from cosim.refinement.candidates import Candidate, candidates, neutral_values
 from cosim.refinement.judgement import SIGNIFICANT
 from cosim.refinement.study import StudyFile
 from cosim.yaml_file import YamlFile, did_you_mean

@@ -16,12 +16,12 @@ from itertools import combinations
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.candidates import Candidate, Free, base_parameters
+from cosim.estimation.fit import DIFFERENCE
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import Problem, as_data, coarsened, start_state, unscored
+from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
-from cosim.refinement.candidates import Candidate, Free, base_parameters
-from cosim.refinement.fit import DIFFERENCE
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.problem import Problem, as_data, coarsened, start_state, unscored
-from cosim.refinement.readings import readings_of
 from plant.model import Model
 from plant.quantities import Parameter, parameters_of
 

@@ -14,14 +14,15 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.refinement.candidates import Candidate
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem, coarsened
+from cosim.estimation.screen import Choice, ScoreTest, Terms
+from cosim.estimation.sensor_noise import stamps_err
 from cosim.refinement.evidence import scatter
-from cosim.refinement.hypotheses import Found, Hypothesis
+from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem, coarsened, stamps_err
-from cosim.refinement.screen import Choice, ScoreTest, Terms
-from cosim.refinement.search import Parts, Progress, Search, key_of
+from cosim.refinement.search import Found, Parts, Progress, Search, key_of
 from plant.model import Model
 
 FITTED = 6  # sets a round
@@ -32,6 +33,7 @@ DONE = 1.0  # of score, below which a round has found nothing better
 ROUNDS = 10
 HOPE = 2.0  # times what a score test promises, that a fit may bring
 SETTLING = 15  # iterations
+SILENT = 0.1  # of ln of a variance above the least that a sensor's can be
 USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
 FINALISTS = 4  # hypotheses beside the best that are fitted to the end
 
@@ -56,7 +58,7 @@ class Attributor:
         """Base fit, rounds, finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._timed(search.hypothesis((), None))
+        base = self._timed(self._heard(search.hypothesis((), None)))
         search.tried[()] = base
         search.reached = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
@@ -98,6 +100,20 @@ class Attributor:
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
+
+    def _heard(self, base: Hypothesis) -> Hypothesis:
+        """The base fit; with the stated noise of sensors in which the logs show next to none: it may stand for more."""
+        search, limits = self.search, self.search.problem.limits
+        count, problem = len(base.fit.noise.power), search.problem
+        low = limits.low[count + 1 : count + 1 + len(problem.r)]
+        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
+        if not silent.any():
+            return base
+        sensors = np.where(silent, np.log(problem.r), base.fit.noise.sensors)
+        adjusted = problem.adjusted & ~silent
+        self.fine, search.problem = (replace(p, adjusted=adjusted) for p in (self.fine, problem))
+        start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
+        return search.hypothesis((), start)
 
     def _timed(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, fitted with stamps that err where innovations are larger the faster readings change."""
@@ -189,7 +205,7 @@ class Attributor:
         shown = self.identifiable
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
-        return Found(search, best, tuple(hidden))
+        return Found(search, best, tuple(hidden), len(effects))
 
     def _beside(self, best: Hypothesis) -> list[Hypothesis]:
         """What comes near the best and is not more, or less, of the same."""

@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.estimation.fit import Fit, fit, inverse, scores
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem, Scored, halved, unscored
 from cosim.kernel.interface import Data
-from cosim.refinement.fit import Fit, fit, inverse, scores
 from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem, Scored, halved, unscored
 from cosim.refinement.search import SCREEN_ITERATIONS, Search
 
 BLOCK = 100  # rows at least
@@ -28,23 +28,6 @@ LASTING = 3.0  # times as long as an unknown input lasts
 FEWEST = 12  # blocks, over all logs
 BACK = 200  # rows before a replay, for a delay to look into
 PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
-
-
-@dataclass(frozen=True)
-class Support:
-    """What speaks for a hypothesis against one that lacks something of it.
-
-    gain:      log-likelihood, priors included
-    steady:    how many times its own scatter over blocks of time the gain is
-    held_out:  log-likelihood gained on each log, as the others have it; NaN: not asked for
-    predicted: by how many times its scatter the square error of open-loop predictions of logs left out is less; NaN:
-               as before
-    """
-
-    gain: float
-    steady: float
-    held_out: float = math.nan
-    predicted: float = math.nan
 
 
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:

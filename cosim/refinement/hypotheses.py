@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-from cosim.refinement.candidates import Candidate
-from cosim.refinement.fit import Fit
-
-if TYPE_CHECKING:
-    from cosim.refinement.evidence import Support
-    from cosim.refinement.search import Search
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.fit import Fit
 
 NOISE = 4.0  # log-likelihood that the unknown input of an equation must gain, to be more than none
 
@@ -37,12 +33,20 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size."""
+class Support:
+    """What speaks for a hypothesis against one that lacks something of it.
 
-    search: Search
-    best: Hypothesis
-    hidden: tuple[str, ...]
+    gain:      log-likelihood, priors included
+    steady:    how many times its own scatter over blocks of time the gain is
+    held_out:  log-likelihood gained on each log, as the others have it; NaN: not asked for
+    predicted: by how many times its scatter the square error of open-loop predictions of logs left out is less; NaN:
+               as before
+    """
+
+    gain: float
+    steady: float
+    held_out: float = math.nan
+    predicted: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class Attribution:
     noise_gain: tuple[float, ...]  # log-likelihood that the unknown input of each forced equation gains in the best one
     reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # why each hypothesis but the best lost
     hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
+    effects: int = 0  # how many were on trial
 
     @property
     def noisy(self) -> tuple[bool, ...]:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.refinement.candidates import Candidate, Free
-from cosim.refinement.evidence import Support, held_out, scattered, steadiness
-from cosim.refinement.fit import Fit, inverse
-from cosim.refinement.hypotheses import Attribution, Found, Hypothesis
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem
-from cosim.refinement.search import Search, key_of
+from cosim.estimation.candidates import Candidate, Free
+from cosim.estimation.fit import Fit, inverse
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem
+from cosim.refinement.evidence import held_out, scattered, steadiness
+from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.search import Found, Search, key_of
 
 RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
@@ -47,9 +47,8 @@ def decided(found: Found) -> Attribution:
     ranking = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = Reasons(base, best, ranking, rivals, search, dropped).all()
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
-    return Attribution(
-        base, ranking, best, rivals, total, support, noise_gain(search.problem, best.fit), reasons, found.hidden
-    )
+    noise = noise_gain(search.problem, best.fit)
+    return Attribution(base, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.problem import Problem, as_data, start_covariance, start_state, unscored
+from cosim.estimation.readings import readings_of
 from cosim.kernel.interface import MEMORY as LASTS
 from cosim.kernel.interface import Data, Filtered
 from cosim.logs.log import Log
-from cosim.refinement.problem import Problem, as_data, start_covariance, start_state, unscored
-from cosim.refinement.readings import readings_of
 from cosim.refinement.variants import Variant
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN, pooled

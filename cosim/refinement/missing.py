@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.refinement.fit import DIFFERENCE, Fit
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.problem import Problem, unscored
+from cosim.estimation.fit import DIFFERENCE, Fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import Problem, unscored
 
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from cosim.estimation.fit import Fit
+from cosim.estimation.problem import halved
 from cosim.refinement.evidence import learnt_without, open_loop
-from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.problem import halved
 from cosim.refinement.search import Search
 from cosim.refinement.trust import size
 

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
-from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import RIVAL, outside
+from cosim.estimation.problem import Problem
+from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.judgement import BETTER, RIVAL, outside
 from cosim.refinement.measure import FLOOR_SEED, noise_floor, predicted_errors
-from cosim.refinement.problem import Problem
 from cosim.refinement.search import Search
 from cosim.refinement.sentences import cannot_tell, claim, experiment_for, misses, partly, unexplained
 from cosim.refinement.study import Study
@@ -35,7 +36,7 @@ def held_against_replays(study: Study, a: Attribution, verdict: Verdict, search:
         verdict = standing(verdict, a, study.loaded.model, search, *_replay_errors(study, a, verdict, problem))
     if verdict.claimed is None:
         return verdict
-    return proven(verdict, *_replay_errors(study, a, verdict, problem))
+    return proven(verdict, *_replay_errors(study, a, verdict, problem), a.support)
 
 
 def _replay_errors(
@@ -51,7 +52,9 @@ def _replay_errors(
 # -- a claim ----------------------------------------------------------------------------------
 
 
-def proven(verdict: Verdict, error: ErrorOf, floor: Channels) -> Verdict:
+def proven(
+    verdict: Verdict, error: ErrorOf, floor: Channels, support: Mapping[str, Support] = MappingProxyType({})
+) -> Verdict:
     """The verdict, its claim one of a part where replays still miss much, and none where they are no better for it.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it.
@@ -64,6 +67,9 @@ def proven(verdict: Verdict, error: ErrorOf, floor: Channels) -> Verdict:
         return _withdrawn(verdict, doubt)
     left = _left(error, floor)
     if verdict.name != "ambiguous" and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
+        if weak := [n for n in verdict.claimed.names if n in support and support[n].predicted < BETTER]:
+            text = f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(weak)}."
+            return _withdrawn(verdict, text)
         sentence = partly(verdict.sentence, verdict.residual, worst, left[worst])
         return replace(verdict, grade="part", sentence=sentence)
     return verdict

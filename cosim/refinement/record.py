@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
+from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.measure import Evidence, rmse
-from cosim.refinement.problem import Problem
 from cosim.refinement.study import Study
 from cosim.refinement.verdict import Grade, Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
@@ -269,7 +269,11 @@ def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
         return "claimed"
     if h.names != a.best.names:
         return a.reasons[h.names]
-    return "nearest, but disputed" if verdict.name == "unexplained" else "fits best, but the logs excite too little"
+    if verdict.name == "unexplained":
+        return "nearest, but disputed"
+    return (
+        "nothing more is missing" if verdict.name == "no_effect" else "nothing can be said: the logs excite too little"
+    )
 
 
 def residual(verdict: Verdict) -> Residual:

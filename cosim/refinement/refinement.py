@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.estimation.problem import Problem
 from cosim.refinement.hypotheses import Attribution
 from cosim.refinement.measure import Evidence
-from cosim.refinement.problem import Problem
 from cosim.refinement.record import Part
 from cosim.refinement.study import Study
 from cosim.refinement.variants import Variant

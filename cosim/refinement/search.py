@@ -7,15 +7,15 @@ candidate ENTRY and the logarithm of how many are on trial, so that more candida
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.refinement.candidates import Candidate, Free, base_parameters
-from cosim.refinement.fit import FAIR, Fit, fit
+from cosim.estimation.candidates import Candidate, Free, base_parameters
+from cosim.estimation.fit import FAIR, Fit, fit
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem
 from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem
 from plant.model import Model
 
 SCREEN_ITERATIONS = 12
@@ -31,6 +31,16 @@ Progress = Callable[[str, float], None]
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
     """By what a hypothesis is known: the names of its candidates, sorted."""
     return tuple(sorted(c.name for c in parts))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size."""
+
+    search: Search
+    best: Hypothesis
+    hidden: tuple[str, ...]
+    effects: int  # how many were on trial
 
 
 class Search:

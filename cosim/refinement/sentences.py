@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cosim.estimation.candidates import Candidate, Free, kind_within
+from cosim.estimation.fit import Fit
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.candidates import Candidate, Free, kind_within
-from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
 from cosim.text import percent, plain, written

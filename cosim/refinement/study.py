@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cosim.errors import Fault, InputError
+from cosim.estimation.problem import Settings
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import cleaned
 from cosim.models.file import LoadedModel, load_model
-from cosim.refinement.problem import Settings
 from cosim.registry import BASE
 from cosim.residuals.windows import SKIPPED
 from cosim.text import counted, plain

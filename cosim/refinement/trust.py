@@ -16,14 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.fit import Fit
+from cosim.estimation.problem import Problem, coarsened
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.candidates import Candidate
 from cosim.refinement.evidence import open_loop
-from cosim.refinement.fit import Fit
-from cosim.refinement.hypotheses import NOISE, Found
+from cosim.refinement.hypotheses import NOISE
 from cosim.refinement.judgement import noise_gain
-from cosim.refinement.problem import Problem, coarsened
-from cosim.refinement.search import Progress, Search
+from cosim.refinement.search import Found, Progress, Search
 from plant.model import Model
 
 CLEARLY = 0.05  # of the error of open-loop predictions, by which one way must be better

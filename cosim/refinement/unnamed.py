@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.candidates import Free
+from cosim.estimation.fit import Fit, fit
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem
+from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX
-from cosim.refinement.candidates import Free
-from cosim.refinement.fit import Fit, fit
 from cosim.refinement.missing import LOGS, Filter, at_best, claimed, missing
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem
-from cosim.refinement.screen import ScoreTest
 from cosim.refinement.search import ENTRY, SCREEN_ITERATIONS
 
 SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
@@ -101,7 +101,8 @@ def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
             named.sort(key=_promise)
             named[0] = replace(named[0], share=_share(problem, at, named[0]))
             return Leftover(tuple(named), fitted, at.objective - fitted.objective, cost)
-        chosen = [u for u in chosen if gains[u] > cost]
+        weakest = min(chosen, key=lambda u: gains[u])
+        chosen = [u for u in chosen if u is not weakest]
     return Leftover((), None, 0.0, cost)
 
 

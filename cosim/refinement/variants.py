@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.estimation.candidates import neutral_values
+from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
 from cosim.models.file import LoadedModel
-from cosim.refinement.candidates import neutral_values
-from cosim.refinement.fit import Fit
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.noise_model import Noise
 from cosim.refinement.study import Study
 from plant.model import Model
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from cosim.refinement.candidates import Candidate, kind_within
+from cosim.estimation.candidates import Candidate, kind_within
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import loss_without
 from cosim.refinement.sentences import (
@@ -54,7 +54,7 @@ def judge(
     still: nothing moves in the logs
     """
     residual = _residual(a, left, forced)
-    if not a.best.candidates and (still or (a.hidden and len(a.hidden) == _effects_tried(a))):
+    if not a.best.candidates and (still or (a.hidden and len(a.hidden) == a.effects)):
         return _undecided(a, residual, still=still)
     large = max(moves, key=lambda name: moves[name], default=None)
     if not a.best.candidates and left.terms:
@@ -72,10 +72,6 @@ def judge(
     if left.terms:
         sentence += left_over(left.terms[0], a.base.score - a.best.score)
     return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence, "claimed")
-
-
-def _effects_tried(a: Attribution) -> int:
-    return sum(h.candidates[0].kind == "effect" for h in a.tried if len(h.candidates) == 1)
 
 
 def _undecided(a: Attribution, residual: Mapping[str, Any], *, still: bool) -> Verdict:

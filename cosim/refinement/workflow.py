@@ -16,20 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.estimation.candidates import Candidate, candidates
+from cosim.estimation.problem import Problem, build_problem, coarsened, varied_inputs
+from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
-from cosim.refinement.candidates import Candidate, candidates
-from cosim.refinement.hypotheses import Attribution, Found, Hypothesis
+from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import decided
 from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
 from cosim.refinement.missing import unknown_inputs
 from cosim.refinement.nearest import nearest
-from cosim.refinement.problem import Problem, build_problem, coarsened, varied_inputs
 from cosim.refinement.proof import held_against_replays
 from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.sensor_noise import at_rest, noise_warnings, sensor_noise
+from cosim.refinement.search import Found
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside

@@ -162,15 +162,15 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
     After a pause the state settles in short windows, for as long as is left out at the start of the log.
     """
-    found, skipped, first = [], SKIPPED * log.slowness, 0
+    found, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
+        first = int(np.searchsorted(log.time, part.time[0]))
         if rows := window_rows(part, horizon, skipped):
             settle = [
                 k for k in window_rows(part, PAST * log.slowness, 0.0 if first else FIRST * log.slowness) if k < rows[0]
             ]
             edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
             found.append(Chain(tuple(first + k for k in edges), first + rows[0]))
-        first += part.rows
     return found
 
 

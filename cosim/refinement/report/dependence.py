@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import bases
 from cosim.refinement.missing import Missing
-from cosim.refinement.problem import Problem
 from plant.model import Model
 from plant.symbolic.symbols import symbolic
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.estimation.candidates import Candidate, Free
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.candidates import Candidate, Free
 from cosim.refinement.refinement import Refinement
 from cosim.text import amount, display, joined, plain
 from plant.quantities import Parameter

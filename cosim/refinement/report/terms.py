@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.refinement.candidates import Candidate
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.problem import Problem, unscored
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
-from cosim.refinement.problem import Problem, unscored
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from plant.model import Model

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.refinement.candidates import Candidate
-from cosim.refinement.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.parallel import in_parallel
-from cosim.refinement.problem import Problem
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
@@ -208,6 +208,8 @@ class Choice:
                     sigma[parameter] += spread[k] * abs(size)
             for f in terms.candidate.free:
                 slack = BEYOND * sigma[f.name]
-                within = within and (f.neutral is None or f.low - slack <= found[f.name] <= f.high + slack)
+                there = f.neutral is None or f.low - slack <= found[f.name] <= f.high + slack
+                # of an effect that the model has, too much may be taken away: none is left
+                within = within and (there or self.neutral[f.name] != f.neutral)
                 values[f.name] = float(np.clip(found[f.name], f.low, f.high))
         return values, within

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.refinement.candidates import Free
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.problem import Problem, Scored
+from cosim.estimation.candidates import Free
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import Problem, Scored
 
 ITERATIONS = 30
 CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks
@@ -138,6 +138,8 @@ class _Scoring:
         self.scored = self._evaluate(self.theta)
         done, converged, pace = 0, False, 0.0
         information = np.zeros((len(self.theta),) * 2)
+        if not np.isfinite(self.scored.nll):
+            iterations = 0  # the filter diverges where the fit would start
         while done < iterations and not converged:
             gradient, information = self.derivatives(*self.sensitivities())
             before = self._objective(self.theta, self.scored)

@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cosim.arrays import Array, Flags, Rows
+from cosim.estimation.candidates import neutral_values
+from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
+from cosim.estimation.readings import Readings, readings_of
 from cosim.kernel.backend import kernel
 from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.logs.log import Log, slowness
-from cosim.refinement.candidates import neutral_values
-from cosim.refinement.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
-from cosim.refinement.readings import Readings, readings_of
 from plant.integrate import substeps
 from plant.model import Model
 from plant.namespaces import SCALAR
-
-if TYPE_CHECKING:
-    from cosim.refinement.fit import Fit
 
 UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
@@ -30,7 +26,6 @@ RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, fo
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
 TOO_QUIET, UNKNOWN = 0.1, 1e-4  # of a stated standard deviation, below which it is no sensor's; where none is stated
-STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there
 JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
 USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
 LONGEST_MEMORY = 0.1  # of a log
@@ -214,29 +209,6 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
         if abs(coarse.scored(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse
     return problem
-
-
-def stamps_err(problem: Problem, at: Fit) -> Flags:
-    """Outputs whose stamps seem to err and are not known to: the faster a reading changes, the larger its innovation.
-
-    Rao's score test of a variance τ²·ẏ² beside the others, at τ = 0: Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
-    """
-    scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
-    for index, readings in enumerate(problem.readings):
-        run = problem.run(at.values, at.noise, index)
-        e, s, speed = run.errors, run.variances, readings.slopes / problem.logs[index].step
-        for k, late in problem.lateness(at.values, index).items():
-            e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
-        with np.errstate(invalid="ignore"):
-            share = np.where(readings.scored, speed**2 / s, 0.0)
-            share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            # what a reading says of its spread, the largest cut: a few wild ones are no clock that errs
-            spread = np.where(readings.scored, np.minimum(e**2 / s, WILD) - 1.0, 0.0)
-        scores += 0.5 * np.sum(share * spread, axis=0)
-        information += 0.5 * np.sum(share**2, axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found: Flags = (scores / np.sqrt(information) > STAMPS_ERR) & ~np.isfinite(at.noise.timing) & problem.adjusted
-    return found
 
 
 def halved(problem: Problem) -> Problem:

@@ -7,14 +7,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags
+from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import Problem, own_run
 from cosim.logs.noise import noise_level, surprise, white_noise
-from cosim.refinement.noise_model import Noise
-from cosim.refinement.problem import Problem, own_run
 from cosim.text import plain
 from plant.model import Model
 
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
+STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there
 REST = 1.2  # times its noise, up to which the spread of a channel is no motion
 SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it from row to row
 
@@ -35,6 +37,29 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
         if motion < SMOOTH * measured:
             levels[name] = math.sqrt(measured**2 - motion**2)
     return levels
+
+
+def stamps_err(problem: Problem, at: Fit) -> Flags:
+    """Outputs whose stamps seem to err and are not known to: the faster a reading changes, the larger its innovation.
+
+    Rao's score test of a variance τ²·ẏ² beside the others, at τ = 0: Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
+    """
+    scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
+    for index, readings in enumerate(problem.readings):
+        run = problem.run(at.values, at.noise, index)
+        e, s, speed = run.errors, run.variances, readings.slopes / problem.logs[index].step
+        for k, late in problem.lateness(at.values, index).items():
+            e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
+        with np.errstate(invalid="ignore"):
+            share = np.where(readings.scored, speed**2 / s, 0.0)
+            share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
+            # what a reading says of its spread, the largest cut: a few wild ones are no clock that errs
+            spread = np.where(readings.scored, np.minimum(e**2 / s, WILD) - 1.0, 0.0)
+        scores += 0.5 * np.sum(share * spread, axis=0)
+        information += 0.5 * np.sum(share**2, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Flags = (scores / np.sqrt(information) > STAMPS_ERR) & ~np.isfinite(at.noise.timing) & problem.adjusted
+    return found
 
 
 def noise_warnings(problem: Problem, found: Noise, model: Model) -> tuple[str, ...]:
