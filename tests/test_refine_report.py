@@ -24,7 +24,7 @@ from cosim.estimation.problem import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.models.file import BASE, LoadedModel
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.evidence import Support
+from cosim.refinement.hypotheses import Support
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import decided
 from cosim.refinement.proof import proven
