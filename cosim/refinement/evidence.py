@@ -95,6 +95,19 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
     return sum(gain for gain, _ in found), in_scatter(_nearer([missed for _, missed in found]))
 
 
+def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
+    """By how many times its scatter the square error of predictions of logs left out is less; of one log, of halves."""
+    problem = problem if len(problem.logs) > 1 else halved(problem)
+    logs = range(len(problem.logs))
+
+    def one(left_out: int) -> list[Array]:
+        others = [k for k in logs if k != left_out]
+        learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
+        return [open_loop(problem, horizon, f.values, f, left_out) for f in learnt]
+
+    return in_scatter(_nearer(in_parallel(one, list(logs))))
+
+
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
     """A hypothesis as all logs but one have it."""
     key = (h.names, left_out)

@@ -70,13 +70,13 @@ class Leftover:
     cost: float
 
 
-def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
+def left_beside(problem: Problem, at: Fit, price: float, scatter: float = 1.0) -> Leftover:
     """Terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
 
-    price: score that a parameter costs
+    price: score that a parameter costs; scatter: how many times more, where what is left is far from white
     """
     names = [name for name in problem.layout.parameters if name.startswith(f"{PREFIX}.")]
-    cost = price + ENTRY + math.log(max(1, len(names)))
+    cost = scatter * (price + ENTRY + math.log(max(1, len(names))))
     test = ScoreTest(problem, at)
     steps = dict(zip(problem.layout.forced, SMALL * np.sqrt(problem.plain.density), strict=True))
 
@@ -93,6 +93,7 @@ def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
     distinct = [u for e in problem.layout.forced for u in _distinct([p for p in promising if p[0].equation == e])]
     terms = sorted(distinct, key=_promise)
     chosen = [u for u in terms if u.most > cost][:FITTED]
+    without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS) if chosen else at
     while chosen:
         fitted = _fitted(problem, at, chosen)
         gains = {u: _alone(fitted, u) for u in chosen}
@@ -100,7 +101,7 @@ def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
             named = [replace(u, gain=gains[u], coefficient=fitted.values[u.name], most=gains[u]) for u in chosen]
             named.sort(key=_promise)
             named[0] = replace(named[0], share=_share(problem, at, named[0]))
-            return Leftover(tuple(named), fitted, at.objective - fitted.objective, cost)
+            return Leftover(tuple(named), fitted, without.objective - fitted.objective, cost)
         weakest = min(chosen, key=lambda u: gains[u])
         chosen = [u for u in chosen if u is not weakest]
     return Leftover((), None, 0.0, cost)
@@ -109,8 +110,7 @@ def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
 def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
     """The fit with some terms free beside what is."""
     free = [*at.free, *(Free(u.name, -math.inf, math.inf, abs(u.coefficient) or 1.0) for u in terms)]
-    start = {**at.values, **{u.name: u.coefficient for u in terms}}
-    return fit(problem, free, start, at.noise, iterations=SCREEN_ITERATIONS)
+    return fit(problem, free, at.values, at.noise, iterations=SCREEN_ITERATIONS)  # from none: it can only come nearer
 
 
 def _alone(fitted: Fit, u: Unnamed) -> float:

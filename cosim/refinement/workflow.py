@@ -22,8 +22,9 @@ from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
+from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import decided
+from cosim.refinement.judgement import BETTER, decided
 from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
 from cosim.refinement.missing import unknown_inputs
 from cosim.refinement.nearest import nearest
@@ -114,8 +115,11 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     model, loaded, search = study.loaded.model, study.loaded, found.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(model, study.logs, True, study.content.noise, loaded.values, study.settings)
-    nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise)
-    left = left_beside(nameless, a.best.fit, search.price)
+    trusted = search.problem.trusted
+    nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise, trusted=trusted)
+    left = left_beside(nameless, a.best.fit, search.price, search.scatter)
+    if trusted and left.fit is not None and predicts(nameless, model.horizon, left.fit, a.best.fit) < BETTER:
+        left = replace(left, terms=(), fit=None, gain=0.0)  # what is left follows no signal from log to log
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, {q.name: q.unit for q in model.states})
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
