@@ -22,7 +22,7 @@ from cosim.estimation.sensor_noise import stamps_err
 from cosim.refinement.evidence import scatter
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search import Found, Parts, Progress, Search, key_of
+from cosim.refinement.search import SCREEN_ITERATIONS, Found, Parts, Progress, Search, key_of
 from plant.model import Model
 
 FITTED = 6  # sets a round
@@ -33,6 +33,7 @@ DONE = 1.0  # of score, below which a round has found nothing better
 ROUNDS = 10
 HOPE = 2.0  # times what a score test promises, that a fit may bring
 SETTLING = 15  # iterations
+MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis that are replaced in turn, and candidates in place of each
 SILENT = 0.1  # of ln of a variance above the least that a sensor's can be
 USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
 FINALISTS = 4  # hypotheses beside the best that are fitted to the end
@@ -195,6 +196,7 @@ class Attributor:
         search.problem = replace(self.fine, sensing=best.fit.noise)
         again, best = (search.fit_again([h])[0] for h in (base, best))
         best = self._scattered(best)
+        best = self._replaced(best)
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
             beside = [h for h in self._beside(best) if not h.ended]
@@ -206,6 +208,30 @@ class Attributor:
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
         return Found(search, best, tuple(hidden), len(effects))
+
+    def _replaced(self, best: Hypothesis) -> Hypothesis:
+        """The best, or one with another candidate in place of one of its parts, asked for where the part is left out.
+
+        From far away a score test misjudges what a simpler candidate would do in place of a richer one.
+        """
+        search, sets = self.search, dict[tuple[str, ...], tuple[Parts, Mapping[str, float] | None]]()
+        for gone in best.candidates if len(best.candidates) <= MOST_REPLACED else ():
+            left = tuple(c for c in best.candidates if c is not gone)
+            without = search.hypothesis(left, best.fit, SCREEN_ITERATIONS, sensing=False)
+            test = ScoreTest(search.problem, without.fit)
+            others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
+            terms = [t for t in in_parallel(test.terms, others) if not t.switched]
+            choice = Choice(test, terms, (), search.problem.values)
+            promises = {t.candidate.name: choice.promise([t.candidate.name]) for t in terms if len(t.rows)}
+            likely = sorted((n for n, p in promises.items() if p.within), key=lambda n: -promises[n].gain)[:REPLACING]
+            for c in (c for c in others if c.name in likely):
+                sets[key_of((*left, c))] = (*left, c), {**without.fit.values, **promises[c.name].values}
+        fitted = search.fit_all(
+            [s for k, s in sets.items() if k not in search.tried], best, "replacing each part", NEAR
+        )
+        if not (nearer := [h for h in fitted if h.score < best.score]):
+            return best
+        return min((best, *search.fit_again([min(nearer, key=lambda h: h.score)])), key=lambda h: h.score)
 
     def _beside(self, best: Hypothesis) -> list[Hypothesis]:
         """What comes near the best and is not more, or less, of the same."""
