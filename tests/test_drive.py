@@ -217,7 +217,6 @@ def test_the_emps_drive_lacks_a_force_offset_and_dry_friction_and_nothing_of_str
     # are of one log, and the offset differs from log to log
     assert parameters(dict(record))["coulomb_friction.level"]["value"] == pytest.approx(20.39, abs=1.6)
     assert parameters(dict(record))["force_offset.value"]["value"] == pytest.approx(3.16, abs=0.4)
-    print(record["error"])
     assert record["error"]["before"]["validation"]["position"] > 0.093  # the best a mass with viscous friction does
     assert record["error"]["after"]["validation"]["position"] <= 0.007
     json.dumps(record)

@@ -215,10 +215,7 @@ def halved(problem: Problem) -> Problem:
     """One log as two; the second starts where the filter is then."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
-    halves = [
-        replace(log, u=log.u[:half], y=log.y[:half]),
-        replace(log, start=log.start + half * log.step, u=log.u[half:], y=log.y[half:]),
-    ]
+    halves = [log.rows(0, half), log.rows(half, len(log.u))]
     reached = problem.run(problem.values, problem.plain, 0, states=True).states[half]
     readings = [readings_of(d.y, unscored(d)) for d in halves]
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached])
@@ -242,11 +239,15 @@ class Scored:
         return sum(self.by_log)
 
     @property
+    def terms(self) -> Array:
+        """½ (ln 2πs + e²/s) of each measurement."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances))
+
+    @property
     def by_log(self) -> tuple[float, ...]:
         """NLL of each log."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            terms = 0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances)
-        sums = [float(part.sum()) for part in np.split(terms, np.cumsum(self.counts)[:-1])]
+        sums = [float(part.sum()) for part in np.split(self.terms, np.cumsum(self.counts)[:-1])]
         return tuple(v if np.isfinite(v) else np.inf for v in sums)
 
 
@@ -295,7 +296,7 @@ class Problem:
         """How large process noise can be."""
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
-        logs = [replace(log, u=log.u[:rows], y=log.y[:rows]) for log in self.logs]
+        logs = [log.rows(0, rows) for log in self.logs]
         measured = [np.isfinite(log.y).any(axis=0) for log in logs]
         # the first log, and those that measure what it does not
         taken = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
@@ -420,14 +421,19 @@ class Problem:
         variances = self.variances(noise, index)
         return self.kernel.run(data, p, self.x0[index], P0, self.densities(noise), variances, states=states)
 
+    def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
+        """Errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""
+        filtered = self.run(values, noise, index)
+        e, s = filtered.errors, filtered.variances
+        for k, late in self.lateness(values, index).items():
+            e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
+        return e, s
+
     def scored(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Filter all logs, or some."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
-            filtered = self.filtered(self.data(values, index), values, noise, index)
-            e, s, valid = filtered.errors, filtered.variances, self.readings[index].scored
-            for k, late in self.lateness(values, index).items():  # back to the rows in which they were logged
-                e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
+            (e, s), valid = self.innovations(values, noise, index), self.readings[index].scored
             errors.append(e[valid])
             variances.append(s[valid])
             rows.append(np.nonzero(valid)[0])

@@ -10,7 +10,6 @@ import numpy as np
 from cosim.arrays import Array, Flags
 
 NEAR = 4  # readings on each side, over which a slope is taken
-EQUAL = 1e-6  # of a resolution, within which values stand on its grid
 ON_GRID = 0.99  # of the steps between readings, from which they are taken to be quantised
 
 
@@ -24,7 +23,6 @@ class Readings:
     spread:     standard deviation of the readings of each output
     """
 
-    y: Array
     scored: Flags
     slopes: Array
     resolution: Array
@@ -47,7 +45,6 @@ def readings_of(y: Array, unscored: int) -> Readings:
     scored[:unscored] = False
     columns = list(y.T)
     return Readings(
-        y,
         scored,
         np.column_stack([_slopes(column) for column in columns]) if columns else np.zeros_like(y),
         np.array([_resolution(column) for column in columns]),

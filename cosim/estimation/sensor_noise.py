@@ -46,10 +46,8 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
     """
     scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
     for index, readings in enumerate(problem.readings):
-        run = problem.run(at.values, at.noise, index)
-        e, s, speed = run.errors, run.variances, readings.slopes / problem.logs[index].step
-        for k, late in problem.lateness(at.values, index).items():
-            e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
+        e, s = problem.innovations(at.values, at.noise, index)
+        speed = readings.slopes / problem.logs[index].step
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored

@@ -5,7 +5,7 @@ A kernel need not have been generated: whoever has a `Layout` and the two calls 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from cosim.arrays import Array
@@ -84,6 +84,12 @@ class Data:
     settle: int = 0
     interpolated: frozenset[str] = frozenset()
     late: Array | None = None
+
+    def rows(self, first: int, end: int) -> Data:
+        """The rows from `first` up to `end`, everything that goes by row with them."""
+        kept = slice(first, end)
+        late = None if self.late is None else self.late[kept]
+        return replace(self, start=self.start + first * self.step, u=self.u[kept], y=self.y[kept], late=late)
 
 
 @dataclass(frozen=True)

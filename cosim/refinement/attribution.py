@@ -22,7 +22,7 @@ from cosim.estimation.sensor_noise import stamps_err
 from cosim.refinement.evidence import scatter
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search import SCREEN_ITERATIONS, Found, Parts, Progress, Search, key_of
+from cosim.refinement.search import SCREEN_ITERATIONS, Found, Progress, Search, Trial, key_of
 from plant.model import Model
 
 FITTED = 6  # sets a round
@@ -104,9 +104,8 @@ class Attributor:
 
     def _heard(self, base: Hypothesis) -> Hypothesis:
         """The base fit; with the stated noise of sensors in which the logs show next to none: it may stand for more."""
-        search, limits = self.search, self.search.problem.limits
-        count, problem = len(base.fit.noise.power), search.problem
-        low = limits.low[count + 1 : count + 1 + len(problem.r)]
+        search, problem = self.search, self.search.problem
+        low = base.fit.noise.like(problem.limits.low).sensors
         silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
         if not silent.any():
             return base
@@ -125,14 +124,12 @@ class Attributor:
             return h
         usual = 2.0 * np.log(USUAL_STAMP * max(d.step for d in problem.logs))
         noise = replace(noise, timing=np.where(late, usual, noise.timing))
-        for which in (self.fine, search.problem):
-            which.sensing = noise
-            which.__dict__.pop("limits", None)
+        self.fine, search.problem = (replace(p, sensing=noise) for p in (self.fine, problem))
         start = replace(h.fit, noise=noise)
         timed = search.hypothesis(h.candidates, start, loosen=False)
         return timed if timed.fit.objective < h.fit.objective else h
 
-    def _proposed(self, best: Hypothesis) -> list[tuple[Parts, Mapping[str, float] | None]]:
+    def _proposed(self, best: Hypothesis) -> list[Trial]:
         """The sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
         search, parts = self.search, {c.name: c for c in self.candidates}
         test = ScoreTest(search.problem, best.fit, best.candidates)
@@ -154,9 +151,7 @@ class Attributor:
                 ranked.append((best.score - promise.gain + dearer, names, promise.values))
         ranked.sort(key=lambda one: one[0])
         chosen = ranked[:FITTED]
-        proposed: list[tuple[Parts, Mapping[str, float] | None]] = [
-            (tuple(parts[n] for n in names), values) for _, names, values in chosen
-        ]
+        proposed: list[Trial] = [(tuple(parts[n] for n in names), values) for _, names, values in chosen]
         switched = [t.candidate for t in terms if t.switched and t.candidate.name not in best.names]
         proposed += [((*best.candidates, c), None) for c in switched]
         return proposed
@@ -179,9 +174,9 @@ class Attributor:
             yield from ((*left, name) for name in others)
             yield from ((*left, *more) for more in combinations(alone[: AMONG // 2], 2))
 
-    def _reduced(self, fitted: Sequence[Hypothesis]) -> list[tuple[Parts, Mapping[str, float] | None]]:
+    def _reduced(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
         """Of each fit, what is left without the parts that gain less than they cost."""
-        sets: dict[tuple[str, ...], tuple[Parts, Mapping[str, float] | None]] = {}
+        sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
             kept = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
@@ -214,7 +209,7 @@ class Attributor:
 
         From far away a score test misjudges what a simpler candidate would do in place of a richer one.
         """
-        search, sets = self.search, dict[tuple[str, ...], tuple[Parts, Mapping[str, float] | None]]()
+        search, sets = self.search, dict[tuple[str, ...], Trial]()
         for gone in best.candidates if len(best.candidates) <= MOST_REPLACED else ():
             left = tuple(c for c in best.candidates if c is not gone)
             without = search.hypothesis(left, best.fit, SCREEN_ITERATIONS, sensing=False)

@@ -19,13 +19,13 @@ from cosim.arrays import Array, Rows
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored, halved, unscored
-from cosim.kernel.interface import Data
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.search import SCREEN_ITERATIONS, Search
 
 BLOCK = 100  # rows at least
 LASTING = 3.0  # times as long as an unknown input lasts
 FEWEST = 12  # blocks, over all logs
+DIVERGED = 1e6  # of NLL, that a measurement counts where a filter has diverged
 BACK = 200  # rows before a replay, for a delay to look into
 PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
 
@@ -50,7 +50,8 @@ def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    gains = np.bincount(block, _nll(scored[1]) - _nll(scored[0])).astype(np.float64)
+    better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
+    gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
     return in_scatter(gains[np.bincount(block) > 0], worse.penalty - better.penalty)
 
 
@@ -58,12 +59,6 @@ def in_scatter(gains: Array, known: float = 0.0) -> float:
     """A sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
     total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
-
-
-def _nll(s: Scored) -> Array:
-    with np.errstate(over="ignore", invalid="ignore"):
-        terms = 0.5 * (np.log(2 * np.pi * s.variances) + s.errors**2 / s.variances)
-    return np.nan_to_num(terms, nan=1e6, posinf=1e6)
 
 
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
@@ -145,18 +140,15 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     for k, row in enumerate(range(first, rows - length, length)):
         if k >= len(missed):
             break
-        part = _part(data, row, length)
-        start = problem.undisturbed(run.states[row])
-        back = row - part[1]
-        predicted = problem.kernel.simulate(part[0], p, start, run.memory[row], first=back).outputs
+        first_row = max(0, row - BACK)
+        part, back, start = (
+            data.rows(first_row, row + length + 1),
+            row - first_row,
+            problem.undisturbed(run.states[row]),
+        )
+        predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
         missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
     return np.where(np.abs(missed) < 1e30, missed, np.nan)
-
-
-def _part(data: Data, row: int, length: int) -> tuple[Data, int]:
-    """The rows of a replay, with enough before them for a delay to look into, and the first of them."""
-    first, end = max(0, row - BACK), row + length + 1
-    return replace(data, start=data.start + first * data.step, u=data.u[first:end], y=data.y[first:end]), first
 
 
 def scatter(problem: Problem, f: Fit) -> float:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.estimation.candidates import Candidate, Free
+from cosim.estimation.candidates import WIDTHS, Candidate, Free
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.evidence import held_out, scattered, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search import Found, Search, key_of
@@ -97,8 +98,13 @@ def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
     held = {f.name: f.prior for f in search.free(()) if f.prior}
     if name not in held:
         return True
-    mean, sigma = held[name]
-    return abs(h.fit.values[name] - mean) - 1.96 * h.fit.sigma(name) > 2.0 * sigma
+    return beyond(h.fit, name, held[name])
+
+
+def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
+    """The 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
+    mean, sigma = prior
+    return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
 
 
 def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:

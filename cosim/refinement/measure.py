@@ -196,7 +196,7 @@ def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows:
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)
-        part = replace(data, u=data.u[: end + 1], y=data.y[: end + 1])
+        part = data.rows(0, end + 1)
         run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
         predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
     return predicted

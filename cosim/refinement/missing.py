@@ -59,8 +59,7 @@ class Steps:
         d = self.data
         back = min(row, self.back)
         first = row - back
-        part = replace(d, start=d.start + first * d.step, u=d.u[first : row + 2], y=d.y[first : row + 2])
-        run = self.kernel.simulate(part, self.p, state, memory, first=back)
+        run = self.kernel.simulate(d.rows(first, row + 2), self.p, state, memory, first=back)
         return run.states[back + 1], run.outputs[back]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.estimation.problem import Problem
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.judgement import BETTER, RIVAL, outside
+from cosim.refinement.judgement import BETTER, RIVAL, beyond, outside
 from cosim.refinement.measure import FLOOR_SEED, noise_floor, predicted_errors
 from cosim.refinement.search import Search
 from cosim.refinement.sentences import cannot_tell, claim, experiment_for, misses, partly, unexplained
@@ -132,11 +132,7 @@ def standing(
     if near:
         sentence = claim(near[0], near[0].candidates, model)
         return replace(verdict, name="parameter_error", claimed=near[0], sentence=sentence, grade="claimed")
-    within = all(
-        abs(a.base.fit.values[f.name] - f.prior[0]) <= 2.0 * f.prior[1] + 1.96 * a.base.fit.sigma(f.name)
-        for f in a.base.fit.free
-        if f.prior
-    )
+    within = all(not beyond(a.base.fit, f.name, f.prior) for f in a.base.fit.free if f.prior)
     if within and not _missed(error["recalibrated"], floor):
         return verdict
     worst = max(missed, key=lambda n: missed[n])

@@ -66,7 +66,7 @@ class CandidateEntry(_Entry):
         description="the same less the penalty of the base parameters' priors, less ½ ln N for each parameter added "
         "(half of BIC)"
     )
-    fitted: bool = Field(description="false: a score test promised too little for a fit; the figures are what it says")
+    fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
     why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
 
@@ -149,7 +149,7 @@ class Record(_Entry):
         description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
     )
-    candidates: list[CandidateEntry] = Field(description="every hypothesis tried, fitted or screened, best first")
+    candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
     measured: list[str] = Field(description="outputs that some estimation log holds")
     sensor_noise: Channels = Field(

@@ -25,6 +25,7 @@ LEADING, DONE = 8, 0.5  # iterations of a fit without one, and what it must gain
 TO_THE_END = 60  # iterations, within which every fit met so far has converged
 
 Parts = tuple[Candidate, ...]
+Trial = tuple[Parts, Mapping[str, float] | None]  # and values from which a fit of them starts
 Progress = Callable[[str, float], None]
 
 
@@ -111,7 +112,7 @@ class Search:
 
     def fit_all(
         self,
-        sets: Sequence[tuple[Parts, Mapping[str, float] | None]],
+        sets: Sequence[Trial],
         start: Hypothesis,
         stage: str,
         margin: float,
@@ -121,7 +122,7 @@ class Search:
         done: list[Hypothesis] = []
         self.progress(stage, 0.0)
 
-        def one(which: tuple[Parts, Mapping[str, float] | None]) -> Hypothesis:
+        def one(which: Trial) -> Hypothesis:
             parts, promised = which
             goal = start.score + margin - self.cost(parts)
             h = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from cosim.estimation.candidates import Candidate, kind_within
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import loss_without
+from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.sentences import (
     DEFAULT_EXPERIMENT,
     cannot_tell,
@@ -122,7 +122,7 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
         for f in c.free:
             if f.neutral is not None:
                 was, now = a.best.fit.values[f.name] - f.neutral, left.fit.values[f.name] - f.neutral
-                if abs(now - was) > MOVED * abs(was) and abs(now - was) > 3.0 * a.best.fit.sigma(f.name):
+                if abs(now - was) > MOVED * abs(was) and abs(now - was) > SIGNIFICANT * a.best.fit.sigma(f.name):
                     return True
     return False
 
