@@ -64,7 +64,7 @@ class CandidateEntry(_Entry):
     )
     score_gain: Likelihood = Field(
         description="the same less the penalty of the base parameters' priors, less ½ ln N for each parameter added "
-        "(half of BIC)"
+        "(half of BIC) and, for each candidate, 3 and the logarithm of how many are on trial"
     )
     fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
