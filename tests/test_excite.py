@@ -21,7 +21,7 @@ from controller.loop import Loop
 from cosim.cli import app
 from cosim.errors import InputError
 from cosim.estimation.candidates import candidates
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.experiment.excite import Excitation, excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.estimation.candidates import candidates
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.evidence import held_out

@@ -15,7 +15,8 @@ import pytest
 from cosim.arrays import Array
 from cosim.errors import InputError
 from cosim.estimation.candidates import neutral_values
-from cosim.estimation.problem import as_data, start_state
+from cosim.estimation.data import as_data
+from cosim.estimation.posing import start_state
 from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.compiled import CompiledKernel

@@ -13,7 +13,8 @@ import pytest
 from cosim.arrays import Array
 from cosim.estimation.candidates import Free
 from cosim.estimation.fit import fit
-from cosim.estimation.problem import Problem, build_problem
+from cosim.estimation.posing import build_problem
+from cosim.estimation.problem import Problem
 from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
 from plant.model import Equations, Model, Number, Values

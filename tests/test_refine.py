@@ -23,7 +23,7 @@ from cosim.checks import check_files
 from cosim.cli import entry
 from cosim.errors import InputError, SimulationError
 from cosim.estimation.candidates import neutral_values
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.kernel.interface import DISTURBANCE, MEMORY
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.estimation.fit import inverse
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.estimation.sensor_noise import noise_warnings, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log

@@ -20,7 +20,7 @@ from cosim.cli import app
 from cosim.estimation.candidates import candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.models.file import BASE, LoadedModel
 from cosim.refinement.attribution import Attributor

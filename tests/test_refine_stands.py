@@ -12,7 +12,7 @@ import pytest
 from cosim.errors import InputError
 from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
-from cosim.estimation.problem import build_problem, coarsened
+from cosim.estimation.posing import build_problem, coarsened
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
 from cosim.models.file import load_model

@@ -10,7 +10,8 @@ import numpy as np
 from cosim.arrays import Array, Flags
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem, own_run
+from cosim.estimation.posing import own_run
+from cosim.estimation.problem import Problem
 from cosim.logs.noise import noise_level, surprise, white_noise
 from cosim.text import plain
 from plant.model import Model

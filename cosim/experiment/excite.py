@@ -15,7 +15,7 @@ import numpy as np
 from cosim import registry
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
-from cosim.estimation.problem import build_problem
+from cosim.estimation.posing import build_problem
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial

@@ -17,9 +17,11 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate, Free, base_parameters
+from cosim.estimation.data import as_data, unscored
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem, as_data, coarsened, start_state, unscored
+from cosim.estimation.posing import coarsened, start_state
+from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
 from plant.model import Model

@@ -16,7 +16,8 @@ import numpy as np
 
 from cosim.estimation.candidates import Candidate
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem, coarsened
+from cosim.estimation.posing import coarsened
+from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import stamps_err
 from cosim.refinement.evidence import scatter

@@ -16,9 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.estimation.data import unscored
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem, Scored, halved, unscored
+from cosim.estimation.posing import halved
+from cosim.estimation.problem import Problem, Scored
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.search import SCREEN_ITERATIONS, Search
 

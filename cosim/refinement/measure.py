@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.estimation.problem import Problem, as_data, start_covariance, start_state, unscored
+from cosim.estimation.data import as_data, unscored
+from cosim.estimation.posing import start_covariance, start_state
+from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.kernel.interface import MEMORY as LASTS
 from cosim.kernel.interface import Data, Filtered

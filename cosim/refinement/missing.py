@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.data import unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem, unscored
+from cosim.estimation.problem import Problem
 
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cosim.estimation.fit import Fit
-from cosim.estimation.problem import halved
+from cosim.estimation.posing import halved
 from cosim.refinement.evidence import learnt_without, open_loop
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search import Search

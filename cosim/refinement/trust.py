@@ -18,7 +18,8 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
-from cosim.estimation.problem import Problem, coarsened
+from cosim.estimation.posing import coarsened
+from cosim.estimation.problem import Problem
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.evidence import open_loop
 from cosim.refinement.hypotheses import NOISE

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from cosim.estimation.candidates import Candidate, candidates
-from cosim.estimation.problem import Problem, build_problem, coarsened, varied_inputs
+from cosim.estimation.posing import build_problem, coarsened, varied_inputs
+from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log

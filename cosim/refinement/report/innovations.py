@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.estimation.data import unscored
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import unscored
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import POINTS, side_by_side

@@ -9,7 +9,8 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate
-from cosim.estimation.problem import Problem, unscored
+from cosim.estimation.data import unscored
+from cosim.estimation.problem import Problem
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
 from cosim.refinement.refinement import Refinement

@@ -1,0 +1,63 @@
+"""A log as the filter takes it: equal steps, what is measured in them, and how late each reading is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.arrays import Array, Rows
+from cosim.kernel.interface import Data, Layout
+from cosim.logs.log import Log, slowness
+from plant.integrate import substeps
+from plant.model import Model
+
+UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
+JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
+
+
+def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()) -> Data:
+    """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured.
+
+    settle: [s] until lags have forgotten an unknown start, see `settling`
+    """
+    measured = layout.outputs
+    grid = log.grid
+    rows = int(grid[-1]) + 1
+    held = np.searchsorted(grid, np.arange(rows), side="right") - 1
+    u = np.column_stack([log.inputs[q.name][held] for q in model.inputs])
+    y = np.full((rows, len(measured)), np.nan)
+    for j, name in enumerate(measured):
+        if name in log.outputs:
+            y[grid, j] = log.outputs[name]
+    away = np.zeros((rows, 1))
+    away[grid, 0] = grid - (log.time - log.time[0]) / log.step  # rows by which a reading is older than its row
+    late = None
+    if np.max(np.abs(away)) > JITTER:
+        late = np.repeat(away, len(measured), axis=1)
+        u = _as_acted(log, u, grid)
+    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), 0, interpolated, late)
+    return replace(data, settle=int(min(settle / log.step, unscored(data))))
+
+
+def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
+    """The mean of each command over each equal step, where it was given at times between: its impulse is exact."""
+    edges = np.arange(len(u) + 1, dtype=np.float64)
+    given = (log.time - log.time[0]) / log.step
+    commands = u[grid]
+    lasting = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(given)[:, None], axis=0)])
+    # the last command goes on, and so does the first before it was given
+    times = np.concatenate([[min(0.0, given[0]) - 1.0], given, [edges[-1] + 1.0]])
+    total = np.vstack(
+        [
+            lasting[0] + commands[0] * (times[0] - given[0]),
+            lasting,
+            lasting[-1] + commands[-1] * (times[-1] - given[-1]),
+        ]
+    )
+    return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
+
+
+def unscored(data: Data) -> int:
+    """Rows at the start of a log that are not scored: the filter settles."""
+    return round(UNSCORED * slowness(data.step) / data.step)

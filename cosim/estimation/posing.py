@@ -1,0 +1,154 @@
+"""From logs to a fitting problem: the kernel for what they hold, where each starts, and how fine the steps must be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.estimation.candidates import neutral_values
+from cosim.estimation.data import as_data, unscored
+from cosim.estimation.problem import Problem, Settings
+from cosim.estimation.readings import readings_of
+from cosim.kernel.backend import kernel
+from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Simulated
+from cosim.kernel.settling import settling
+from cosim.logs.log import Log, slowness
+from plant.model import Model
+from plant.namespaces import SCALAR
+
+SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
+STARTING = 0.2  # [s] within which a measurement still counts as of the start
+USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
+
+
+def build_problem(
+    model: Model,
+    logs: Sequence[Log],
+    unnamed: bool = False,
+    noise: Mapping[str, float] | None = None,
+    sensors: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
+) -> Problem:
+    """Kernel and data; an output that only some logs hold is missing in the others.
+
+    `noise`: standard deviations of outputs as the study states them; `sensors`: errors known already.
+    """
+    settings = settings or Settings()
+    measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
+    compiled = kernel(model, measured, unnamed)
+    layout = compiled.layout
+    settle = settling(model, [layout.states[k] for k in layout.driven])
+    data = [as_data(model, log, layout, settle, settings.interpolated) for log in logs]
+    readings = [readings_of(d.y, unscored(d)) for d in data]
+    stated = {name: sigma * sigma for name, sigma in (noise or {}).items()}
+    variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs} | stated
+    r = np.array([variance[name] for name in measured])
+    x0 = [start_state(model, d, measured, layout.states) for d in data]
+    values = {**dict.fromkeys(layout.parameters, 0.0), **neutral_values(model), **(sensors or {})}
+    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
+    late = {
+        f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
+        for kind in model.sensors
+        if kind.late
+    }
+    known = np.array([name in model.sensor_variance for name in measured])
+    free = np.array([name not in stated for name in measured])
+    problem = Problem(compiled, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free)
+    return replace(problem, P0=start_covariance(model, problem))
+
+
+def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
+    """The model's own start, with what is measured near the start of the log in its place."""
+    own = dict(zip((s.name for s in model.states), model.start(), strict=True))
+    start = own | _first_measured(model, data, measured)
+    return np.array([start.get(name, 0.0) for name in states])
+
+
+def start_covariance(model: Model, problem: Problem) -> Array:
+    """P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
+
+    Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
+    """
+    layout = problem.layout
+    measured = set.intersection(*(set(_first_measured(model, data, layout.outputs)) for data in problem.logs))
+    known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
+    known = {**model.start_variance, **known}
+    names = [name for name in layout.uncertain if not name.startswith(DISTURBANCE)]
+    if not known.keys() >= set(names):
+        ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
+        known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
+    return np.diag([known.get(name, 0.0) for name in layout.uncertain])
+
+
+def _range(problem: Problem) -> Array:
+    """Of each state, the range within which the model's own run moves; 0 at rest.
+
+    0 also where the run is further from what was measured than that itself moves, as the run of an unstable model is.
+    """
+    runs = [own_run(problem, index) for index in range(len(problem.logs))]
+    for log, run in zip(problem.logs, runs, strict=True):
+        there = np.isfinite(log.y)
+        apart = np.abs(np.where(there, run.outputs - np.where(there, log.y, 0.0), 0.0)).max(axis=0)
+        span = np.where(there, log.y, -np.inf).max(axis=0) - np.where(there, log.y, np.inf).min(axis=0)
+        if not np.all((apart <= span) | ~there.any(axis=0)):  # also where it has run to infinity
+            return np.zeros(len(problem.layout.states))
+    low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
+    return np.asarray(high - low)
+
+
+def own_run(problem: Problem, index: int) -> Simulated:
+    """The model on the commands of a log, free of noise; NaN from where it runs away."""
+    p, memory = problem.numbers(problem.values), np.zeros(problem.layout.memory)
+    return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], memory)
+
+
+def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
+    """State → its first measurement, of the states that an output shows and that are measured near the start."""
+    shown, first = _shown(model), {}
+    early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
+    for j, name in enumerate(measured):
+        column = early[:, j][~np.isnan(early[:, j])]
+        if name in shown and len(column):
+            first[name] = float(column[0])
+    return first
+
+
+def _shown(model: Model) -> set[str]:
+    """States that outputs of their name show as they are, not with a factor or turned: tried at one state."""
+    state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
+    values = dict(zip((s.name for s in model.states), state, strict=True))
+    outputs = model.equations(SCALAR).output(0.0, state, model.start_command())
+    return {q.name for q, y in zip(model.outputs, outputs, strict=True) if values.get(q.name) == y}
+
+
+def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:
+    """Inputs that are not constant in some log."""
+    return [q.name for q in model.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
+
+
+def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
+    """The problem with the fewest substeps that give a model's likelihood as the model's own number does.
+
+    values: where that model is not the base model; an effect that is awake may need finer steps
+    """
+    noise, values = problem.plain, {**problem.values, **(values or {})}
+    exact = problem.scored(values, noise).nll
+    most = max(log.substeps for log in problem.logs)
+    for n in (2**k for k in range(10) if 2**k < most):
+        coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
+        if abs(coarse.scored(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
+            return coarse
+    return problem
+
+
+def halved(problem: Problem) -> Problem:
+    """One log as two; the second starts where the filter is then."""
+    (log,), (x0,) = problem.logs, problem.x0
+    half = len(log.u) // 2
+    halves = [log.rows(0, half), log.rows(half, len(log.u))]
+    reached = problem.run(problem.values, problem.plain, 0, states=True).states[half]
+    readings = [readings_of(d.y, unscored(d)) for d in halves]
+    return replace(problem, logs=halves, readings=readings, x0=[x0, reached])
