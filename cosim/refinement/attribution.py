@@ -189,9 +189,10 @@ class Attributor:
         """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
-        search.problem = replace(self.fine, sensing=best.fit.noise)
-        again, best = (search.fit_again([h])[0] for h in (base, best))
-        best = self._scattered(best)
+        search.problem = replace(self._fine_enough(best), sensing=best.fit.noise)
+        (again,) = search.fit_again([base], only=True) if best.candidates else [base]
+        (best,) = search.fit_again([best])
+        again, best = again if best.candidates else best, self._scattered(best)
         best = self._replaced(best)
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
@@ -204,6 +205,13 @@ class Attributor:
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
         return Found(search, best, tuple(hidden), len(effects))
+
+    def _fine_enough(self, best: Hypothesis) -> Problem:
+        """The problem with substeps that are fine enough for the base model and for the best."""
+        enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
+        substeps = [max(base.substeps, other.substeps) for base, other in enough]
+        logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
+        return replace(self.fine, logs=logs)
 
     def _replaced(self, best: Hypothesis) -> Hypothesis:
         """The best, or one with another candidate in place of one of its parts, asked for where the part is left out.

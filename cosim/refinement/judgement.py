@@ -34,13 +34,15 @@ def decided(found: Found) -> Attribution:
     dropped: dict[str, str] = {}
     while best.candidates:
         without = _without_each(search, best)
-        support = {c.name: _support(search, best, without[c.name]) for c in best.candidates}
-        doubts = {c.name: d for c in best.candidates if (d := _doubt(search, best, c, support[c.name]))}
-        if not doubts:
+        support = {}
+        for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # the weakest first
+            support[c.name] = _support(search, best, without[c.name])
+            if doubt := _doubt(search, best, c, support[c.name]):
+                dropped[c.name] = doubt
+                best = without[c.name]
+                break
+        else:
             break
-        weakest = min(doubts, key=lambda name: support[name].gain)
-        dropped[weakest] = doubts[weakest]
-        best = without[weakest]
     base = search.tried[()]
     if best.candidates:
         best = replace(best, fit=scattered(search.problem, best.fit))

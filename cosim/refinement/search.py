@@ -20,7 +20,7 @@ from plant.model import Model
 
 SCREEN_ITERATIONS = 12
 ENTRY = 3.0  # of score, beside what its parameters cost, for a candidate
-NEGLIGIBLE = 1.0  # of ln of an unknown input's power above the least
+NEGLIGIBLE, NEEDED = 1.0, 30.0  # of ln of an unknown input's power above the least; of NLL, that its lack costs
 LEADING, DONE = 8, 0.5  # iterations of a fit without one, and what it must gain
 TO_THE_END = 60  # iterations, within which every fit met so far has converged
 
@@ -134,12 +134,16 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
-    def fit_again(self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END) -> list[Hypothesis]:
-        """Fit hypotheses further, from where they are, noise of the sensors and all."""
+    def fit_again(
+        self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
+    ) -> list[Hypothesis]:
+        """Fit hypotheses further, from where they are, noise of the sensors and all; `only` from there."""
 
         def one(h: Hypothesis) -> Hypothesis:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
-            return fitted if self.problem.trusted else self._without_noise(self._otherwise(fitted))
+            if only or self.problem.trusted or not fitted.ended:
+                return fitted
+            return self._without_noise(self._otherwise(fitted))
 
         fitted = in_parallel(one, hypotheses)
         self.tried |= {h.names: h for h in fitted}
@@ -173,6 +177,8 @@ class Search:
             power = h.fit.noise.power.copy()
             power[k] = least[k]
             start = replace(h.fit, noise=replace(h.fit.noise, power=power))
+            if self.problem.scored(h.fit.values, start.noise).nll > h.fit.nll + NEEDED:
+                continue
             goal = h.fit.objective - DONE
             other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
             if other.fit.objective < goal:
