@@ -178,7 +178,8 @@ class _Scoring:
         noise = self.fixed.copy()
         noise[self.moved] = theta[len(self.free) :]
         of_noise = self.problem.limits.penalty(noise)
-        return of_noise + float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
+        of_values = float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
+        return self.problem.scatter * (of_noise + of_values)
 
     def _objective(self, theta: Array, scored: Scored) -> float:
         return scored.nll + self._penalty(theta)
@@ -202,14 +203,15 @@ class _Scoring:
         e, s = self.scored.errors, self.scored.variances
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T
+        weight = self.problem.scatter
         for i, f in enumerate(self.free):
             if f.prior:
-                gradient[i] += f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
-                information[i, i] += (f.size / f.prior[1]) ** 2
+                gradient[i] += weight * f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
+                information[i, i] += weight * (f.size / f.prior[1]) ** 2
         limits = self.problem.limits
         for i, place in enumerate(self.moved, len(self.free)):
-            gradient[i] += (self.theta[i] - limits.mean[place]) / limits.sigma[place] ** 2
-            information[i, i] += limits.sigma[place] ** -2
+            gradient[i] += weight * (self.theta[i] - limits.mean[place]) / limits.sigma[place] ** 2
+            information[i, i] += weight * limits.sigma[place] ** -2
         return gradient, information
 
     def _move(self, gradient: Array, information: Array) -> float:

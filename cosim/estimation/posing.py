@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -73,7 +74,7 @@ def start_covariance(model: Model, problem: Problem) -> Array:
     Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
     """
     layout = problem.layout
-    measured = set.intersection(*(set(_first_measured(model, data, layout.outputs)) for data in problem.logs))
+    measured = _measured_at_start(model, problem)
     known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     known = {**model.start_variance, **known}
     names = [name for name in layout.uncertain if not name.startswith(DISTURBANCE)]
@@ -81,6 +82,22 @@ def start_covariance(model: Model, problem: Problem) -> Array:
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
     return np.diag([known.get(name, 0.0) for name in layout.uncertain])
+
+
+def with_equations_trusted(model: Model, problem: Problem) -> Problem:
+    """The problem without unknown inputs; one of free runs starts from what was read first, whatever is read later."""
+    P0 = problem.P0.copy()
+    if math.isinf(model.horizon):
+        for k, name in enumerate(problem.layout.uncertain):
+            if name in _measured_at_start(model, problem):
+                P0[k, k] = 0.0
+    return replace(problem, trusted=True, sensing=None, P0=P0)
+
+
+def _measured_at_start(model: Model, problem: Problem) -> set[str]:
+    """States that every log measures at its start."""
+    outputs = problem.layout.outputs
+    return set.intersection(*(set(_first_measured(model, data, outputs)) for data in problem.logs))
 
 
 def _range(problem: Problem) -> Array:

@@ -87,6 +87,7 @@ class Problem:
     adjusted: Flags
     sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
     trusted: bool = False  # equations are: no unknown input is free
+    scatter: float = 1.0  # how many times what is left outweighs what white noise would: priors count so much more
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
         """The problem with a first guess of the noise [standard deviation] of some outputs."""

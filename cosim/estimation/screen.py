@@ -65,10 +65,10 @@ class ScoreTest:
         self.scored = problem.scored(self.values, self.noise)
         priors = [f for f in at.free if f.prior]
         self.held = {f.name: k for k, f in enumerate(priors)}
-        self.sigma = np.array([f.prior[1] for f in priors if f.prior])
+        self.sigma = np.array([f.prior[1] for f in priors if f.prior]) / np.sqrt(problem.scatter)
         e, s = self.scored.errors, self.scored.variances
-        off = [(self.values[f.name] - f.prior[0]) / f.prior[1] for f in priors if f.prior]
-        residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), off])
+        off = np.array([self.values[f.name] - f.prior[0] for f in priors if f.prior])
+        residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), off / self.sigma])
         on_trial = {name for c in parts for name in c.parameters}
         moves: list[tuple[dict[str, float], Noise | None, float]] = [
             ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial

@@ -79,7 +79,7 @@ class Attributor:
                     break
             else:
                 idle = 0
-                best = self._settled(best)
+                best = self._leading(self._settled(best))
         return self._decided(base, best)
 
     def _settled(self, h: Hypothesis) -> Hypothesis:
@@ -97,11 +97,15 @@ class Attributor:
         search = self.search
         if not search.problem.trusted:
             return h
-        search.scatter = scatter(search.problem, h.fit)
+        search.problem = replace(search.problem, scatter=scatter(search.problem, h.fit))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
+
+    def _leading(self, best: Hypothesis) -> Hypothesis:
+        """The best, or what has been tried and leads now that candidates cost otherwise."""
+        return min((best, *self.search.tried.values()), key=lambda h: h.score) if self.search.problem.trusted else best
 
     def _heard(self, base: Hypothesis) -> Hypothesis:
         """The base fit; with the stated noise of sensors in which the logs show next to none: it may stand for more."""
@@ -189,10 +193,12 @@ class Attributor:
         """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
-        search.problem = replace(self._fine_enough(best), sensing=best.fit.noise)
+        search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
         (again,) = search.fit_again([base], only=True) if best.candidates else [base]
         (best,) = search.fit_again([best])
         again, best = again if best.candidates else best, self._scattered(best)
+        if (leading := self._leading(best)) is not best:
+            best = min((best, *search.fit_again([leading])), key=lambda h: h.score)
         best = self._replaced(best)
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own

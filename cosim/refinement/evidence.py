@@ -33,9 +33,10 @@ PREDICTED = 8  # replays of a log at least, where the model is judged by a free 
 
 
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
-    """Number of the block of time in which each scored measurement stands."""
+    """Number of the block of time in which each scored measurement stands: longer than what is left is like itself."""
     data = problem.logs[0]
-    rows = max(BLOCK, round(LASTING * memory / data.step))
+    lasting = correlated(scored) if problem.trusted else memory / data.step
+    rows = max(BLOCK, round(LASTING * lasting))
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
@@ -44,6 +45,20 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
         numbers.append(block)
         first = int(block.max()) + 1 if block.size else first
     return np.concatenate(numbers)
+
+
+def correlated(scored: Scored) -> float:
+    """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
+    parts = np.split(scored.errors / np.sqrt(scored.variances), np.cumsum(scored.counts)[:-1])
+    rows = np.split(scored.rows, np.cumsum(scored.counts)[:-1])
+    longest = 0.0
+    for part, at in zip(parts, rows, strict=True):
+        series = np.bincount(at, np.nan_to_num(part))
+        power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
+        like = np.fft.irfft(power)[: len(series)]
+        none = np.flatnonzero(like <= 0.0)
+        longest = max(longest, float(like[: none[0] if none.size else len(like)].sum() / (like[0] or 1.0)))
+    return longest
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:

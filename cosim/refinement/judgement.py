@@ -128,18 +128,20 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if h.score - best.score < RIVAL:
         return True
+    weight = search.problem.scatter
     if any(
-        _with_tolerance(h, t) + search.cost(h.candidates) < _with_tolerance(best, t) + search.cost(best.candidates)
+        _with_tolerance(h, t, weight) + search.cost(h.candidates)
+        < _with_tolerance(best, t, weight) + search.cost(best.candidates)
         for t in TOLERANCES
     ):
         return True
     return steadiness(search.problem, best.fit, h.fit) < UNSURE
 
 
-def _with_tolerance(h: Hypothesis, times: float) -> float:
+def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
     """The objective where every tolerance is so many times as wide, by the fit's own quadratic.
 
-    With F the information without priors and θ̂ where it alone would lead, the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
+    weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
     """
     f = h.fit
     held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
@@ -148,7 +150,7 @@ def _with_tolerance(h: Hypothesis, times: float) -> float:
     n = len(f.information)
     now, then, off = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     for k, (mean, sigma) in held:
-        now[k, k], then[k, k] = sigma**-2, (times * sigma) ** -2
+        now[k, k], then[k, k] = weight * sigma**-2, weight * (times * sigma) ** -2
         off[k] = f.values[f.free[k].name] - mean
     bare = f.information - now
     pull = now @ off  # gradient of the priors here, which that of the likelihood balances

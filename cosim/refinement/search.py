@@ -50,7 +50,6 @@ class Search:
     price:   score that each parameter of a candidate costs: ½·ln N; entry: what each candidate does beside it
     tried:   names → hypothesis
     reached: objective of the base model, recalibrated; below it, every hypothesis comes when it is fitted
-    scatter: how many times further estimates scatter over time than a white residual lets them, squared
     """
 
     def __init__(self, model: Model, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -60,7 +59,6 @@ class Search:
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # names, log left out → fit of the others
         self.reached = np.inf
-        self.scatter = 1.0
 
     def hypothesis(
         self,
@@ -187,7 +185,7 @@ class Search:
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """What candidates cost a hypothesis."""
-        return self.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
+        return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def _reached(self, parts: Parts) -> float:
         """Objective that some of the parts reach without the others: all together can do no worse when fitted."""

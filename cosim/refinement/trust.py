@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
-from cosim.estimation.posing import coarsened
+from cosim.estimation.posing import coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.evidence import open_loop
@@ -36,7 +35,7 @@ def attributed(model: Model, problem: Problem, candidates: Sequence[Candidate], 
     if not any(gain > NOISE for gain in noise_gain(found.search.problem, found.best.fit)):
         return found
     progress("predicting with the equations trusted", 0.0)
-    trusted = replace(problem, trusted=True, sensing=None)
+    trusted = with_equations_trusted(model, problem)
     free = missed(found.search.problem, model, found.best.fit)
     if math.isfinite(model.horizon):  # a model that is judged by a free run is tried so in any case
         search = Search(model, coarsened(trusted), len(candidates), progress)

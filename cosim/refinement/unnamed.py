@@ -70,13 +70,13 @@ class Leftover:
     cost: float
 
 
-def left_beside(problem: Problem, at: Fit, price: float, scatter: float = 1.0) -> Leftover:
+def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
     """Terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
 
-    price: score that a parameter costs; scatter: how many times more, where what is left is far from white
+    price: score that a parameter costs where what is left is white
     """
     names = [name for name in problem.layout.parameters if name.startswith(f"{PREFIX}.")]
-    cost = scatter * (price + ENTRY + math.log(max(1, len(names))))
+    cost = problem.scatter * (price + ENTRY + math.log(max(1, len(names))))
     test = ScoreTest(problem, at)
     steps = dict(zip(problem.layout.forced, SMALL * np.sqrt(problem.plain.density), strict=True))
 

@@ -118,7 +118,8 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     bare = build_problem(model, study.logs, True, study.content.noise, loaded.values, study.settings)
     trusted = search.problem.trusted
     nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise, trusted=trusted)
-    left = left_beside(nameless, a.best.fit, search.price, search.scatter)
+    nameless = replace(nameless, scatter=search.problem.scatter)
+    left = left_beside(nameless, a.best.fit, search.price)
     if trusted and left.fit is not None and predicts(nameless, model.horizon, left.fit, a.best.fit) < BETTER:
         left = replace(left, terms=(), fit=None, gain=0.0)  # what is left follows no signal from log to log
     problem = search.problem

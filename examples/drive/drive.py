@@ -95,6 +95,7 @@ class Drive(Model):
     outputs = base_states
     catalogue = (ForceOffset, CoulombFriction, StribeckFriction, QuadraticDrag)
     sensor_variance = {"position": 1e-8}  # noqa: RUF012 - a ClassVar of the base; 0.1 mm, see README.md
+    start_variance = {"velocity": 1e-8}  # noqa: RUF012 - logs begin at rest
     forced = ("velocity",)
     calibrated = ("mass", "viscous")
     told_apart_by = TOLD_APART_BY
