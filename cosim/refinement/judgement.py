@@ -12,7 +12,7 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.evidence import held_out, scattered, steadiness
+from cosim.refinement.evidence import as_given, held_out, scattered, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search import Found, Search, key_of
 
@@ -49,7 +49,8 @@ def decided(found: Found) -> Attribution:
     reasons = Reasons(base, best, ranking, rivals, search, dropped).all()
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     noise = noise_gain(search.problem, best.fit)
-    return Attribution(base, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
+    given = as_given(search.problem, base.fit)
+    return Attribution(base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
