@@ -175,10 +175,9 @@ def halved(problem: Problem) -> Problem:
     reached = problem.run(problem.values, problem.plain, 0, states=True).states[half].copy()
     readings = [readings_of(d.y, unscored(d)) for d in halves]
     begins = list(problem.origins) * 2
-    for (
-        origin
-    ) in problem.origins:  # as it would be read: what a sensor makes of that is the parameter's that is per log
+    for origin in problem.origins:
+        # as it is read, or would be: what that says of the state depends on the group's value
         p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
-        read = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0]
-        reached[list(origin.shown)] = read[list(origin.shown.values())]
+        read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+        reached[list(origin.shown)] = np.where(np.isfinite(y), y, read)[list(origin.shown.values())]
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=begins)

@@ -61,7 +61,8 @@ def per_log_faults(
         place, full = ("per_log", k), full_name(model, name)
         if full not in numbers_of(model):
             yield yaml.fault(place, _unknown(model, name))
-        elif full in seen:
+            continue
+        if full in seen:
             yield yaml.fault(place, f"{name} stands there twice; keep one")
         elif apart and full in _not_a_state(model):
             cure = f"put {apart[0]} in a group with a log of estimation"
