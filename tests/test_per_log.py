@@ -34,7 +34,7 @@ PER_LOG = "per_log: [gauge_offset]\ngroups: {day1: [e1.csv, e2.csv, v1.csv]}\n"
 NAME = "gauge_offset.value"
 
 
-def filled(path: Path, seed: int, offset: float, area: float = AREA, seconds: float = 150.0) -> Path:
+def filled(path: Path, seed: int, offset: float, area: float = AREA, seconds: float = 100.0) -> Path:
     """A log of a tank that leaks, filled in steps; its gauge is off."""
     rng = np.random.default_rng(seed)
     time = STEP * np.arange(round(seconds / STEP) + 1)
@@ -106,7 +106,7 @@ def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refine
     offset = OFFSETS["v2"]
     assert abs(entry["expected"] - offset) > 0.1  # so that there is something to learn
     assert abs(entry["expected"] - offset) < 2.0 * entry["spread"]
-    assert entry["value"] == pytest.approx(offset, abs=5e-4)  # 150 s of a gauge of 1 mm
+    assert entry["value"] == pytest.approx(offset, abs=5e-4)  # 100 s of a gauge of 1 mm
     cut = log.rows // 2
     later = log.outputs["level"].copy()
     later[cut:] += 0.3
