@@ -24,7 +24,8 @@ from cosim.refinement.measure import followed, replays
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
-from tests.logs import fly, measured, times, write_log
+from plant.hovercraft import Hovercraft
+from tests.logs import MOVING, fly, log_of, measured, times, write_log
 from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP
 
 # Day 1's gauge is off by 50 mm; every other log was made on a day of its own.
@@ -164,6 +165,18 @@ def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     unknown = {**problem.values, spread("area", "narrow"): 0.2}
     last = problem.run(unknown, noise, 0, states=True).states[-1]
     assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)
+
+
+def test_a_parameter_is_learnt_through_states_that_noise_does_not_reach(tmp_path: Path) -> None:
+    """The lag of the craft's actuators: what it makes uncertain of them is in the covariance, and only then."""
+    model = Hovercraft()
+    truth = model.with_values({"lag": 1.3 * model.lag})
+    log = log_of(tmp_path / "a.csv", measured(fly(times(8.0), truth, MOVING, seed=4), noise=1.0))
+    problem = build_problem(model, [log], settings=Settings(per_log=("lag",), groups={log.path: "day"}))
+    layout, unknown = problem.layout, {**problem.values, spread("lag", "day"): 0.3 * model.lag}
+    assert {"thrust_right", "tilt_left"} <= {layout.states[k] for k in layout.carrying}
+    last = problem.run(unknown, problem.plain, 0, states=True).states[-1]
+    assert last[layout.constants["lag"]] == pytest.approx(1.3 * model.lag, rel=0.03)
 
 
 def test_the_reading_from_which_a_state_starts_is_read_with_the_error_of_its_sensor(folder: Path) -> None:
