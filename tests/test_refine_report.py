@@ -382,7 +382,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     noise = Noise(np.log([4.0, 2.0, 1.0]), math.log(0.15), np.zeros(3), np.full(3, -np.inf))
     fit = Fit({}, noise, (), (0.0,), 0.0, np.zeros((0, 0)), 1, True)
     base = Hypothesis((), fit, 0.0)
-    a = Attribution(base, (), base, (), Support(0.0, 0.0), {}, (1.0, 50.0, 90.0))
+    a = Attribution(base, base.fit, (), base, (), Support(0.0, 0.0), {}, (1.0, 50.0, 90.0))
 
     def judged(**moves: float) -> Verdict:
         forced = ["psi_dot", "vx", "vy"]

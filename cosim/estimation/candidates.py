@@ -77,12 +77,26 @@ def _parameters(model: Model, values: Mapping[str, float], varied: Sequence[str]
 def _base(model: Model, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
     """A base parameter within its bounds; its size is that of its value, of one that is 0 its usual size."""
     p, value = model.declared[name], values[name]
-    scale = abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
-    return Free(name, *p.bounds, 0.05 * scale, None if tolerance is None else (value, tolerance * scale / WIDTHS))
+    prior = None if tolerance is None else (value, spread_of_base(p, value, tolerance))
+    return Free(name, *p.bounds, 0.05 * _scale(p, value), prior)
+
+
+def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
+    """Standard deviation of a base parameter about its value, of its tolerance."""
+    return tolerance * _scale(p, value) / WIDTHS
+
+
+def _scale(p: Parameter, value: float) -> float:
+    return abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
+
+
+def usual_size(p: Parameter) -> float:
+    """By which it is usually off, or met."""
+    return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 
 def _free(p: Parameter, name: str) -> Free:
-    return Free(name, *p.bounds, p.typical or 0.3 * abs(float(p.default)) or 0.1, neutral=p.neutral)
+    return Free(name, *p.bounds, usual_size(p), neutral=p.neutral)
 
 
 def _start(p: Parameter, value: float) -> float:
@@ -101,6 +115,7 @@ class Free:
     """A parameter that a fit may move: limits, the size by which it is measured, and a prior where there is one.
 
     neutral: where its effect does nothing; None of a base parameter
+    parameter, group: what it is the value of, and of which group of logs, where each has its own
     """
 
     name: str
@@ -109,3 +124,5 @@ class Free:
     size: float
     prior: tuple[float, float] | None = None  # mean, standard deviation
     neutral: float | None = None
+    parameter: str = ""
+    group: str = ""

@@ -11,10 +11,11 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data, unscored
+from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of
 from cosim.kernel.backend import kernel
-from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Simulated
+from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.logs.log import Log, slowness
 from plant.model import Model
@@ -39,7 +40,7 @@ def build_problem(
     """
     settings = settings or Settings()
     measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
-    compiled = kernel(model, measured, unnamed)
+    compiled = kernel(model, measured, unnamed, settings.per_log)
     layout = compiled.layout
     settle = settling(model, [layout.states[k] for k in layout.driven])
     data = [as_data(model, log, layout, settle, settings.interpolated) for log in logs]
@@ -57,7 +58,14 @@ def build_problem(
     }
     known = np.array([name in model.sensor_variance for name in measured])
     free = np.array([name not in stated for name in measured])
-    problem = Problem(compiled, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free)
+    begins = origins(model, layout, logs, data, settings)
+    groups = [origin.group for origin in begins]
+    own = tuple(own_parameters(model, settings.per_log, groups, values, settings.tolerance))
+    values |= {f.name: f.prior[0] for f in own if f.prior}
+    problem = Problem(
+        compiled, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free,
+        own=own, origins=begins,
+    )  # fmt: skip
     return replace(problem, P0=start_covariance(model, problem))
 
 
@@ -66,6 +74,20 @@ def start_state(model: Model, data: Data, measured: Sequence[str], states: Seque
     own = dict(zip((s.name for s in model.states), model.start(), strict=True))
     start = own | _first_measured(model, data, measured)
     return np.array([start.get(name, 0.0) for name in states])
+
+
+def origins(
+    model: Model, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
+) -> list[Origin]:
+    """Group and start of each log, where there are parameters per log; else none."""
+    if not settings.per_log:
+        return []
+    states, outputs = layout.states, layout.outputs
+    found = []
+    for log, d in zip(logs, data, strict=True):
+        shown = {states.index(n): outputs.index(n) for n in _first_measured(model, d, outputs) if n in states}
+        found.append(Origin(settings.groups[log.path], shown))
+    return found
 
 
 def start_covariance(model: Model, problem: Problem) -> Array:
@@ -77,11 +99,12 @@ def start_covariance(model: Model, problem: Problem) -> Array:
     measured = _measured_at_start(model, problem)
     known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     known = {**model.start_variance, **known}
-    names = [name for name in layout.uncertain if not name.startswith(DISTURBANCE)]
+    later = {layout.states[k] for k in layout.carrying}  # known as long as the constant is
+    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in later]
     if not known.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
-    return np.diag([known.get(name, 0.0) for name in layout.uncertain])
+    return np.diag([known.get(name, 0.0) if name not in later else 0.0 for name in layout.uncertain])
 
 
 def with_equations_trusted(model: Model, problem: Problem) -> Problem:
@@ -118,8 +141,8 @@ def _range(problem: Problem) -> Array:
 
 def own_run(problem: Problem, index: int) -> Simulated:
     """The model on the commands of a log, free of noise; NaN from where it runs away."""
-    p, memory = problem.numbers(problem.values), np.zeros(problem.layout.memory)
-    return problem.kernel.simulate(problem.logs[index], p, problem.x0[index], memory)
+    p, memory = problem.numbers(problem.of_log(problem.values, index)), np.zeros(problem.layout.memory)
+    return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
 def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
@@ -166,6 +189,12 @@ def halved(problem: Problem) -> Problem:
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
-    reached = problem.run(problem.values, problem.plain, 0, states=True).states[half]
+    reached = problem.run(problem.values, problem.plain, 0, states=True).states[half].copy()
     readings = [readings_of(d.y, unscored(d)) for d in halves]
-    return replace(problem, logs=halves, readings=readings, x0=[x0, reached])
+    begins = list(problem.origins) * 2
+    for origin in problem.origins:
+        # as it is read, or would be: what that says of the state depends on the group's value
+        p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
+        read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+        reached[list(origin.shown)] = np.where(np.isfinite(y), y, read)[list(origin.shown.values())]
+    return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=begins)

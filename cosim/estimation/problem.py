@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from cosim.arrays import Array, Flags, Rows
+from cosim.estimation.candidates import Free
 from cosim.estimation.data import UNSCORED, unscored
 from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
+from cosim.estimation.per_log import Origin, own, spread, started
 from cosim.estimation.readings import Readings, readings_of
 from cosim.kernel.interface import MEMORY, Data, Filtered, Kernel, Layout
 from cosim.logs.log import slowness
@@ -27,10 +30,14 @@ class Settings:
 
     interpolated: inputs that run straight from row to row
     tolerance:    base parameter → how far it may be off, as a share of it: the half-width that holds 95 %
+    per_log:      parameters of which each group of logs has its own value
+    groups:       file of a log → its group
     """
 
     interpolated: frozenset[str] = frozenset()
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    per_log: tuple[str, ...] = ()
+    groups: Mapping[Path, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,7 @@ class Problem:
     r:      stated variance of each output; `stated` those that somebody did state, `adjusted` those that a fit may move
     settle: [s] until the lags of the model that was given have forgotten an unknown start
     late:   parameter that is a latency → places of the outputs that are late by it
+    own:    what is free of each group of logs, where there are parameters per log; origins: of each log, then
     """
 
     kernel: Kernel
@@ -88,6 +96,8 @@ class Problem:
     sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
     trusted: bool = False  # equations are: no unknown input is free
     scatter: float = 1.0  # how many times what is left outweighs what white noise would: priors count so much more
+    own: tuple[Free, ...] = ()
+    origins: Sequence[Origin] = ()
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
         """The problem with a first guess of the noise [standard deviation] of some outputs."""
@@ -118,6 +128,7 @@ class Problem:
             logs=[logs[k] for k in taken],
             readings=[readings_of(logs[k].y, unscored(logs[k])) for k in taken],
             x0=[self.x0[k] for k in taken],
+            origins=[self.origins[k] for k in taken if self.origins],
             sensing=None,  # limits do not move with what was fitted
         )
         return noise_range(lambda power: short.scored(self.values, short.at(power)).variances, len(self.layout.noisy))
@@ -169,8 +180,11 @@ class Problem:
         )
 
     def undisturbed(self, state: Array) -> Array:
-        """A state of the kernel without unknown inputs, of which no prediction is made."""
+        """A state of the kernel without unknown inputs, of which no prediction is made; constants within bounds."""
         plain = state.copy()
+        for f in self.own:
+            place = self.layout.constants[f.parameter]
+            plain[place] = min(max(plain[place], f.low), f.high)
         if self.layout.coloured:
             plain[self.layout.noise_places] = 0.0
         return plain
@@ -178,6 +192,28 @@ class Problem:
     def numbers(self, values: Mapping[str, float]) -> Array:
         """Values of the parameters in the kernel's order."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
+
+    def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
+        """The values that hold for a log: parameters per log as its group has them."""
+        known = {name: value for name, (value, _) in self._own(values, index).items()}
+        return {**values, **known} if known else values
+
+    def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+        """Start state of a log, and L, with which L·L' is its covariance beside P0."""
+        known, x0 = self._own(values, index), self.x0[index]
+        if not known:
+            return x0, np.zeros((len(self.layout.stochastic), 0))
+        p = self.numbers({**values, **{name: value for name, (value, _) in known.items()}})
+        return started(self.kernel, self.logs[index], p, x0, known, self.origins[index].shown)
+
+    def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
+        """Parameter per log → its value for a log and the standard deviation of that; 0 where it is known."""
+        known = {}
+        for name in self.layout.constants:
+            group = self.origins[index].group
+            value = next(v[n] for n in (own(name, group), name) for v in (values, self.values) if n in v)
+            known[name] = value, values.get(spread(name, group), 0.0)
+        return known
 
     def densities(self, noise: Noise) -> Array:
         """q of every stochastic state, its unit squared per second, 0 where no noise enters.
@@ -191,7 +227,7 @@ class Problem:
 
     def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
         """Rows by which readings are late, by the place of their output; nothing where none are."""
-        step = self.logs[index].step
+        step, values = self.logs[index].step, self.of_log(values, index) if self.late else values
         late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
         return late if any(late.values()) else {}
 
@@ -227,12 +263,13 @@ class Problem:
     ) -> Filtered:
         """Filter what might have been measured in place of a log."""
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.coloured else {}
-        p, P0 = self.numbers({**values, **lasting}), self.P0.copy()
+        x0, more = self.start(values, index)
+        p, P0 = self.numbers({**self.of_log(values, index), **lasting}), self.P0 + more @ more.T
         if self.layout.coloured:
             places = list(self.layout.noisy)
             P0[places, places] = np.exp(noise.power)
         variances = self.variances(noise, index)
-        return self.kernel.run(data, p, self.x0[index], P0, self.densities(noise), variances, states=states)
+        return self.kernel.run(data, p, x0, P0, self.densities(noise), variances, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
         """Errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""

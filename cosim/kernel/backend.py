@@ -17,22 +17,22 @@ from plant.symbolic.languages import C, Python
 _made: dict[tuple[Any, ...], ArrayKernel] = {}
 
 
-def kernel(model: Model, measured: Sequence[str], unnamed: bool = False) -> ArrayKernel:
+def kernel(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> ArrayKernel:
     """The kernel of a model and the outputs a log holds, made once: it takes all numbers, flags alone are built in.
 
     Raises InputError where neither C nor numba is to be had.
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
-    key = (type(model), flags, tuple(measured), unnamed)
+    key = (type(model), flags, tuple(measured), unnamed, tuple(constant))
     if key not in _made:
-        _made[key] = _make(model, measured, unnamed)
+        _made[key] = _make(model, measured, unnamed, constant)
     return _made[key]
 
 
-def _make(model: Model, measured: Sequence[str], unnamed: bool) -> ArrayKernel:
+def _make(model: Model, measured: Sequence[str], unnamed: bool, constant: Sequence[str]) -> ArrayKernel:
     if compiler() is not None:
         try:
-            return CompiledKernel(generate(model, measured, C(), unnamed))
+            return CompiledKernel(generate(model, measured, C(), unnamed, constant))
         except (OSError, subprocess.SubprocessError):
             pass  # a compiler that does not work is no compiler
-    return JitKernel(generate(model, measured, Python(), unnamed))
+    return JitKernel(generate(model, measured, Python(), unnamed, constant))

@@ -4,6 +4,8 @@ The model is evaluated with symbols, every effect of the catalogue and every sen
 kernel serves every candidate; an effect is switched off by its neutral value. Each forced equation gets an unknown
 input that wanders about zero and is forgotten within a time T (Gauss and Markov's), for the filter to estimate:
     ẋ = f(x, u) + d      ḋ = −d/T + w
+A parameter that differs from log to log may be a state too, one that never changes: θ̇ = 0. The filter knows it, or
+learns it.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cosim.kernel.interface import DISTURBANCE, MEMORY, Layout
+from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Layout
 from cosim.kernel.nameless import PREFIX, bases
 from plant.model import Model
 from plant.namespaces import SymbolNamespace
@@ -48,11 +50,14 @@ class Reach:
     driven: tuple[str, ...]
 
 
-def generate(model: Model, measured: Sequence[str], language: Language, unnamed: bool = False) -> Generated:
+def generate(
+    model: Model, measured: Sequence[str], language: Language, unnamed: bool = False, constant: Sequence[str] = ()
+) -> Generated:
     """Functions for a model and the outputs a log holds.
 
     With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
     times a basis function of one signal: they say that something is missing where no effect fits.
+    constant: parameters that are states of derivative 0; what shapes commands takes them from `p` all the same
     """
     import sympy
 
@@ -61,8 +66,10 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         _add_nameless(body, reach)
     _add_sensor_errors(body, model)
     body = _disturbed(body, reach)
+    body, carrying = _with_constants(body, reach, measured, constant)
     names, unknown = list(body.derivative), [DISTURBANCE + n for n in reach.forced]
-    stochastic = tuple(names.index(n) for n in (*reach.uncertain, *unknown))
+    random = (*reach.uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
+    stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     functions = {
@@ -78,10 +85,11 @@ def generate(model: Model, measured: Sequence[str], language: Language, unnamed:
         inputs=tuple(q.name for q in model.inputs),
         outputs=tuple(measured),
         stochastic=stochastic,
-        noisy=tuple(range(len(reach.uncertain), len(stochastic))),
+        noisy=tuple(range(len(reach.uncertain), len(reach.uncertain) + len(unknown))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
         driven=tuple(names.index(n) for n in reach.driven),
+        carrying=tuple(names.index(n) for n in carrying),
     )
     return Generated(layout, "\n".join((*printed, body.shaping_function(language, "shape_all"))))
 
@@ -114,6 +122,27 @@ def _disturbed(body: Body, reach: Reach) -> Body:
         body.derivative[name] += d
         body.derivative[DISTURBANCE + name] = -d / memory
     return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *unknown.values())))
+
+
+def _with_constants(
+    body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
+) -> tuple[Body, tuple[str, ...]]:
+    """The body with parameters as constant states, and the states that only these make uncertain, in order."""
+    import sympy
+
+    if not constant:
+        return body, ()
+    states = {body.parameters[n]: sympy.Symbol(f"state:{CONSTANT}{n}", real=True) for n in constant}
+    body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
+    body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
+    places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
+    own = {q.name for q in body.symbols.model.base_states}
+    names, reaching = list(body.derivative), _upstream(body, [body.outputs[n] for n in measured])
+    carrying = [names[k] for k in sorted(_downstream(body, places) & reaching)]
+    # what only an effect couples of the base model's own states is left out, as with noise
+    carrying = [n for n in carrying if n in reach.driven or not (n in own or n.startswith(DISTURBANCE))]
+    body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
+    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), tuple(carrying)
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:

@@ -5,12 +5,17 @@ A kernel need not have been generated: whoever has a `Layout` and the two calls 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 from cosim.arrays import Array
 
 DISTURBANCE = "disturbance."  # before the name of a forced state: the unknown input of its equation, a state of its own
+CONSTANT = (
+    "constant."  # before the name of a parameter that is a state which never changes, to be estimated in the filter
+)
 MEMORY = "disturbance.time"  # the parameter that says how long it lasts [s]
 
 
@@ -28,6 +33,7 @@ class Layout:
     memory:     number of remembered values
     delay:      place of the delay among the parameters, -1 where the model has none
     driven:     places of the states that process noise does not reach and that reach a measured output
+    carrying:   places of the stochastic states that nothing random reaches but a parameter that is a constant state
     """
 
     parameters: tuple[str, ...]
@@ -39,6 +45,7 @@ class Layout:
     memory: int = 0
     delay: int = -1
     driven: tuple[int, ...] = ()
+    carrying: tuple[int, ...] = ()
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -59,6 +66,11 @@ class Layout:
     def forced(self) -> tuple[str, ...]:
         """Names of the states in whose equations something may be missing."""
         return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
+
+    @cached_property
+    def constants(self) -> Mapping[str, int]:
+        """Parameters that are constant states → their places among all states."""
+        return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
     @property
     def coloured(self) -> bool:

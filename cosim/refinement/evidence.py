@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.estimation.data import unscored
+from cosim.estimation.expected import unseen
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import halved
@@ -115,7 +116,9 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
     def one(left_out: int) -> list[Array]:
         others = [k for k in logs if k != left_out]
         learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [open_loop(problem, horizon, f.values, f, left_out) for f in learnt]
+        return [
+            open_loop(problem, horizon, f.values, f, left_out) for f in (unseen(problem, f, left_out) for f in learnt)
+        ]
 
     return in_scatter(_nearer(in_parallel(one, list(logs))))
 
@@ -126,7 +129,8 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
     if key not in search.learnt:
         others = [k for k in range(len(problem.logs)) if k != left_out]
         free = search.free(h.candidates)
-        search.learnt[key] = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+        learnt = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+        search.learnt[key] = unseen(problem, learnt, left_out)
     return search.learnt[key]
 
 
@@ -152,7 +156,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (rows - first) // 2))
     run = problem.run(values, f.noise, index, states=True)
-    p = problem.numbers(values)
+    p = problem.numbers(problem.of_log(values, index))
     missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
     for k, row in enumerate(range(first, rows - length, length)):
         if k >= len(missed):
@@ -166,6 +170,17 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
         missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
     return np.where(np.abs(missed) < 1e30, missed, np.nan)
+
+
+def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
+    """The model as it was given, for a fit of the base; of its parameters per log what all logs say, or all but one."""
+    given = replace(base, values=problem.values)
+    if not problem.own:
+        return given
+    others = [k for k in range(len(problem.logs)) if k != left_out]
+    known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
+    learnt = fit(problem, problem.own, known, base.noise, others, SCREEN_ITERATIONS, sensing=False)
+    return learnt if left_out is None else unseen(problem, learnt, left_out)
 
 
 def scatter(problem: Problem, f: Fit) -> float:

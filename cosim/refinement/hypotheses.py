@@ -51,9 +51,13 @@ class Support:
 
 @dataclass(frozen=True)
 class Attribution:
-    """The outcome: the base fit, every hypothesis tried (best first), the one that stands, and its rivals."""
+    """The outcome: the base fit, every hypothesis tried (best first), the one that stands, and its rivals.
+
+    given: the model as it was given, with the noise of the base fit; of it only parameters per log are fitted
+    """
 
     base: Hypothesis
+    given: Fit
     tried: tuple[Hypothesis, ...]
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]

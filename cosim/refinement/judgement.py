@@ -12,7 +12,7 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.evidence import held_out, scattered, steadiness
+from cosim.refinement.evidence import as_given, held_out, scattered, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search import Found, Search, key_of
 
@@ -51,7 +51,8 @@ def decided(found: Found) -> Attribution:
     reasons = Reasons(base, best, ranking, rivals, search, dropped).all()
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     noise = noise_gain(search.problem, best.fit)
-    return Attribution(base, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
+    given = as_given(search.problem, base.fit)
+    return Attribution(base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
@@ -141,7 +142,8 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
     """The objective where every tolerance is so many times as wide, by the fit's own quadratic.
 
-    weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
+    weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the
+    minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
     """
     f = h.fit
     held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]

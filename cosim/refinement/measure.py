@@ -7,19 +7,20 @@ All horizons are measured through the FMU; the floor, which needs dozens of runs
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Rows
 from cosim.estimation.data import as_data, unscored
-from cosim.estimation.posing import start_covariance, start_state
+from cosim.estimation.per_log import own, spread
+from cosim.estimation.posing import origins, start_covariance, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
+from cosim.kernel.interface import CONSTANT, Data, Filtered
 from cosim.kernel.interface import MEMORY as LASTS
-from cosim.kernel.interface import Data, Filtered
 from cosim.logs.log import Log
 from cosim.refinement.variants import Variant
 from cosim.residuals.drive import Drive, StoppedReplay
@@ -42,7 +43,8 @@ def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
     data = [as_data(model, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
     x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
     readings = [readings_of(d.y, unscored(d)) for d in data]
-    posed = replace(problem, logs=data, readings=readings, x0=x0)
+    begins = origins(model, layout, logs, data, problem.settings)
+    posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
     return replace(posed, P0=start_covariance(model, posed))
 
 
@@ -54,21 +56,22 @@ def replays(
     The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
     """
     problem = filtering(problem, variant.model, logs)
-    own = variant.model.horizon
-    played: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
+    judged = variant.model.horizon
+    played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         filtered = problem.run(variant.values, variant.noise, index, states=True)
-        corrected = without_sensor_errors(log, variant)
-        with Drive(corrected, variant.fmu, interpolated=problem.settings.interpolated) as drive:
+        values = problem.of_log(variant.values, index)
+        with Drive(log, variant.fmu, interpolated=problem.settings.interpolated) as drive:
             for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
                 starts = {k: {**variant.parameters, **start} for k, start in given.items()}
-                memories = {k: _on_its_way(variant, log, problem.logs[index], k) for k in rows}
+                memories = {k: _on_its_way(variant, values, log, problem.logs[index], k) for k in rows}
+                corrected = without_sensor_errors(log, variant, _acting(problem, filtered, log.grid[rows], log.grid))
                 try:
                     evidence.append((corrected, windows(drive, starts, horizon, memories)))
                 except StoppedReplay:
-                    if horizon == own:
+                    if horizon == judged:
                         raise
                     break  # a failed FMU is not called again
     return played
@@ -85,11 +88,18 @@ def rmse(evidence: Evidence) -> dict[str, float]:
 
 
 def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: int) -> dict[str, float]:
-    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart."""
+    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart.
+
+    Parameters per log are among them, as the filter knows them by then; errors of sensors are none of the plant's.
+    """
     layout = problem.layout
     awake = {e.name for e in variant.model.awake}
-    start = {}
+    plant = variant.model.declared
+    here = problem.undisturbed(filtered.states[row])
+    start = {name: float(here[place]) for name, place in layout.constants.items() if name in plant}
     for name, value in zip(layout.states, filtered.states[row], strict=True):
+        if name.startswith(CONSTANT):
+            continue
         if "." not in name or name.split(".")[0] in awake:
             start[f"{name}_start"] = float(value)
     k = 0
@@ -103,32 +113,44 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
     return start
 
 
-def _on_its_way(variant: Variant, log: Log, data: Data, k: int) -> Memory:
+def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
     """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
     shaping = overrides(variant.model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}
     for place, effect in enumerate(shaping):
         if effect.delay:
             row = int(log.grid[k])
-            late = variant.values[f"{effect.name}.{effect.delay}"] / data.step
+            late = values[f"{effect.name}.{effect.delay}"] / data.step
             rows = range(max(0, math.floor(row - late)), row) or [row]
             waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
     return waiting
 
 
-def without_sensor_errors(log: Log, variant: Variant) -> Log:
-    """The log with its readings corrected for what the model knows of its sensors."""
+def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array]) -> Log:
+    """The log with its readings corrected for what the model knows of its sensors, and what is `acting` in each row."""
     outputs = dict(log.outputs)
-    for output, at_zero, gain in _lines(variant):
+    for output, at_zero, gain in _lines(variant, acting):
         if output in outputs:
             outputs[output] = (outputs[output] - at_zero) / gain
     return replace(log, outputs=outputs)
 
 
-def _lines(variant: Variant) -> Iterator[tuple[str, float, float]]:
+def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
+    """Parameter per log → its value in some rows: as the filter knew it where the replay of that row started."""
+    constants = problem.layout.constants
+    if not constants:
+        return {}
+    begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
+    of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
+    known = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
+    return {name: np.array([known[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
+
+
+def _lines(variant: Variant, acting: Mapping[str, Array]) -> Iterator[tuple[str, Any, Any]]:
     """Output, reading at zero and gain of each sensor error, the last to act first; readings are straight lines."""
+    values = {**variant.values, **acting}
     for kind in reversed(variant.model.sensors):
-        sensor = kind(value=variant.values[f"{kind.name}.value"])
+        sensor = kind(value=values[f"{kind.name}.value"])
         yield kind.output, sensor.measure(0.0), sensor.measure(1.0) - sensor.measure(0.0)
 
 
@@ -137,7 +159,7 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
     problem = filtering(problem, variant.model, logs)
     runs = (problem.run(variant.values, variant.noise, index, states=True) for index in range(len(logs)))
     read = (problem.data(variant.values, index) for index in range(len(logs)))
-    missed = [_missed(variant, problem, *each) for each in zip(logs, read, runs, strict=True)]
+    missed = [_missed(variant, problem, *each) for each in zip(logs, range(len(logs)), read, runs, strict=True)]
     return _root_mean_squares(problem, missed)
 
 
@@ -146,12 +168,30 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     problem = filtering(problem, variant.model, logs)
     missed = []
     for index, log in enumerate(logs):
-        first = problem.run(variant.values, variant.noise, index, states=True).states[0]
+        whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
+        first = problem.run(whole, variant.noise, index, states=True).states[0]
         for _ in range(-(-DRAWS // len(logs))):
             drawn = _drawn(problem, index, variant, first, rng)
             filtered = problem.filtered(drawn, variant.values, variant.noise, index, states=True)
-            missed.append(_missed(variant, problem, log, drawn, filtered))
+            missed.append(_missed(variant, problem, log, index, drawn, filtered))
     return _root_mean_squares(problem, missed)
+
+
+def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
+    problem = filtering(problem, variant.model, logs)
+    ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
+    return {name: value for end in ends for name, value in end.items()}
+
+
+def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
+    """Values of parameters per log, known as the filter has them when it has seen the whole log."""
+    if not (constants := problem.layout.constants):
+        return {}
+    last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+    group = problem.origins[index].group
+    values = {own(name, group): float(last[place]) for name, place in constants.items()}
+    return values | {spread(name, group): 0.0 for name in constants}
 
 
 def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
@@ -162,13 +202,13 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
     kicks = np.zeros((rows, len(layout.states)))
     kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(density * data.step)
     lasting = {**variant.values, LASTS: math.exp(variant.noise.memory)}
-    p = problem.numbers(lasting if layout.coloured else variant.values)
+    p = problem.numbers(problem.of_log(lasting if layout.coloured else variant.values, index))
     truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
     sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
     return replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
 
 
-def _missed(variant: Variant, problem: Problem, log: Log, data: Data, filtered: Filtered) -> Array:
+def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data, filtered: Filtered) -> Array:
     """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
 
     Each starts from the state that the filter knew by then.
@@ -176,12 +216,14 @@ def _missed(variant: Variant, problem: Problem, log: Log, data: Data, filtered: 
     horizon = variant.model.horizon
     length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
     rows = log.grid[first_rows(log, horizon)].tolist()
-    gains = dict.fromkeys(problem.layout.outputs, 1.0)
-    for output, _, gain in _lines(variant):
+    gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
+    acting = _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
+    for output, _, gain in _lines(variant, acting):
         if output in gains:
-            gains[output] *= gain
-    readings = data.y - _predicted(problem, data, problem.numbers(variant.values), filtered, rows, length)
-    return np.asarray(readings / np.array(list(gains.values())))
+            gains[output] = gains[output] * gain
+    p = problem.numbers(problem.of_log(variant.values, index))
+    readings = data.y - _predicted(problem, data, p, filtered, rows, length)
+    return np.asarray(readings / np.column_stack(list(gains.values())))
 
 
 def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:

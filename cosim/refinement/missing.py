@@ -51,7 +51,9 @@ class Steps:
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         layout = problem.layout
-        self.p = problem.numbers({**problem.values, **values})  # an unknown input lasts as long as usual
+        self.p = problem.numbers(
+            problem.of_log({**problem.values, **values}, index)
+        )  # an unknown input lasts as long as usual
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
@@ -153,6 +155,7 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
     """Differences of single steps, for the states that noise reaches."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
+    size = np.where(size > 0.0, size, NUDGE)  # a parameter per log may be 0, and known
     n, ny = len(reached), problem.logs[0].y.shape[1]
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
     b, g = np.zeros((rows, n)), np.zeros((rows, ny))

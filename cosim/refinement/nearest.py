@@ -7,11 +7,10 @@ say. Errors are those of replays over the model's own horizon, each from the fil
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import halved
-from cosim.refinement.evidence import learnt_without, open_loop
+from cosim.refinement.evidence import as_given, learnt_without, open_loop
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search import Search
 from cosim.refinement.trust import size
@@ -26,14 +25,13 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     logs = range(len(problem.logs))
-    given = replace(a.base.fit, values=problem.values)
     found: list[tuple[float, Hypothesis | None]] = []
 
     def error(fits: Sequence[Fit]) -> float:
         missed = [open_loop(problem, search.model.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
         return size(missed)
 
-    found.append((error([given] * len(logs)), None))
+    found.append((error([as_given(problem, a.base.fit, k) for k in logs]), None))
     for h in (a.base, *best):
         found.append((error([learnt_without(search, problem, h, k) for k in logs]), h))
     least = min(size for size, _ in found)

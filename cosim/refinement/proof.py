@@ -132,7 +132,7 @@ def standing(
     if near:
         sentence = claim(near[0], near[0].candidates, model)
         return replace(verdict, name="parameter_error", claimed=near[0], sentence=sentence, grade="claimed")
-    within = all(not beyond(a.base.fit, f.name, f.prior) for f in a.base.fit.free if f.prior)
+    within = all(not beyond(a.base.fit, f.name, f.prior) for f in a.base.fit.free if f.prior and not f.group)
     if within and not _missed(error["recalibrated"], floor):
         return verdict
     worst = max(missed, key=lambda n: missed[n])

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
+from cosim.estimation.expected import expected
+from cosim.estimation.fit import Fit
+from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Attribution, Hypothesis
@@ -53,6 +57,26 @@ class EffectEntry(_Entry):
 
     name: str = Field(description="as in the catalogue; a base parameter by its own name")
     parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
+
+
+class Followed(_Entry):
+    """A parameter per log on a sealed log whose group is in no estimation log: the filter learns it, of past data."""
+
+    value: Finite = Field(description="what the filter ended with; in replays, what it knew by then")
+    expected: Finite = Field(description="where it starts: the mean over the groups")
+    spread: Finite = Field(
+        description="standard deviation it starts with: how the groups scatter; where there is one group, by how much "
+        "the parameter is usually off"
+    )
+
+
+class PerLog(_Entry):
+    """A parameter of which each group of logs has its own value, beside the model in `error.after`."""
+
+    unit: str
+    mean: Finite = Field(description="over the groups; what model.yaml has where something is claimed")
+    groups: dict[str, Estimate] = Field(description="group, or file of a log that is in none → estimate")
+    followed: dict[str, Followed] = Field(description="the same of sealed logs of no known group; never fitted to them")
 
 
 class CandidateEntry(_Entry):
@@ -149,6 +173,7 @@ class Record(_Entry):
         description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
     )
+    per_log: dict[str, PerLog] = Field(default={}, description="parameters that the study gives each group of logs")
     candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
     hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
     measured: list[str] = Field(description="outputs that some estimation log holds")
@@ -180,9 +205,10 @@ def record(
     replayed: Replayed,
     floors: Floors,
     seconds: float,
+    ends: Mapping[str, float] = MappingProxyType({}),
 ) -> Record:
-    """What refine.json holds."""
-    own = study.loaded.model.horizon
+    """What refine.json holds; ends: values of parameters per log with which the filter ends sealed logs."""
+    judged = study.loaded.model.horizon
 
     def errors(horizon: float) -> Errors:
         sizes = {
@@ -200,14 +226,15 @@ def record(
         rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
         experiment=verdict.experiment,
         nearest=list(near.names) if near and verdict.grade != "claimed" else [],
+        per_log=per_log(study, verdict.claimed.fit if verdict.claimed else a.given, ends),
         candidates=ranking(a, verdict),
         hidden=list(a.hidden),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         warnings=list(study.warnings),
         residual=residual(verdict),
-        horizon=own if math.isfinite(own) else "free run",
-        error=errors(own),
+        horizon=judged if math.isfinite(judged) else "free run",
+        error=errors(judged),
         horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
         noise_floor=floors["validation" if "validation" in floors else "estimation"],
         noise_floors=floors,
@@ -239,14 +266,33 @@ def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> l
     declared = model.declared | model.sensor_parameters
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
 
-    def estimate(name: str) -> Estimate:
-        value, half = float(claimed.fit.values[name]), float(NORMAL_95 * claimed.fit.sigma(name))
-        return Estimate(value=value, unit=declared[name].unit, ci95=(value - half, value + half))
-
     return [
-        EffectEntry(name=c.name, parameters={n.partition(".")[2] or "value": estimate(n) for n in c.parameters})
+        EffectEntry(
+            name=c.name,
+            parameters={
+                n.partition(".")[2] or "value": _estimate(claimed.fit, n, declared[n].unit) for n in c.parameters
+            },
+        )
         for c in sorted(claimed.candidates, key=lambda c: alone.get((c.name,), math.inf))
     ]
+
+
+def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
+    """Every parameter per log: what the fit has of each group, and what the filter ended with where it has nothing."""
+    model = study.loaded.model
+    declared, found = model.declared | model.sensor_parameters, {}
+    for name in study.settings.per_log:
+        unit, (mean, sd) = declared[name].unit, expected(f, name)
+        groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}
+        sealed = dict.fromkeys(g for g in study.settings.groups.values() if g not in groups)
+        followed = {g: Followed(value=ends[own(name, g)], expected=mean, spread=sd) for g in sealed}
+        found[name] = PerLog(unit=unit, mean=mean, groups=groups, followed=followed)
+    return found
+
+
+def _estimate(f: Fit, name: str, unit: str) -> Estimate:
+    value, half = float(f.values[name]), float(NORMAL_95 * f.sigma(name))
+    return Estimate(value=value, unit=unit, ci95=(value - half, value + half))
 
 
 def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:

@@ -103,8 +103,8 @@ class Search:
 
     def free(self, parts: Parts) -> list[Free]:
         """What a fit of these candidates may move."""
-        own = [f for c in parts for f in c.free]
-        on_trial = {f.name for f in own}
+        own = [*(f for c in parts for f in c.free), *self.problem.own]
+        on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.model, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 

@@ -82,7 +82,7 @@ def misses(channel: str, times: float, base: Fit) -> str:
     moved = ", ".join(
         f"{f.name} {plain(f.prior[0])} → {plain(base.values[f.name])}"
         for f in base.free
-        if f.prior and abs(base.values[f.name] - f.prior[0]) > 2 * f.prior[1]
+        if f.prior and not f.group and abs(base.values[f.name] - f.prior[0]) > 2 * f.prior[1]
     )
     further = f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else ""
     return (

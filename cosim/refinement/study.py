@@ -20,6 +20,7 @@ from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import cleaned
 from cosim.models.file import LoadedModel, load_model
+from cosim.refinement.groups import full_name, group_of, per_log_faults
 from cosim.registry import BASE
 from cosim.residuals.windows import SKIPPED
 from cosim.text import counted, plain
@@ -62,6 +63,8 @@ class StudyFile(BaseModel):
     tolerance: Share | dict[str, Share] = {}
     inputs: Between | dict[str, Between] = "held"
     candidates: list[str] | None = None
+    per_log: list[str] | None = None
+    groups: dict[str, list[FileName]] = {}
 
     def interpolated(self, model: Model) -> frozenset[str]:
         """The inputs that run straight from row to row."""
@@ -72,7 +75,8 @@ class StudyFile(BaseModel):
         """Base parameter → share by which it may be off: a number is of all that are recalibrated."""
         if isinstance(self.tolerance, dict):
             return dict(self.tolerance)
-        return dict.fromkeys(model.calibrated, self.tolerance)
+        base = [p.name for p in model.parameters]
+        return dict.fromkeys((*model.calibrated, *(n for n in self.per_log or () if n in base)), self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,11 @@ class Study:
     def settings(self) -> Settings:
         """What it says of its logs, for the fits."""
         model = self.loaded.model
-        return Settings(self.content.interpolated(model), self.content.tolerance_of(model))
+        content = self.content
+        per_log = tuple(full_name(model, n) for n in content.per_log or ())
+        files = [name for _, name in _entries(content.logs)]
+        groups = group_of(self.path.parent, files, content.groups) if per_log else {}
+        return Settings(content.interpolated(model), content.tolerance_of(model), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
@@ -124,6 +132,8 @@ def read_study(path: Path) -> Study:
         raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
     model, traits = loaded.model, Traits.of(loaded.model)
     faults += _unknown_names(yaml, content, loaded)
+    lists, on_trial = content.logs, content.candidates or ()
+    faults += per_log_faults(yaml, model, content.per_log, content.groups, lists.estimation, lists.validation, on_trial)
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.estimation.candidates import neutral_values
+from cosim.estimation.expected import means, of_every_log
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.models.file import LoadedModel
@@ -30,12 +31,12 @@ class Variant:
 def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:
     """The model with what was claimed put in, base parameters recalibrated with it; unchanged where nothing was.
 
-    Errors of sensors alone leave its parameters as they are, and so its FMU.
+    Errors of sensors alone leave its parameters as they are, and so its FMU. Of a parameter per log it has the mean.
     """
     if claimed is None:
         return loaded
     sensors = loaded.model.sensor_parameters
-    moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free}
+    moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     parameters = dict(loaded.parameters)
     if not claimed.of_sensors:  # of which the plant knows nothing
         parameters |= {n: v for n, v in moved.items() if n not in sensors}
@@ -58,11 +59,14 @@ def variants_of(
     given_fmu, refined_fmu = fmus
     given, base = study.loaded, a.base.fit
     nominal = _values(given)
-    recalibrated = {f.name: float(base.values[f.name]) for f in base.free}
+    recalibrated = {f.name: float(base.values[f.name]) for f in base.free if not f.group}
     changed = given.model.with_values(recalibrated)
-    before = after = Variant(given.model, nominal, base.noise, given_fmu, {})
+    groups = list(study.settings.groups.values())
+    before = after = Variant(given.model, nominal | of_every_log(a.given, groups), base.noise, given_fmu, {})
     if claimed:
-        after = Variant(refined.model, _values(refined), claimed.fit.noise, refined_fmu, {})
+        values = _values(refined) | of_every_log(claimed.fit, groups)
+        after = Variant(refined.model, values, claimed.fit.noise, refined_fmu, {})
+    nominal |= of_every_log(base, groups)
     found = {
         "before": before,
         "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.noise, given_fmu, recalibrated),
@@ -71,9 +75,9 @@ def variants_of(
     return found if near is None else {**found, "nearest": near}
 
 
-def variant_of(loaded: LoadedModel, h: Hypothesis | None, base: Fit, fmu: Path) -> Variant:
-    """A model with a hypothesis in it, or as it was given, whose FMU has all of it."""
-    return Variant(loaded.model, _values(loaded), (h.fit if h else base).noise, fmu, {})
+def variant_of(study: Study, loaded: LoadedModel, f: Fit, fmu: Path) -> Variant:
+    """A model and a fit of it, whose FMU has all of it."""
+    return Variant(loaded.model, _values(loaded) | of_every_log(f, study.settings.groups.values()), f.noise, fmu, {})
 
 
 def _values(loaded: LoadedModel) -> dict[str, float]:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.estimation.candidates import Candidate, candidates
+from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
@@ -26,7 +27,7 @@ from cosim.models.file import LoadedModel, write_model
 from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
-from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
+from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays
 from cosim.refinement.missing import unknown_inputs
 from cosim.refinement.nearest import nearest
 from cosim.refinement.proof import held_against_replays
@@ -82,7 +83,9 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
-        written = record(study, attribution, verdict, near, problem, replayed, floors, time.perf_counter() - began)
+        ends = followed(variants["after"], problem, sets.get("validation", ()))
+        seconds = time.perf_counter() - began
+        written = record(study, attribution, verdict, near, problem, replayed, floors, seconds, ends)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
@@ -108,6 +111,7 @@ def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
     """The candidates that the study names; all of them where it names none."""
     model, named = study.loaded.model, study.content.candidates
     every = candidates(model, problem.values, varied_inputs(model, study.logs))
+    every = list(not_per_log(every, study.settings.per_log))
     return every if named is None else [c for c in every if c.name in named]
 
 
@@ -153,9 +157,10 @@ def _nearest_variant(
     same = {id(verdict.claimed): fmus[1], id(None): fmus[0]}.get(id(near))
     target = scratch / "nearest.fmu"
     if same is None:
-        return variant_of(nearer, near, a.base.fit, build(nearer.recipe(), target))
-    shutil.copyfile(same, target)
-    return variant_of(nearer, near, a.base.fit, same)
+        same = build(nearer.recipe(), target)
+    else:
+        shutil.copyfile(same, target)
+    return variant_of(study, nearer, near.fit if near else a.given, same)
 
 
 def _build_fmus(loaded: LoadedModel, refined: LoadedModel, scratch: Path) -> tuple[Path, Path]:

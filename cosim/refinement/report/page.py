@@ -17,6 +17,7 @@ from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import error_tables, horizon, horizon_table, second_sentence
 from cosim.refinement.report.innovations import innovations, modes
+from cosim.refinement.report.per_log import per_log_rows
 from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs
 from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
 from cosim.refinement.report.terms import Shown, shown
@@ -65,6 +66,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         **_whiteness(r),
         **_ranking(r),
         "parameters": parameter_tables(r),
+        "per_log": per_log_rows(r),
         "noise": noise_rows(r),
         "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
         "use": shlex.join(["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={_fmu(r)}"]),

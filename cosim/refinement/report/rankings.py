@@ -128,7 +128,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
     names: dict[bool, list[ParameterRow]] = {True: [], False: []}
-    for free in hypothesis.fit.free:
+    for free in (f for f in hypothesis.fit.free if not f.group):
         names[free.name in own].append(_parameter_row(r, free, hypothesis.fit.values[free.name], hypothesis.candidates))
     added = ParameterTable(
         "What was added" if r.verdict.name != "parameter_error" else "What was wrong",

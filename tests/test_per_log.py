@@ -1,0 +1,303 @@
+"""Parameters per log: each group of logs has its own value, and a sealed log of no known group learns it as it goes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cosim.errors import InputError
+from cosim.estimation.expected import expected, unseen
+from cosim.estimation.fit import Fit, fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.per_log import own, own_parameters, spread
+from cosim.estimation.posing import build_problem, halved
+from cosim.estimation.problem import Settings
+from cosim.logs.log import read_log
+from cosim.models.file import load_model
+from cosim.refinement.measure import followed, replays
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.study import read_study
+from cosim.refinement.workflow import refine
+from plant.hovercraft import Hovercraft
+from tests.logs import MOVING, fly, log_of, measured, times, write_log
+from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP
+
+# Day 1's gauge is off by 50 mm; every other log was made on a day of its own.
+OFFSETS = {"e1": 0.05, "e2": 0.05, "e3": -0.04, "e4": 0.10, "v1": 0.05, "v2": -0.09}
+LISTED = "model: tank.py:Tank\nlogs:\n  estimation: [e1.csv, e2.csv, e3.csv, e4.csv]\n  validation: [v1.csv, v2.csv]\n"
+PER_LOG = "per_log: [gauge_offset]\ngroups: {day1: [e1.csv, e2.csv, v1.csv]}\n"
+NAME = "gauge_offset.value"
+
+
+def filled(path: Path, seed: int, offset: float, area: float = AREA, seconds: float = 100.0) -> Path:
+    """A log of a tank that leaks, filled in steps; its gauge is off."""
+    rng = np.random.default_rng(seed)
+    time = STEP * np.arange(round(seconds / STEP) + 1)
+    inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // 20 + 1), 20)[: time.size]
+    level = [1.0]
+    for q in inflow[:-1]:
+
+        def rate(_: float, h: np.ndarray, q: float = q) -> list[float]:
+            return [(q - OUTLET * math.sqrt(max(h[0], 1e-6)) - LEAK * h[0]) / area]
+
+        level.append(float(solve_ivp(rate, (0.0, STEP), [level[-1]], rtol=1e-9, atol=1e-12).y[0, -1]))
+    read = np.array(level) + offset + NOISE * rng.standard_normal(time.size)
+    return write_log(path, {"time": time, "inflow": inflow, "level": read})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("days")
+    (found / "tank.py").write_text(MODEL, encoding="utf-8")
+    for seed, (name, offset) in enumerate(OFFSETS.items()):
+        filled(found / f"{name}.csv", seed, offset)
+    (found / "study.yaml").write_text(LISTED + PER_LOG, encoding="utf-8")
+    return found
+
+
+@pytest.fixture(scope="module")
+def days(folder: Path) -> Refinement:
+    return refine(folder / "study.yaml", folder / "out", report=True)
+
+
+def test_each_group_gets_its_own_value_and_the_effect_is_named_beside(days: Refinement) -> None:
+    found = days.record["per_log"][NAME]
+    assert days.verdict.name == "effect_found"
+    assert [e["name"] for e in days.record["effects"]] == ["leak"]
+    assert found["groups"].keys() == {"day1", "e3.csv", "e4.csv"}
+    for group, truth in {"day1": 0.05, "e3.csv": -0.04, "e4.csv": 0.10}.items():
+        estimate = found["groups"][group]
+        half = estimate["ci95"][1] - estimate["value"]
+        assert abs(estimate["value"] - truth) < 1.5 * half  # 1.5: 3 σ, for three at once
+        assert half < 2e-3
+        assert estimate["unit"] == "m"
+
+
+def test_without_it_the_same_logs_are_explained_worse(days: Refinement, folder: Path) -> None:
+    (folder / "plain.yaml").write_text(LISTED, encoding="utf-8")
+    plain = refine(folder / "plain.yaml", folder / "plain")
+    assert plain.record["per_log"] == {}
+    worse, better = (r.record["error"]["after"]["validation"]["level"] for r in (plain, days))
+    assert worse > 5.0 * better
+    (leak,) = (e for e in days.record["effects"] if e["name"] == "leak")
+    interval = leak["parameters"]["rate"]["ci95"]
+    assert interval[0] < LEAK < interval[1]
+    assert interval[1] - interval[0] < 1e-4
+
+
+def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement) -> None:
+    after, problem = days.variants["after"], days.problem
+    (log,) = (log for log in days.study.unseal() if log.path.name == "v1.csv")
+    (read, _) = replays(after, problem, [log])[days.study.loaded.model.horizon][0]
+    day1 = days.record["per_log"][NAME]["groups"]["day1"]["value"]
+    assert log.outputs["level"] - read.outputs["level"] == pytest.approx(day1)  # in every row, from the first
+    assert days.record["per_log"][NAME]["followed"].keys() == {"v2.csv"}
+
+
+def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refinement) -> None:
+    after, problem = days.variants["after"], days.problem
+    (log,) = (log for log in days.study.unseal() if log.path.name == "v2.csv")
+    entry = days.record["per_log"][NAME]["followed"]["v2.csv"]
+    offset = OFFSETS["v2"]
+    assert abs(entry["expected"] - offset) > 0.1  # so that there is something to learn
+    assert abs(entry["expected"] - offset) < 2.0 * entry["spread"]
+    assert entry["value"] == pytest.approx(offset, abs=5e-4)  # 100 s of a gauge of 1 mm
+    cut = log.rows // 2
+    later = log.outputs["level"].copy()
+    later[cut:] += 0.3
+    other = replace(log, outputs={"level": later})
+    horizon = days.study.loaded.model.horizon
+    (_, as_it_was), (_, changed) = (replays(after, problem, [each])[horizon][0] for each in (log, other))
+    before = [k for k in as_it_was.starts if k < cut]
+    assert len(before) >= 2
+    assert [as_it_was.starts[k] for k in before] == [changed.starts[k] for k in before]
+    assert as_it_was.outputs["level"][1:cut] == pytest.approx(changed.outputs["level"][1:cut], nan_ok=True)
+    assert followed(after, problem, [other])[own(NAME, "v2.csv")] != pytest.approx(offset, abs=5e-4)
+
+
+def test_nothing_is_fitted_to_a_sealed_log(days: Refinement, folder: Path) -> None:
+    for seed, name in enumerate(("v1", "v2"), 99):
+        filled(folder / f"other_{name}.csv", seed, 0.3)
+    listed = (LISTED + PER_LOG).replace("v1.csv", "other_v1.csv").replace("v2.csv", "other_v2.csv")
+    (folder / "other.yaml").write_text(listed, encoding="utf-8")
+    other = refine(folder / "other.yaml", folder / "other")
+    assert other.record["per_log"][NAME]["groups"] == days.record["per_log"][NAME]["groups"]
+    assert (folder / "other" / "model.yaml").read_text() == (folder / "out" / "model.yaml").read_text()
+    assert other.record["per_log"][NAME]["followed"]["other_v2.csv"]["value"] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_every_model_is_judged_with_the_value_that_suits_it(days: Refinement) -> None:
+    """Before as after: what the data sheet says of a gauge is of no day."""
+    truth = {own(NAME, "day1"): 0.05, own(NAME, "e3.csv"): -0.04, own(NAME, "e4.csv"): 0.10}
+    for name in ("recalibrated", "after"):
+        values = days.variants[name].values
+        assert set(truth) <= values.keys()
+    before = days.variants["before"].values
+    assert all(before[name] != 0.0 for name in truth)
+    assert before["area"] == days.study.loaded.model.area  # type: ignore[attr-defined]
+
+
+def test_the_report_shows_each_group_and_what_was_learnt(days: Refinement) -> None:
+    page = (days.folder / "report.html").read_text(encoding="utf-8")
+    table = page[page.index("Parameters per log") :]
+    assert "day1" in table
+    assert "by the filter at the end of the log" in table
+
+
+def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
+    """A base parameter of the equations: known, it is the number it was; unknown, the filter finds it."""
+    model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
+    path = filled(folder / "narrow.csv", 5, 0.0, area=0.4)
+    log = read_log(path, model.inputs, model.outputs)
+    plain = build_problem(model, [log])
+    settings = Settings(per_log=("area",), groups={path: "narrow"})
+    problem = build_problem(model, [log], settings=settings)
+    noise = plain.plain
+    as_number = plain.scored({**plain.values, "area": 0.43}, noise).nll
+    known = {**problem.values, own("area", "narrow"): 0.43}
+    assert problem.scored(known, noise).nll == pytest.approx(as_number, rel=1e-9)
+    unknown = {**problem.values, spread("area", "narrow"): 0.2}
+    last = problem.run(unknown, noise, 0, states=True).states[-1]
+    assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)
+
+
+def test_a_parameter_is_learnt_through_states_that_noise_does_not_reach(tmp_path: Path) -> None:
+    """The lag of the craft's actuators: what it makes uncertain of them is in the covariance, and only then."""
+    model = Hovercraft()
+    truth = model.with_values({"lag": 1.3 * model.lag})
+    log = log_of(tmp_path / "a.csv", measured(fly(times(8.0), truth, MOVING, seed=4), noise=1.0))
+    problem = build_problem(model, [log], settings=Settings(per_log=("lag",), groups={log.path: "day"}))
+    layout, unknown = problem.layout, {**problem.values, spread("lag", "day"): 0.3 * model.lag}
+    assert {"thrust_right", "tilt_left"} <= {layout.states[k] for k in layout.carrying}
+    last = problem.run(unknown, problem.plain, 0, states=True).states[-1]
+    assert last[layout.constants["lag"]] == pytest.approx(1.3 * model.lag, rel=0.03)
+
+
+def test_the_reading_from_which_a_state_starts_is_read_with_the_error_of_its_sensor(folder: Path) -> None:
+    """A gauge that may be off by much says little of the level at first, but their sum is known at once."""
+    model = load_model("tank.py:Tank", folder).model
+    path = folder / "e4.csv"
+    log = read_log(path, model.inputs, model.outputs)
+    problem = build_problem(model, [log], settings=Settings(per_log=(NAME,), groups={path: "day"}))
+    x0, root = problem.start({**problem.values, own(NAME, "day"): 0.07, spread(NAME, "day"): 0.3}, 0)
+    layout = problem.layout
+    level, offset = layout.states.index("level"), layout.constants[NAME]
+    assert x0[level] + x0[offset] == pytest.approx(log.outputs["level"][0])
+    covariance = dict(zip(layout.stochastic, root[:, 0], strict=True))
+    assert covariance[offset] == pytest.approx(0.3)
+    assert covariance[level] == pytest.approx(-0.3)
+
+
+def test_what_is_expected_of_a_further_group_is_wider_the_fewer_are_known(folder: Path) -> None:
+    model = load_model("tank.py:Tank", folder).model
+
+    def spreads(values: Mapping[str, float]) -> tuple[float, float]:
+        free = tuple(own_parameters(model, [NAME], list(values), {NAME: 0.0}, {}))
+        noise = Noise(np.zeros(0), 0.0, np.zeros(0), np.zeros(0))
+        found = {own(NAME, group): v for group, v in values.items()}
+        return expected(Fit(found, noise, free, (0.0,), 0.0, 1e8 * np.eye(len(free)), 1, True), NAME)
+
+    assert spreads({"a": 0.05}) == (0.05, 0.02)  # of one, the usual size
+    mean, two = spreads({"a": 0.04, "b": 0.06})
+    assert mean == pytest.approx(0.05)
+    assert two > 0.05
+    assert 0.01 < spreads({name: 0.04 + 0.02 * (k % 2) for k, name in enumerate("abcdefgh")})[1] < 0.015
+    assert spreads({"a": 0.05, "b": 0.05})[1] >= 1e-4  # no surer than the estimates are
+
+
+def test_a_log_left_out_has_no_say_in_its_own_value(folder: Path) -> None:
+    """Unless another log is of its group, as its other half is."""
+    model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
+    logs = [read_log(folder / f"{n}.csv", model.inputs, model.outputs) for n in ("e1", "e2", "e3", "e4")]
+    groups = dict(zip((log.path for log in logs), ("day1", "day1", "day2", "day3"), strict=True))
+    problem = build_problem(model, logs, settings=Settings(per_log=(NAME,), groups=groups))
+    learnt = fit(problem, problem.own, problem.values, problem.plain, [0, 1, 2], sensing=False)
+    kept = unseen(problem, learnt, 3)
+    mean = 0.5 * (learnt.values[own(NAME, "day1")] + learnt.values[own(NAME, "day2")])
+    assert kept.values[own(NAME, "day3")] == pytest.approx(mean)
+    assert kept.values[spread(NAME, "day3")] > 0.09 / math.sqrt(2.0)  # as day 1 and day 2 scatter, at least
+    assert unseen(problem, learnt, 1) is learnt
+    alone = build_problem(model, logs[3:], settings=Settings(per_log=(NAME,), groups=groups))
+    halves = halved(alone)
+    learnt = fit(halves, halves.own, halves.values, halves.plain, [0], sensing=False)
+    assert unseen(halves, learnt, 1) is learnt
+    assert learnt.values[own(NAME, "day3")] == pytest.approx(OFFSETS["e4"], abs=1e-3)
+    states = halves.run(learnt.values, learnt.noise, 1, states=True).states
+    errors = halves.run(learnt.values, learnt.noise, 1).errors[:10]
+    assert np.abs(errors).max() < 6.0 * NOISE  # the second half starts where the gauge's error leaves the level
+    assert states[0, 0] == pytest.approx(logs[3].outputs["level"][len(halves.logs[0].u)] - 0.1, abs=6.0 * NOISE)
+
+
+FAULTY = """model: tank.py:Tank
+logs:
+  estimation: [e1.csv, e2.csv]
+  validation: [v1.csv]
+per_log: [gauge_ofset, leak.rate, gauge_offset, gauge_offset.value, area]
+candidates: [gauge_offset, area, leak]
+groups:
+  day1: [e1.csv, e7.csv]
+  day2: [e1.csv]
+  day3: []
+  v1.csv: [v1.csv]
+"""
+
+
+def test_every_fault_of_groups_and_names_is_told_at_once_with_its_cure(folder: Path) -> None:
+    study = folder / "faulty.yaml"
+    study.write_text(FAULTY, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_study(study)
+    told = {(fault.line, fault.column): fault.message for fault in caught.value.faults}
+    lines = sorted(line for line, _ in told)
+    assert lines == [5, 5, 5, 6, 6, 8, 9, 10, 11]
+    text = "\n".join(told.values())
+    for part in (
+        'no parameter "gauge_ofset" of the model or of its sensors; did you mean "gauge_offset"?',
+        "leak.rate acts nowhere in the model; an effect that the model lacks is a candidate, so leave leak out",
+        "gauge_offset.value stands there twice; keep one",
+        "gauge_offset is per log too; one per log is free in every hypothesis; name it in one place",
+        "area is per log too",
+        "e7.csv is not listed under logs; did you mean",
+        "e1.csv stands in day1 too; a log has one group, keep one",
+        "day3 holds no log; name some, or leave it out",
+        'a group with the name of the log "v1.csv"; call it otherwise',
+    ):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("groups: {day1: [e1.csv]}\n", "groups, but no parameter per log"),
+        ("per_log: []\n", "names none; name some, or leave the key out"),
+        ("per_log: gauge_offset\n", "per_log"),
+    ],
+)
+def test_groups_go_with_parameters(folder: Path, more: str, told: str) -> None:
+    study = folder / "odd.yaml"
+    study.write_text(LISTED + more, encoding="utf-8")
+    with pytest.raises(InputError, match=told) as caught:
+        read_study(study)
+    assert caught.value.faults[0].line == 5
+
+
+def test_what_no_filter_learns_wants_a_group(tmp_path: Path) -> None:
+    """The delay of a command is no number of the equations: a sealed log of no group would say nothing of it."""
+    for seed, name in enumerate(("e1.csv", "v1.csv"), 1):
+        write_log(tmp_path / name, measured(fly(times(8.0), seed=seed), noise=1.0))
+    (tmp_path / "model.yaml").write_text(
+        "model: hovercraft\nparameters:\n  actuator_delay.time: 0.05\n", encoding="utf-8"
+    )
+    listed = "model: model.yaml\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\nper_log: [actuator_delay.time]\n"
+    study = tmp_path / "study.yaml"
+    study.write_text(listed, encoding="utf-8")
+    with pytest.raises(InputError, match="put v1\\.csv in a group with a log of estimation"):
+        read_study(study)
+    study.write_text(listed + "groups: {rig: [e1.csv, v1.csv]}\n", encoding="utf-8")
+    assert read_study(study).settings.per_log == ("actuator_delay.time",)
