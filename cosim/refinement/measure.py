@@ -24,7 +24,7 @@ from cosim.logs.log import Log
 from cosim.refinement.variants import Variant
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN, pooled
-from cosim.residuals.windows import Replay, window_rows, windows
+from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
 from fmus.state import MEMORY, Memory
 from plant.model import Effect, Model, overrides
 
@@ -57,9 +57,12 @@ def replays(
     own = variant.model.horizon
     played: dict[float, Evidence] = {own: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
-        filtered = problem.run(variant.values, variant.noise, index, states=True)
         corrected = without_sensor_errors(log, variant)
         with Drive(corrected, variant.fmu, interpolated=problem.settings.interpolated) as drive:
+            if log.table:
+                played[own].append((corrected, row_by_row(drive, variant.parameters)))
+                continue
+            filtered = problem.run(variant.values, variant.noise, index, states=True)
             for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
@@ -173,13 +176,15 @@ def _missed(variant: Variant, problem: Problem, log: Log, data: Data, filtered: 
 
     Each starts from the state that the filter knew by then.
     """
-    horizon = variant.model.horizon
-    length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-    rows = log.grid[first_rows(log, horizon)].tolist()
     gains = dict.fromkeys(problem.layout.outputs, 1.0)
     for output, _, gain in _lines(variant):
         if output in gains:
             gains[output] *= gain
+    if data.table:
+        return np.asarray(filtered.errors / np.array(list(gains.values())))
+    horizon = variant.model.horizon
+    length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+    rows = log.grid[first_rows(log, horizon)].tolist()
     readings = data.y - _predicted(problem, data, problem.numbers(variant.values), filtered, rows, length)
     return np.asarray(readings / np.array(list(gains.values())))
 

@@ -115,6 +115,18 @@ class Residual(_Entry):
     )
 
 
+class LeftOut(_Entry):
+    """Root mean square of measured − model on the rows of tables, each predicted by a fit of the others.
+
+    Rows are left out one by one, of many rows in parts that are spread evenly.
+    """
+
+    before: Channels = Field(description="the model named in the study: nothing is fitted")
+    recalibrated: Channels = Field(description="its base parameters fitted to the other rows")
+    after: Channels = Field(description="what is claimed, fitted to the other rows")
+    nearest: Channels | None = Field(default=None, description="what nearest.yaml has, likewise, where there is one")
+
+
 class Errors(_Entry):
     """Root mean square of measured − model over replays through the FMU, pooled over the logs of each set.
 
@@ -126,6 +138,7 @@ class Errors(_Entry):
     recalibrated: Parts = Field(description="that model with its base parameters adjusted")
     after: Parts = Field(description="model.yaml")
     nearest: Parts | None = Field(default=None, description="nearest.yaml, where there is one")
+    left_out: LeftOut | None = Field(default=None, description="of a model without states, on rows left out")
 
 
 class Record(_Entry):
@@ -157,9 +170,13 @@ class Record(_Entry):
     )
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
-    horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")
+    horizon: Finite | Literal["free run", "row"] = Field(
+        description="how long a replay in `error` is [s]: the model's own; `row` of a model without states"
+    )
     error: Errors
-    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(description="as `error`, over other horizons")
+    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(
+        description="as `error`, over other horizons; empty of a model without states"
+    )
     noise_floor: Channels = Field(
         description="as `error.after`, of the refined model against itself, simulated with the estimated process and "
         "sensor noise; on the validation logs where there are any"
@@ -179,10 +196,12 @@ def record(
     problem: Problem,
     replayed: Replayed,
     floors: Floors,
+    left_out: Mapping[str, dict[str, float]] | None,
     seconds: float,
 ) -> Record:
-    """What refine.json holds."""
-    own = study.loaded.model.horizon
+    """What refine.json holds; left_out: errors on rows of a table left out, where there is one."""
+    own, static = study.loaded.model.horizon, study.loaded.model.static
+    rows = LeftOut.model_validate(left_out) if left_out else None
 
     def errors(horizon: float) -> Errors:
         sizes = {
@@ -206,9 +225,9 @@ def record(
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         warnings=list(study.warnings),
         residual=residual(verdict),
-        horizon=own if math.isfinite(own) else "free run",
-        error=errors(own),
-        horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
+        horizon="row" if static else own if math.isfinite(own) else "free run",
+        error=errors(own).model_copy(update={"left_out": rows}),
+        horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
         noise_floor=floors["validation" if "validation" in floors else "estimation"],
         noise_floors=floors,
         held_out_gain=a.total.held_out,

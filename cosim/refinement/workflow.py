@@ -34,6 +34,7 @@ from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, know
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search import Found
 from cosim.refinement.study import Study, read_study
+from cosim.refinement.tables import errors_left_out
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
@@ -64,6 +65,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
     study = replace(study, warnings=(*study.warnings, *noted))
     near = _nearest(found, attribution, verdict)
+    left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
@@ -82,7 +84,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
-        written = record(study, attribution, verdict, near, problem, replayed, floors, time.perf_counter() - began)
+        took = time.perf_counter() - began
+        written = record(study, attribution, verdict, near, problem, replayed, floors, left_out, took)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
@@ -171,7 +174,7 @@ def _unsealed(study: Study) -> LogSets:
 
 def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) -> Replayed:
     """Replays of every variant on every set of logs; a variant that stands for two is replayed once."""
-    horizons = list(OTHER_HORIZONS.values())
+    horizons = [] if problem.table else list(OTHER_HORIZONS.values())
     done: dict[int, dict[Part, dict[float, Evidence]]] = {}
     for variant in variants.values():
         if id(variant) not in done:

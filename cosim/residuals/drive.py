@@ -168,6 +168,23 @@ class Drive:
             self.progress(self._driven[0])
         return self._at_rows(table, reached, first, last)
 
+    def rows(self, start: Mapping[str, Any]) -> Array:
+        """Outputs at the inputs of each row of a table, shape (rows, outputs), of an FMU without states."""
+        log, table = self.log, np.zeros((self.log.rows, len(self.outputs)))
+        done = 0
+        try:
+            self._begin(start, 0, float(log.time[-1]) + log.step)
+            self.block.start()
+            for done, t in enumerate(log.time.tolist()):
+                self._row[: len(self.inputs)] = self._commands[done]
+                self.block.put()
+                self.block.advance(t, log.step)
+                self.block.get()
+                table[done] = self._row[len(self.block.inputs) :]
+        except SimulationError as error:
+            raise StoppedReplay(error, table[:done]) from None
+        return table
+
     # -- within -------------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
