@@ -6,19 +6,25 @@ over an input are no more alike than others; else something goes with that input
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from cosim.arrays import Array
 from cosim.estimation.problem import Problem
 from cosim.refinement.evidence import learnt_without, open_loop
 from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.proof import PART
 from cosim.refinement.search import Search
+from cosim.refinement.sentences import follows, partly, unexplained
 from cosim.refinement.verdict import Verdict
-from cosim.text import amount
+from cosim.text import size
 from plant.model import Model
 
+FEWEST = 8  # rows, below which neighbours tell nothing
+PLAIN = 3.0  # standard deviations of their correlation, from which they are alike
 Channels = dict[str, float]
 
 
@@ -40,3 +46,65 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
     left = np.vstack(rows)
     sizes = np.sqrt(np.nanmean(left**2, axis=0)).tolist()
     return dict(zip(problem.layout.outputs, sizes, strict=True))
+
+
+def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Model) -> Verdict:
+    """The verdict, and what of an output goes with an input beside the best hypothesis, where something does."""
+    left = _leftover(problem, a.best, model)
+    if left is None:
+        return verdict
+    output, signal = left
+    verdict = replace(verdict, residual={**verdict.residual, "equation": output, "signals": [signal]})
+    if verdict.name == "no_effect":
+        return replace(verdict, name="unexplained", sentence=unexplained(verdict.residual, ()))
+    if verdict.claimed is None:
+        return verdict
+    column = problem.layout.outputs.index(output)
+    kept = _sizes(problem, verdict.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
+    if verdict.name != "ambiguous" and kept > PART:
+        return replace(verdict, grade="part", sentence=partly(verdict.sentence, verdict.residual, output, kept))
+    return replace(verdict, sentence=f"{verdict.sentence} Something is left of {output} that {follows(signal)}.")
+
+
+def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] | None:
+    """Output and input over which what is left goes most, where neighbours are plainly alike.
+
+    By z = Σ e_k·e_k+1 / √Σ (e_k·e_k+1)² in the order of the input, 0 ± 1 of noise, be it larger here than there.
+    """
+    u, left = np.vstack([log.u for log in problem.logs]), _left(problem, h)
+    most: float = PLAIN
+    found: tuple[str, str] | None = None
+    for j, output in enumerate(problem.layout.outputs):
+        seen = np.isfinite(left[:, j])
+        for i, q in enumerate(model.inputs):
+            e = left[seen, j][np.argsort(u[seen, i], kind="stable")]
+            products = e[1:] * e[:-1]
+            spread = math.sqrt(float(products @ products))
+            if e.size < FEWEST or spread == 0.0 or not np.ptp(u[seen, i]):
+                continue
+            if (alike := float(products.sum()) / spread) > most:
+                most, found = alike, (output, q.name)
+    return found
+
+
+def _left(problem: Problem, h: Hypothesis) -> Array:
+    """Measured − model of every row, each output about its mean: rows, outputs."""
+    rows = [open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))]
+    left = np.vstack(rows)
+    return np.asarray(left - np.nanmean(left, axis=0))
+
+
+def _sizes(problem: Problem, h: Hypothesis) -> Array:
+    """Root mean square of what is left of each output."""
+    return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))
+
+
+def on_rows_left_out(errors: Mapping[str, Channels], verdict: Verdict, model: Model) -> str:
+    """The errors on rows left out, in words: of what is claimed, or of the model recalibrated, and without it."""
+    units = {q.name: q.unit for q in model.outputs}
+    effect = verdict.claimed is not None and any(c.kind != "parameter" for c in verdict.claimed.candidates)
+    best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
+    who, without = ("the model", "without it") if effect else ("the model recalibrated", "as it is")
+    missed = " and ".join(f"{size(v, units[n])} in {n}" for n, v in errors[best].items())
+    before = " and ".join(size(v, units[n]) for n, v in errors[other].items())
+    return f"On rows left out, fitted to the others, {who} is off by {missed}; {without}, by {before}."

@@ -34,7 +34,7 @@ from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, know
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search import Found
 from cosim.refinement.study import Study, read_study
-from cosim.refinement.tables import errors_left_out
+from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
@@ -66,6 +66,9 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     study = replace(study, warnings=(*study.warnings, *noted))
     near = _nearest(found, attribution, verdict)
     left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
+    if left_out:
+        said = on_rows_left_out(left_out, verdict, study.loaded.model)
+        verdict = replace(verdict, sentence=f"{verdict.sentence} {said}")
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
@@ -129,6 +132,7 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
+    verdict = with_leftover(verdict, a, problem, model) if model.static else verdict
     if study.content.candidates is not None:
         verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     return verdict
