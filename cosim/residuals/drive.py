@@ -44,6 +44,9 @@ def log_of_fmu(path: Path, fmu: Path) -> Log:
             raise
         faulty = Fault(fmu, 0, 0, str(error).removeprefix(f"{fmu} "), error.exit_code)
         raise InputError([Fault(path, 0, 0, "no such file"), faulty]) from None
+    if (traits := traits_of(fmu)) is not None and traits.static:
+        cure = "list the table in a study, `cosim refine` holds each row against the model"
+        raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
     return read_log(path, *signals)
 
 

@@ -84,7 +84,7 @@ def _plots(r: Refinement, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
     varied = [q for q in r.study.loaded.model.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
     unit, times = display(log.units[name])
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
-    plots = []
+    plots: list[Drawn] = []
     for q in varied or r.study.loaded.model.inputs[:1]:
         x, alone = log.inputs[q.name], len(varied) < 2
         if not plots:
