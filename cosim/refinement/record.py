@@ -102,7 +102,9 @@ class Residual(_Entry):
 
     model_config = ConfigDict(extra="allow")
 
-    equation: str | None = Field(description="the state whose equation is deficient; null where none is")
+    equation: str | None = Field(
+        description="the state whose equation is deficient, of a model without states the output; null where none is"
+    )
     signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
     share: Finite | None = Field(
         description="of the mean square of the input that equation lacks, as a smoother estimates it beside the best "

@@ -55,10 +55,11 @@ def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Mod
         return verdict
     output, signal = left
     verdict = replace(verdict, residual={**verdict.residual, "equation": output, "signals": [signal]})
-    if verdict.name == "no_effect":
-        return replace(verdict, name="unexplained", sentence=unexplained(verdict.residual, ()))
     if verdict.claimed is None:
-        return verdict
+        if verdict.name == "unexplained":
+            return verdict
+        sentence = unexplained(verdict.residual, ())
+        return replace(verdict, name="unexplained", rivals=(), experiment="", sentence=sentence)
     column = problem.layout.outputs.index(output)
     kept = _sizes(problem, verdict.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
     if verdict.name != "ambiguous" and kept > PART:
@@ -69,7 +70,8 @@ def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Mod
 def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] | None:
     """Output and input over which what is left goes most, where neighbours are plainly alike.
 
-    By z = Σ e_k·e_k+1 / √Σ (e_k·e_k+1)² in the order of the input, 0 ± 1 of noise, be it larger here than there.
+    By Σ r_k·r_k+1 / Σ r² of the ranks r of what is left, about their mean, in the order of the input: of noise it is
+    0 ± 1/√n, be it larger here than there (Bartels 1982). A dozen rows are too few to tell.
     """
     u, left = np.vstack([log.u for log in problem.logs]), _left(problem, h)
     most: float = PLAIN
@@ -77,12 +79,11 @@ def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] 
     for j, output in enumerate(problem.layout.outputs):
         seen = np.isfinite(left[:, j])
         for i, q in enumerate(model.inputs):
-            e = left[seen, j][np.argsort(u[seen, i], kind="stable")]
-            products = e[1:] * e[:-1]
-            spread = math.sqrt(float(products @ products))
-            if e.size < FEWEST or spread == 0.0 or not np.ptp(u[seen, i]):
+            if seen.sum() < FEWEST or not np.ptp(u[seen, i]):
                 continue
-            if (alike := float(products.sum()) / spread) > most:
+            e = left[seen, j][np.argsort(u[seen, i], kind="stable")]
+            ranks = np.argsort(np.argsort(e, kind="stable"), kind="stable") - 0.5 * (e.size - 1)
+            if (alike := float(ranks[1:] @ ranks[:-1] / (ranks @ ranks)) * math.sqrt(e.size)) > most:
                 most, found = alike, (output, q.name)
     return found
 
