@@ -132,6 +132,15 @@ def test_what_is_in_no_catalogue_is_unexplained_and_told_by_its_input(tmp_path: 
     assert (tmp_path / "out" / "nearest.yaml").is_file()
 
 
+def test_a_claim_that_leaves_much_over_an_input_is_one_of_a_part(tmp_path: Path) -> None:
+    def both(opening: Array, drop: Array) -> Array:
+        return C0 * (opening + 2.0 * LEAK) * np.sqrt(drop) + 0.1 * np.sin(12.0 * opening)
+
+    r = proven(study_of(tmp_path, both, rows=40), tmp_path / "out")
+    assert (named(r), r.record["grade"]) == ({"seat_leak"}, "part"), r.record["sentence"]
+    assert "the rest acts on flow and depends on opening. The model lacks seat_leak" in r.record["sentence"]
+
+
 # -- rows -------------------------------------------------------------------------------------------
 
 
