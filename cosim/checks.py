@@ -73,7 +73,7 @@ def _check(path: Path, model: str) -> list[str]:
 
 def log_findings(path: Path, model: Model) -> list[str]:
     """What the gate says of a log, a line each; InputError with its faults."""
-    log = read_log(path, model.inputs, model.outputs)
+    log = read_log(path, model.inputs, model.outputs, table=model.static)
     findings = gate(log, model.rate, traits=Traits.of(model))
     refuse_faults(log, findings)
     return [f.line for f in findings]

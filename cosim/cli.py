@@ -146,7 +146,7 @@ def refine(
         typer.echo(f"warning: {warning}", err=True)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
-    if result.record["verdict"] == "ambiguous":
+    if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
         from cosim.experiment.question import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]

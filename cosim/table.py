@@ -1,4 +1,4 @@
-"""A table of numbers as CSV, `time` first, one row a time: read with the place of every fault, written whole."""
+"""A table of numbers as CSV, `time` first or none at all: read with the place of every fault, written whole."""
 
 from __future__ import annotations
 
@@ -143,14 +143,14 @@ def read_columns(path: Path) -> Table:
     return table
 
 
-def read_table(faults: Faults, choose: Choose, holds: str, shorter: str) -> Table:
-    """Read a CSV as far as it goes and note its faults.
+def read_table(faults: Faults, choose: Choose, holds: str, shorter: str, *, timed: bool = True) -> Table:
+    """Read a CSV as far as it goes and note its faults; `timed`: its first column is `time`, which increases.
 
-    choose:  how the column below a heading is read; None, a fault noted, where it is not
+    choose:  how the column below a heading is read; None where it is not, a fault noted if that is one
     holds:   what its columns are beside the time, for a file that is empty
     shorter: what to do about one that is too large
     """
-    path, reader = faults.path, _Reader(faults, choose)
+    path, reader = faults.path, _Reader(faults, choose, timed)
     try:
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
@@ -181,8 +181,8 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 class _Reader:
     """Fills a table while the header and then the cells are read."""
 
-    def __init__(self, faults: Faults, choose: Choose) -> None:
-        self.faults, self.choose = faults, choose
+    def __init__(self, faults: Faults, choose: Choose, timed: bool) -> None:
+        self.faults, self.choose, self.timed = faults, choose, timed
         self.table = Table()
         self.width = 0  # of the header
         self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
@@ -193,11 +193,12 @@ class _Reader:
         try:
             header = next(filter(_filled, rows), None)
             if header is None:
-                self.faults.note(1, 1, f"is empty; the first line names the columns: time, then {holds}")
+                names = f"time, then {holds}" if self.timed else holds
+                self.faults.note(1, 1, f"is empty; the first line names the columns: {names}")
                 return
             self.table.header = rows.line_num
             self._header(header)
-            if "time" not in self.table.columns:
+            if self.timed and "time" not in self.table.columns:
                 return
             for row in rows:
                 if _filled(row):
@@ -218,11 +219,11 @@ class _Reader:
             name, _, unit = text.partition("[")
             self._heading(Heading(self.table.header, cell, name.strip(), unit.rstrip().removesuffix("]").strip()))
         columns, values = self.table.columns, self.table.values
-        self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1]
+        self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1 or not self.timed]
 
     def _heading(self, heading: Heading) -> None:
         line, cell, name = heading.line, heading.cell, heading.name
-        if cell == 1 and name != "time":
+        if self.timed and cell == 1 and name != "time":
             message = f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
             self.faults.note(line, 1, message)
         elif name in self.table.columns:
@@ -235,16 +236,22 @@ class _Reader:
         if len(row) != self.width:
             self.faults.note_cell(line, 1, "rows of another length", _wrong_length(len(row), self.width))
             return
-        time, before = self._value(line, self.table.columns["time"], row[0]), self.table.values["time"]
-        if math.isnan(time):
+        if self.timed and not self._time(line, row[0]):
             return
+        for column, place, values in self.signals:
+            values.append(self._value(line, column, row[place]))
+        self.table.lines.append(line)
+
+    def _time(self, line: int, text: str) -> bool:
+        """Take the time of a row; false where there is none."""
+        time, before = self._value(line, self.table.columns["time"], text), self.table.values["time"]
+        if math.isnan(time):
+            return False
         if before and time <= before[-1]:
             message = f"time {time:g} s does not increase, {before[-1]:g} s stands before it; sort the rows"
             self.faults.note_cell(line, 1, "times that do not increase", f"{message}, keep one of each")
         before.append(time)
-        for column, place, values in self.signals:
-            values.append(self._value(line, column, row[place]))
-        self.table.lines.append(line)
+        return True
 
     def _value(self, line: int, column: Column, text: str) -> float:
         """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""

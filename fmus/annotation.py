@@ -14,9 +14,11 @@ FRAME = ("x", "y", "heading", "forward", "right")
 
 
 def annotation(traits: Traits) -> Element:
-    """`VendorAnnotations`: that the state is ours to read, rates, limits, and the names of a motion in a plane."""
+    """`VendorAnnotations`: that the state is ours to read, or there is none; rates, limits, a motion in a plane."""
     root = Element("VendorAnnotations")
     node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state="json")  # FMI allows one element
+    if traits.static:
+        node.set("static", "true")
     for name, rate in traits.rates.items():
         SubElement(node, "Rate", of=name, signal=rate)
     for name, (low, high) in traits.bounds.items():
@@ -41,4 +43,5 @@ def traits_of(fmu: Path) -> Traits | None:
         {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
         {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
         None if frame is None else PlanarFrame(**{key: frame.attrib[key] for key in FRAME}),
+        node.get("static") == "true",
     )

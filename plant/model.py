@@ -161,6 +161,11 @@ class Model(Parametric):
     # -- the same for every model -------------------------------------------------------------
 
     @property
+    def static(self) -> bool:
+        """Without states: outputs follow the inputs at once, and what is measured is a table without time."""
+        return not self.base_states
+
+    @property
     def awake(self) -> tuple[Any, ...]:
         """The effects that act, in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)

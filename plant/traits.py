@@ -21,17 +21,20 @@ class Traits:
     rates:  output → the output that is its time derivative
     bounds: signal → least and largest value it can have
     planar: names of a motion in a plane, None without one
+    static: it has no states; what is measured is a table without time
     """
 
     rates: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     planar: PlanarFrame | None = None
+    static: bool = False
 
     @classmethod
     def of(cls, model: Model) -> Traits:
         """The traits of a model, the rates by its equations."""
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
-        return cls(rates_of(model), {n: q.bounds for n, q in signals.items() if q.bounded}, model.planar)
+        bounds = {n: q.bounds for n, q in signals.items() if q.bounded}
+        return cls(rates_of(model), bounds, model.planar, model.static)
 
 
 def rate_of(name: str, known: Container[str]) -> str | None:

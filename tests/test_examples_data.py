@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import InputError
 from cosim.models.file import load_model
+from cosim.refinement.workflow import refine
 from plant.model import Model
 from plant.namespaces import SCALAR
 
@@ -42,13 +42,7 @@ def _loaded(path: Path) -> ModuleType:
 
 def model_of(example: str) -> Model:
     """The model of an example, checked."""
-    try:
-        return load_model(f"{example}.py:{MODELS[example]}", EXAMPLES / example).model
-    except InputError as error:
-        # A static model has no states; until these are supported, its file is refused for that alone.
-        if example == "propeller" and all("forced names no state" in fault.message for fault in error.faults):
-            pytest.skip("models without states are not supported here")
-        raise
+    return load_model(f"{example}.py:{MODELS[example]}", EXAMPLES / example).model
 
 
 def logs_of(example: str, folder: Path) -> Path:
@@ -195,6 +189,17 @@ def test_a_constant_thrust_coefficient_is_off_by_twenty_grams_and_one_linear_in_
 
     assert left_out(np.column_stack([n**2])) == pytest.approx(19.6, abs=0.05)
     assert left_out(np.column_stack([n**2, n**3])) == pytest.approx(3.1, abs=0.05)
+
+
+def test_the_propeller_is_named_its_reynolds_number_and_predicts_rows_left_out_to_three_and_a_half_grams(
+    tmp_path: Path,
+) -> None:
+    r = refine(logs_of("propeller", tmp_path), tmp_path / "out").record
+    names = {e["name"] for e in r["effects"]} | set(r["rivals"])
+    assert r["verdict"] in {"effect_found", "ambiguous"}, r["sentence"]
+    assert names <= {"reynolds_number", "power_law"}  # two writings of one effect
+    assert r["error"]["left_out"]["recalibrated"]["thrust"] / 0.00980665 == pytest.approx(19.6, abs=0.05)
+    assert r["error"]["left_out"]["after"]["thrust"] / 0.00980665 <= 3.5
 
 
 def test_the_pendulum_comes_to_rest_by_dry_friction(tmp_path: Path) -> None:

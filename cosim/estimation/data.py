@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from plant.integrate import substeps
 from plant.model import Model
 
 UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
+MOST_ROWS, FOLDS = 40, 20  # rows of all tables, up to which each is left out alone; parts of those with more
 JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
 
 
@@ -21,6 +23,8 @@ def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated:
 
     settle: [s] until lags have forgotten an unknown start, see `settling`
     """
+    if log.table:
+        return _as_table(model, log, layout)
     measured = layout.outputs
     grid = log.grid
     rows = int(grid[-1]) + 1
@@ -38,6 +42,29 @@ def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated:
         u = _as_acted(log, u, grid)
     data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), 0, interpolated, late)
     return replace(data, settle=int(min(settle / log.step, unscored(data))))
+
+
+def _as_table(model: Model, log: Log, layout: Layout) -> Data:
+    """A table: the outputs of a row are those of its own inputs, as where these run straight from row to row."""
+    u = np.column_stack([log.inputs[q.name] for q in model.inputs])
+    nothing = np.full(log.rows, np.nan)
+    y = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
+    return Data(log.step, 0.0, u, y, 1, interpolated=frozenset(layout.inputs), table=True)
+
+
+def folds(logs: Sequence[Data]) -> list[Data]:
+    """Tables in parts, of which each can be left out in turn: row by row, or rows spread evenly where there are many.
+
+    Rows in which nothing is measured are left away.
+    """
+    measured = [np.flatnonzero(np.isfinite(data.y).any(axis=1)) for data in logs]
+    total = sum(rows.size for rows in measured)
+    parts = []
+    for data, rows in zip(logs, measured, strict=True):
+        count = rows.size if total <= MOST_ROWS else max(1, round(FOLDS * rows.size / total))
+        for chosen in (rows[k::count] for k in range(count)):
+            parts.append(replace(data, u=data.u[chosen], y=data.y[chosen]))
+    return parts
 
 
 def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
@@ -59,5 +86,7 @@ def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
 
 
 def unscored(data: Data) -> int:
-    """Rows at the start of a log that are not scored: the filter settles."""
+    """Rows at the start of a log that are not scored: the filter settles. None of a table."""
+    if data.table:
+        return 0
     return round(UNSCORED * slowness(data.step) / data.step)

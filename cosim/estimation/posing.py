@@ -10,10 +10,10 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.estimation.candidates import neutral_values
-from cosim.estimation.data import as_data, unscored
+from cosim.estimation.data import as_data, folds, unscored
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.readings import readings_of
+from cosim.estimation.readings import readings_of, readings_of_table
 from cosim.kernel.backend import kernel
 from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
 from cosim.kernel.settling import settling
@@ -44,7 +44,8 @@ def build_problem(
     layout = compiled.layout
     settle = settling(model, [layout.states[k] for k in layout.driven])
     data = [as_data(model, log, layout, settle, settings.interpolated) for log in logs]
-    readings = [readings_of(d.y, unscored(d)) for d in data]
+    data = folds(data) if model.static else data
+    readings = readings_of_table([d.y for d in data]) if model.static else [readings_of(d.y, unscored(d)) for d in data]
     stated = {name: sigma * sigma for name, sigma in (noise or {}).items()}
     variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs} | stated
     r = np.array([variance[name] for name in measured])

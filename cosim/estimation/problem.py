@@ -110,6 +110,11 @@ class Problem:
         return self.kernel.layout
 
     @property
+    def table(self) -> bool:
+        """Whether the logs are parts of tables, whose rows stand each for itself."""
+        return self.logs[0].table
+
+    @property
     def samples(self) -> int:
         """Number of scored measurements."""
         return int(sum(readings.scored.sum() for readings in self.readings))

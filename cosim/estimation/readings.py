@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,12 @@ def readings_of(y: Array, unscored: int) -> Readings:
         np.array([_resolution(column) for column in columns]),
         np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in columns]),
     )
+
+
+def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
+    """The readings of a table in parts: no neighbours, so no slopes; resolution and spread are those of the whole."""
+    whole = readings_of(np.vstack(parts), 0)
+    return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 
 
 def _slopes(column: Array) -> Array:

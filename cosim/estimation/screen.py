@@ -75,7 +75,7 @@ class ScoreTest:
         ]
         moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
         known = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
-        self.basis, _ = np.linalg.qr(np.array(known).T)
+        self.basis, _ = np.linalg.qr(np.array(known).reshape(len(moves), residual.size).T)
         self.residual = residual - self.basis @ (self.basis.T @ residual)
 
     def _noisier(self, place: int) -> Noise:

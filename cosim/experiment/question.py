@@ -80,6 +80,9 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
     else:
         question = _of_model(path, load_model(text, Path()), against)
     model, faults = question.base.model, list[str]()
+    if model.static:
+        told = "told_apart_by says what rows would separate rivals"
+        raise InputError([Fault(path, 0, 0, f"{model.title} has no states, so no input over time tells more; {told}")])
     allowed = _limits(model, limits, faults)
     outputs = [q.name for q in model.outputs]
     faults += [f'--measured: no output "{n}"{did_you_mean(n, outputs)}' for n in measured if n not in outputs]

@@ -116,6 +116,8 @@ def _disturbed(body: Body, reach: Reach) -> Body:
     """The body with an unknown input, a state more, in each forced equation."""
     import sympy
 
+    if not reach.forced:
+        return body
     memory = body.parameter(MEMORY)
     unknown = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in reach.forced}
     for name, d in unknown.items():

@@ -86,6 +86,7 @@ class Data:
     interpolated: names of inputs that run straight from row to row; the others are held
     late:     (rows, outputs) part of a row, −½ … ½, by which a reading is older than its row; None: by none
     settle:   rows after the first over which the covariance stays P0, for so long no state is known better
+    table:    rows stand each for itself: none follows from the one before
     """
 
     step: float
@@ -96,6 +97,7 @@ class Data:
     settle: int = 0
     interpolated: frozenset[str] = frozenset()
     late: Array | None = None
+    table: bool = False
 
     def rows(self, first: int, end: int) -> Data:
         """The rows from `first` up to `end`, everything that goes by row with them."""

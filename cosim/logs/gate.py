@@ -15,6 +15,7 @@ from cosim.logs.frames import frames
 from cosim.logs.log import MISSING, Log
 from cosim.logs.noise import noise_level
 from cosim.logs.spikes import SCALE, out_of_line
+from cosim.logs.tables import table_findings
 from cosim.text import amount, counted, percent, plain
 from plant.traits import Traits
 
@@ -37,6 +38,8 @@ def gate(
     strict: a log slower than `rate` is a fault, not a warning
     traits: what the model says of its signals, None where none is known
     """
+    if log.table:
+        return sorted(table_findings(log, traits), key=lambda f: ORDER.index(f.severity))
     clock = [*_timing(log), *_rate(log, rate, strict)]
     found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits)]
     if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault

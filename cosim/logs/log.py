@@ -1,4 +1,7 @@
-"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault has its place."""
+"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault has its place.
+
+Of a model without states it is a table: no `time`, and each row stands for itself.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +67,7 @@ class Log:
     written: Mapping[str, str]
     unwrapped: Mapping[str, tuple[float, ...]]
     header: int = 1
+    table: bool = False  # rows stand each for itself, in no order; `time` is their number
 
     @property
     def rows(self) -> int:
@@ -91,58 +95,66 @@ class Log:
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
-def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike]) -> Log:
-    """Read a log of a model with these inputs and outputs; InputError with every fault."""
-    return _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}).log()
+def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike], *, table: bool = False) -> Log:
+    """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault."""
+    return _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}, not table).log()
 
 
 class _Reader:
     """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
-    def __init__(self, path: Path, inputs: dict[str, str], outputs: dict[str, str]) -> None:
-        self.inputs, self.outputs, self.known = inputs, outputs, inputs | outputs
+    def __init__(self, path: Path, inputs: dict[str, str], outputs: dict[str, str], timed: bool) -> None:
+        self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
         self.faults = Faults(path)
-        self.table = read_table(
-            self.faults, self._column, "inputs and outputs", "cut it into pieces and list them as logs of one study"
-        )
+        self.unread = 0  # cell of a time that a table does not need
+        shorter = "cut it into pieces and list them as logs of one study"
+        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, timed=timed)
 
     def log(self) -> Log:
         """The log, or InputError."""
-        if "time" in self.table.columns:
+        if "time" in self.table.columns or (not self.timed and self.table.whole):
             self._check_header()
         if self.table.whole:
             self._check_values()
         self.faults.raise_any()
         columns = {name: self.table[name] for name in self.table.columns}
-        time = columns.pop("time")
+        time = columns.pop("time") if self.timed else np.arange(self.table.rows, dtype=np.float64)
         outputs, unwrapped = dict[str, Array](), dict[str, tuple[float, ...]]()
         for name in (n for n in columns if n in self.outputs):
             outputs[name] = columns[name]
-            if self.known[name] == "rad":
+            if self.timed and self.known[name] == "rad":
                 outputs[name], jumps = _continuous(columns[name])
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
         inputs, units = {n: columns[n] for n in self.inputs}, {n: self.known[n] for n in columns}
         written = {name: column.heading.unit for name, column in self.table.columns.items()}
+        if self.unread:
+            names = list(written)
+            names.insert(self.unread - 1, "time")
+            written = {name: written.get(name, "") for name in names}
         step = usual_step(time)
-        return Log(self.faults.path, time, inputs, outputs, units, step, written, unwrapped, self.table.header)
+        path, header = self.faults.path, self.table.header
+        return Log(path, time, inputs, outputs, units, step, written, unwrapped, header, not self.timed)
 
     # -- header -------------------------------------------------------------------------------
 
     def _column(self, heading: Heading) -> Column | None:
         """How a column is read: in the unit of the model."""
-        name = heading.name
-        if heading.cell > 1 and name not in self.known:
+        name, is_time = heading.name, self.timed and heading.cell == 1
+        if not self.timed and name == "time":
+            self.unread = heading.cell
+            return None
+        if not is_time and name not in self.known:
             hint = did_you_mean(name, self.known) or did_you_mean(name.rpartition(".")[2], self.known)
             message = f'unknown column "{name}"{hint} (the model has {", ".join(self.known)})'
             self.faults.note(heading.line, heading.cell, message)
             return None
-        wanted = self.known[name] if heading.cell > 1 else "s"
+        wanted = "s" if is_time else self.known[name]
         scale = factor(heading.unit, wanted)
         if scale is None:
             offered = ", ".join(alternatives(wanted))
             message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
             self.faults.note(heading.line, heading.cell, message)
-        known = "the time" if heading.cell == 1 else "an input" if name in self.inputs else ""
+        known = "the time" if is_time else "an input" if name in self.inputs else ""
         return Column(heading, 1.0 if scale is None else scale, known)
 
     def _check_header(self) -> None:
@@ -150,7 +162,8 @@ class _Reader:
         line, columns = self.table.header, self.table.columns
         missing = [name for name in self.inputs if name not in columns]
         for name in missing:
-            message = f'input "{name}" is missing; a log holds every input of the model: {", ".join(self.inputs)}'
+            what = "log" if self.timed else "table"
+            message = f'input "{name}" is missing; a {what} holds every input of the model: {", ".join(self.inputs)}'
             self.faults.note(line, 1, message)
         if not missing and not any(name in columns for name in self.outputs):
             one = f"at least one of {', '.join(self.outputs)} is measured"
@@ -163,7 +176,8 @@ class _Reader:
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
             seen = "no row" if table.rows == 0 else "one row"
-            message = f"holds {seen}; a log has at least two, and some hundred to be of use"
+            what = "a log has at least two, and some hundred" if self.timed else "a table has at least two, and a dozen"
+            message = f"holds {seen}; {what} to be of use"
             self.faults.note(table.header + 1, 1, message)
             return
         if not table.rows:

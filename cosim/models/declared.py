@@ -19,7 +19,7 @@ from fmus.units import parse
 from plant.delay import Delay
 from plant.model import Effect, Model, overrides
 from plant.quantities import Parameter, Quantity, parameters_of
-from plant.sensors import SensorError
+from plant.sensors import Drift, SensorError
 
 WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
 DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
@@ -28,7 +28,7 @@ DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 def checked(kind: type[Model], source: Source) -> Model:
     """The model with its default parameters; InputError with every fault of its class."""
     _refuse(source, _shape(kind))
-    declared = [*_effects(kind), *_sensors(kind), *_delays(kind)]
+    declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_timeless(kind)]
     names = [*unique(kind), *named(kind), *_numbers(kind), *_limits(kind), *_units(kind)]
     values = [fault for owner in (kind, *kind.catalogue, *kind.sensors) for fault in _values(owner)]
     faults = [source.fault(*found) for found in (*declared, *names, *values)]
@@ -230,6 +230,20 @@ def _delays(kind: type[Model]) -> Found:
             yield owner, "memory", f"{text}; give it one for each input, in their order"
     for owner in late[1:]:
         yield owner, "delay", f"{owner.name} and {late[0].name} both delay the command; let one of them do it"
+
+
+def _timeless(kind: type[Model]) -> Found:
+    """A model without states knows no time: nothing in its catalogue may keep or measure any."""
+    if kind.base_states:
+        return
+    why = f"{kind.__name__} has no states, so each row of its tables stands for itself"
+    cure = "leave it out, or give the model a state"
+    for owner in kind.catalogue:
+        if owner.states or owner.memory or owner.delay:
+            yield owner, "", f"{why}; {owner.name} keeps what was before: {cure}"
+    for sensor in kind.sensors:
+        if sensor.late or issubclass(sensor, Drift):
+            yield sensor, "", f"{why}; {sensor.name} goes with time: {cure}"
 
 
 def _bare(kind: type) -> Any:

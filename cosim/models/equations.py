@@ -14,7 +14,7 @@ from plant.integrate import Stepper
 from plant.model import Effect, Equations, Model, overrides
 from plant.namespaces import SCALAR, Namespace, SymbolNamespace
 from plant.quantities import parameters_of
-from plant.symbolic.symbols import symbolic
+from plant.symbolic.symbols import SymbolicModel, symbolic
 
 
 def equation_faults(kind: type[Model], source: Source) -> list[Fault]:
@@ -82,8 +82,21 @@ def _symbol_faults(model: Model, source: Source) -> list[Fault]:
         m = SymbolNamespace()
         start = _tried(source, "`start_state` raises", s.model.start_state, m)
         faults += [start] if isinstance(start, Fault) else []
-        faults += _body_faults(s.model, source, m, (s.time, s.state, s.command), _expressions)
+        wrong = _body_faults(s.model, source, m, (s.time, s.state, s.command), _expressions)
+        faults += wrong or _timed_faults(s, source)
     return faults
+
+
+def _timed_faults(s: SymbolicModel, source: Source) -> list[Fault]:
+    """Outputs of a model without states that go with time, of which its tables know nothing."""
+    import sympy
+
+    if not s.model.static:
+        return []
+    values = s.model.equations(SymbolNamespace()).output(s.time, s.state, s.command)
+    text = "no states, so each row of its tables stands for itself; let no output depend on time"
+    timed = any(s.time in sympy.sympify(value).free_symbols for value in values)
+    return [source.fault(type(s.model), "equations", f"{type(s.model).__name__} has {text}")] if timed else []
 
 
 Judge = Callable[[Sequence[Any]], list[str]]

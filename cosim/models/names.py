@@ -53,7 +53,7 @@ def named(kind: type[Model]) -> Found:
     if kind.planar is not None and frame is None:
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
-    if not kind.forced:
+    if kind.base_states and not kind.forced:
         text = "forced names no state; name those whose equations may lack something"
         yield kind, "forced", f"{text}, the accelerations usually (states: {', '.join(states)})"
     lists: list[tuple[str, str, list[str], list[str]]] = [

@@ -93,6 +93,10 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
         objectives, missed = [], []
         for h in (worse, better):
             learnt = learnt_without(search, problem, h, left_out)
+            missed.append(open_loop(problem, search.model.horizon, learnt.values, learnt, left_out))
+            if problem.table:  # on a row or a few, nothing can settle
+                objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
+                continue
             names = {f.name for c in (*better.candidates, *worse.candidates) for f in c.free}
             settling = [f for f in search.free(()) if f.name not in names]
             own = {f.name for c in h.candidates for f in c.free}
@@ -101,7 +105,6 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
                 problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
             )
             objectives.append(settled.objective)
-            missed.append(open_loop(problem, search.model.horizon, learnt.values, learnt, left_out))
         return objectives[0] - objectives[1], missed
 
     found = in_parallel(one, list(range(count)))
@@ -151,6 +154,8 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
 
     Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
     """
+    if problem.table:  # each row by its own inputs
+        return problem.innovations(values, f.noise, index)[0][:, None, :]
     data, first = problem.data(values, index), unscored(problem.logs[index])
     rows = len(data.u)
     length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)

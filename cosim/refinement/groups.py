@@ -50,6 +50,10 @@ def per_log_faults(
             cure = "say with per_log which parameters differ between them, or leave the groups out"
             yield yaml.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
         return
+    if model.static:
+        cure = "a model without states reads tables; give it an input that tells them apart"
+        yield yaml.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
+        return
     if not names:
         yield yaml.fault(("per_log",), "names none; name some, or leave the key out", key=True)
     folder = yaml.path.parent

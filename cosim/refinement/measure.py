@@ -25,7 +25,7 @@ from cosim.logs.log import Log
 from cosim.refinement.variants import Variant
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN, pooled
-from cosim.residuals.windows import Replay, window_rows, windows
+from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
 from fmus.state import MEMORY, Memory
 from plant.model import Effect, Model, overrides
 
@@ -59,9 +59,13 @@ def replays(
     judged = variant.model.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
-        filtered = problem.run(variant.values, variant.noise, index, states=True)
-        values = problem.of_log(variant.values, index)
         with Drive(log, variant.fmu, interpolated=problem.settings.interpolated) as drive:
+            if log.table:
+                corrected = without_sensor_errors(log, variant, {})
+                played[judged].append((corrected, row_by_row(drive, variant.parameters)))
+                continue
+            filtered = problem.run(variant.values, variant.noise, index, states=True)
+            values = problem.of_log(variant.values, index)
             for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
@@ -213,16 +217,18 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
 
     Each starts from the state that the filter knew by then.
     """
-    horizon = variant.model.horizon
-    length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-    rows = log.grid[first_rows(log, horizon)].tolist()
     gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-    acting = _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
+    horizon = variant.model.horizon
+    rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
+    acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
     for output, _, gain in _lines(variant, acting):
         if output in gains:
             gains[output] = gains[output] * gain
-    p = problem.numbers(problem.of_log(variant.values, index))
-    readings = data.y - _predicted(problem, data, p, filtered, rows, length)
+    readings = filtered.errors
+    if not data.table:
+        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+        p = problem.numbers(problem.of_log(variant.values, index))
+        readings = data.y - _predicted(problem, data, p, filtered, rows, length)
     return np.asarray(readings / np.column_stack(list(gains.values())))
 
 

@@ -143,7 +143,7 @@ def _one_of(verdict: Verdict, near: Sequence[Hypothesis], model: Model) -> Verdi
     """One of several parameters is off, and the logs do not separate them; the best is claimed."""
     names = tuple(n for h in near for n in h.names)
     experiment = experiment_for(model, names)
-    sentence = cannot_tell(names, experiment, "")
+    sentence = cannot_tell(names, experiment, "", model)
     return replace(verdict, name="ambiguous", claimed=near[0], rivals=names, experiment=experiment, sentence=sentence)
 
 

@@ -126,7 +126,9 @@ class Residual(_Entry):
 
     model_config = ConfigDict(extra="allow")
 
-    equation: str | None = Field(description="the state whose equation is deficient; null where none is")
+    equation: str | None = Field(
+        description="the state whose equation is deficient, of a model without states the output; null where none is"
+    )
     signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
     share: Finite | None = Field(
         description="of the mean square of the input that equation lacks, as a smoother estimates it beside the best "
@@ -137,6 +139,18 @@ class Residual(_Entry):
     terms: list[NamelessTerm] = Field(
         description="most promising first; of those that the logs do not distinguish the simplest"
     )
+
+
+class LeftOut(_Entry):
+    """Root mean square of measured − model on the rows of tables, each predicted by a fit of the others.
+
+    Rows are left out one by one, of many rows in parts that are spread evenly.
+    """
+
+    before: Channels = Field(description="the model named in the study: nothing is fitted")
+    recalibrated: Channels = Field(description="its base parameters fitted to the other rows")
+    after: Channels = Field(description="what is claimed, fitted to the other rows")
+    nearest: Channels | None = Field(default=None, description="what nearest.yaml has, likewise, where there is one")
 
 
 class Errors(_Entry):
@@ -150,6 +164,7 @@ class Errors(_Entry):
     recalibrated: Parts = Field(description="that model with its base parameters adjusted")
     after: Parts = Field(description="model.yaml")
     nearest: Parts | None = Field(default=None, description="nearest.yaml, where there is one")
+    left_out: LeftOut | None = Field(default=None, description="of a model without states, on rows left out")
 
 
 class Record(_Entry):
@@ -182,9 +197,13 @@ class Record(_Entry):
     )
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
-    horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")
+    horizon: Finite | Literal["free run", "row"] = Field(
+        description="how long a replay in `error` is [s]: the model's own; `row` of a model without states"
+    )
     error: Errors
-    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(description="as `error`, over other horizons")
+    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(
+        description="as `error`, over other horizons; empty of a model without states"
+    )
     noise_floor: Channels = Field(
         description="as `error.after`, of the refined model against itself, simulated with the estimated process and "
         "sensor noise; on the validation logs where there are any"
@@ -204,11 +223,17 @@ def record(
     problem: Problem,
     replayed: Replayed,
     floors: Floors,
+    left_out: Mapping[str, dict[str, float]] | None,
     seconds: float,
     ends: Mapping[str, float] = MappingProxyType({}),
 ) -> Record:
-    """What refine.json holds; ends: values of parameters per log with which the filter ends sealed logs."""
-    judged = study.loaded.model.horizon
+    """What refine.json holds.
+
+    left_out: errors on rows of a table left out, where there is one
+    ends:     values of parameters per log with which the filter ends sealed logs
+    """
+    judged, static = study.loaded.model.horizon, study.loaded.model.static
+    rows = LeftOut.model_validate(left_out) if left_out else None
 
     def errors(horizon: float) -> Errors:
         sizes = {
@@ -233,9 +258,9 @@ def record(
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         warnings=list(study.warnings),
         residual=residual(verdict),
-        horizon=judged if math.isfinite(judged) else "free run",
-        error=errors(judged),
-        horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
+        horizon="row" if static else judged if math.isfinite(judged) else "free run",
+        error=errors(judged).model_copy(update={"left_out": rows}),
+        horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
         noise_floor=floors["validation" if "validation" in floors else "estimation"],
         noise_floors=floors,
         held_out_gain=a.total.held_out,

@@ -16,16 +16,22 @@ from plant.model import Model
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
 NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
+MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
 
-def excites_too_little(effects: int, *, still: bool) -> str:
+def usual_experiment(model: Model) -> str:
+    """What tells more of any model of this kind."""
+    return MORE_ROWS if model.static else DEFAULT_EXPERIMENT
+
+
+def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
     """That these logs would show none of the effects, and what would show them."""
     which = "the one effect" if effects == 1 else f"none of {effects} effects"
     opening = "Nothing moves in these logs" if still else "These logs excite too little"
     would = "would not" if effects == 1 else "would"
     return (
         f"{opening}: {which} {would} show in them, present or not. "
-        f"This would show {'it' if effects == 1 else 'them'}: {DEFAULT_EXPERIMENT}."
+        f"This would show {'it' if effects == 1 else 'them'}: {experiment}."
     )
 
 
@@ -41,10 +47,11 @@ def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
     return f"{text} ({' and '.join(hidden)} would not have shown.)" if hidden else text
 
 
-def cannot_tell(names: Sequence[str], experiment: str, certain: str) -> str:
+def cannot_tell(names: Sequence[str], experiment: str, certain: str, model: Model) -> str:
     """What rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
-    return f"{opening} cannot tell {' from '.join(names)}; this would, and `cosim excite` designs it: {experiment}."
+    designed = "" if model.static else ", and `cosim excite` designs it"
+    return f"{opening} cannot tell {' from '.join(names)}; this would{designed}: {experiment}."
 
 
 def unexplained(
@@ -136,5 +143,5 @@ def left_over(term: Unnamed | None, gained: float) -> str:
 def experiment_for(model: Model, names: Sequence[str]) -> str:
     """The input that would separate these rivals, as the model says."""
     known = [(len(row & set(names)), text) for row, text in model.told_apart_by.items()]
-    shared, text = max(known, default=(0, DEFAULT_EXPERIMENT))
-    return text if shared > 1 else DEFAULT_EXPERIMENT
+    shared, text = max(known, default=(0, ""))
+    return text if shared > 1 else usual_experiment(model)

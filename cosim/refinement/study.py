@@ -114,8 +114,9 @@ class Study:
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
         model = self.loaded.model
-        logs = (read_log(self.path.parent / n, model.inputs, model.outputs) for n in self.content.logs.validation)
-        return tuple(stretch for log in logs for stretch in judged(cleaned(log)[0], model.horizon))
+        paths = (self.path.parent / name for name in self.content.logs.validation)
+        logs = (read_log(path, model.inputs, model.outputs, table=model.static) for path in paths)
+        return tuple(stretch for log in logs for stretch in judged(_clean(log)[0], model.horizon))
 
 
 def read_study(path: Path) -> Study:
@@ -139,19 +140,19 @@ def read_study(path: Path) -> Study:
     warnings: list[str] = []
     for part, name in _entries(content.logs):
         try:
-            log = read_log(path.parent / name, model.inputs, model.outputs)
+            log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static)
         except InputError as error:
             faults += error.faults
             continue
         digests[name] = _digest(log)
         findings = gate(log, model.rate, traits=traits)
         faults += gate_faults(log, findings)
-        log, lost = cleaned(log)
+        log, lost = _clean(log)
         warnings += [_left_out(name, channel, count) for channel, count in lost.items()]
         whole = judged(log, model.horizon)
         faults += [] if whole else [_too_short(log, model.horizon)]
         warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
-        if left := len(stretches(log)) - len(whole):
+        if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
     faults += _listed_twice(yaml, content.logs, digests)
@@ -191,13 +192,20 @@ def _digest(log: Log) -> str:
     return content.hexdigest()
 
 
+def _clean(log: Log) -> tuple[Log, dict[str, int]]:
+    """The log without readings far off their neighbours; a table's rows are none."""
+    return (log, {}) if log.table else cleaned(log)
+
+
 def least_duration(log: Log, horizon: float) -> float:
     """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored; a slow log longer."""
     return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
-    """The stretches of a log that measure something and last long enough."""
+    """The stretches of a log that measure something and last long enough; a table is whole."""
+    if log.table:
+        return [log]
     least = least_duration(log, horizon) - 0.5 * log.step
     return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 

@@ -10,7 +10,6 @@ from cosim.estimation.candidates import Candidate, kind_within
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.sentences import (
-    DEFAULT_EXPERIMENT,
     cannot_tell,
     claim,
     excites_too_little,
@@ -18,6 +17,7 @@ from cosim.refinement.sentences import (
     left_over,
     nothing,
     unexplained,
+    usual_experiment,
 )
 from cosim.refinement.unnamed import Leftover
 from plant.model import Model
@@ -55,7 +55,7 @@ def judge(
     """
     residual = _residual(a, left, forced)
     if not a.best.candidates and (still or (a.hidden and len(a.hidden) == a.effects)):
-        return _undecided(a, residual, still=still)
+        return _undecided(a, model, residual, still=still)
     large = max(moves, key=lambda name: moves[name], default=None)
     if not a.best.candidates and left.terms:
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
@@ -74,11 +74,13 @@ def judge(
     return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence, "claimed")
 
 
-def _undecided(a: Attribution, residual: Mapping[str, Any], *, still: bool) -> Verdict:
+def _undecided(a: Attribution, model: Model, residual: Mapping[str, Any], *, still: bool) -> Verdict:
     """Nothing is claimed of logs in which nothing would show."""
     names = a.hidden
     rivals = names if len(names) > 1 else (*names, "no_effect")
-    return Verdict("ambiguous", None, rivals, DEFAULT_EXPERIMENT, residual, excites_too_little(len(names), still=still))
+    experiment = usual_experiment(model)
+    sentence = excites_too_little(len(names), experiment, still=still)
+    return Verdict("ambiguous", None, rivals, experiment, residual, sentence)
 
 
 def _rivalling(a: Attribution) -> tuple[str, ...]:
@@ -96,7 +98,7 @@ def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Ver
     names, common = _rivalling(a), _common(a)
     experiment = experiment_for(model, names)
     certain = [c for c in a.best.candidates if c.name in common]
-    sentence = cannot_tell(names, experiment, claim(a.best, certain, model) if certain else "")
+    sentence = cannot_tell(names, experiment, claim(a.best, certain, model) if certain else "", model)
     return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
 
 

@@ -35,6 +35,7 @@ from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, know
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search import Found
 from cosim.refinement.study import Study, read_study
+from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
@@ -65,6 +66,10 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
     study = replace(study, warnings=(*study.warnings, *noted))
     near = _nearest(found, attribution, verdict)
+    left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
+    if left_out:
+        said = on_rows_left_out(left_out, verdict, study.loaded.model)
+        verdict = replace(verdict, sentence=f"{verdict.sentence} {said}")
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
@@ -84,8 +89,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
         ends = followed(variants["after"], problem, sets.get("validation", ()))
-        seconds = time.perf_counter() - began
-        written = record(study, attribution, verdict, near, problem, replayed, floors, seconds, ends)
+        took = time.perf_counter() - began
+        written = record(study, attribution, verdict, near, problem, replayed, floors, left_out, took, ends)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
@@ -131,6 +136,7 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
+    verdict = with_leftover(verdict, a, problem, model) if model.static else verdict
     if study.content.candidates is not None:
         verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     return verdict
@@ -177,7 +183,7 @@ def _unsealed(study: Study) -> LogSets:
 
 def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) -> Replayed:
     """Replays of every variant on every set of logs; a variant that stands for two is replayed once."""
-    horizons = list(OTHER_HORIZONS.values())
+    horizons = [] if problem.table else list(OTHER_HORIZONS.values())
     done: dict[int, dict[Part, dict[float, Evidence]]] = {}
     for variant in variants.values():
         if id(variant) not in done:

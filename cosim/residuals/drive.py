@@ -44,6 +44,9 @@ def log_of_fmu(path: Path, fmu: Path) -> Log:
             raise
         faulty = Fault(fmu, 0, 0, str(error).removeprefix(f"{fmu} "), error.exit_code)
         raise InputError([Fault(path, 0, 0, "no such file"), faulty]) from None
+    if (traits := traits_of(fmu)) is not None and traits.static:
+        cure = "list the table in a study, `cosim refine` holds each row against the model"
+        raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
     return read_log(path, *signals)
 
 
@@ -167,6 +170,23 @@ class Drive:
         if self.progress is not None:
             self.progress(self._driven[0])
         return self._at_rows(table, reached, first, last)
+
+    def rows(self, start: Mapping[str, Any]) -> Array:
+        """Outputs at the inputs of each row of a table, shape (rows, outputs), of an FMU without states."""
+        log, table = self.log, np.zeros((self.log.rows, len(self.outputs)))
+        done = 0
+        try:
+            self._begin(start, 0, float(log.time[-1]) + log.step)
+            self.block.start()
+            for done, t in enumerate(log.time.tolist()):
+                self._row[: len(self.inputs)] = self._commands[done]
+                self.block.put()
+                self.block.advance(t, log.step)
+                self.block.get()
+                table[done] = self._row[len(self.block.inputs) :]
+        except SimulationError as error:
+            raise StoppedReplay(error, table[:done]) from None
+        return table
 
     # -- within -------------------------------------------------------------------------------
 

@@ -145,7 +145,8 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 def second_sentence(r: Refinement) -> str:
     """The error of the channel that fell most, on sealed runs where there are any."""
     part = judged(r)
-    where = "On sealed runs" if part == "validation" else "On the runs that were learnt from (none are sealed)"
+    what = "rows" if r.problem.table else "runs"
+    where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
     ratios = {}
     for name in r.record["error"]["before"][part]:
         before, _, after, floor = _numbers(r, part, name)
@@ -159,8 +160,18 @@ def second_sentence(r: Refinement) -> str:
     before, _, after, floor = _numbers(r, part, name)
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
-    lead = f"{where} the error of {name} over {horizon(r)} {verb} {said[0]} to {said[1]}"
-    return f"{lead}; noise and disturbance make {said[2]}."
+    lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
+    return f"{lead}; {_causes(r)} {said[2]}."
+
+
+def _over(r: Refinement) -> str:
+    return "" if r.problem.table else f" over {horizon(r)}"
+
+
+def _causes(r: Refinement) -> str:
+    if r.problem.table:
+        return "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
+    return "noise and disturbance make"
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
@@ -174,5 +185,5 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
         return ""
     _, _, after, floor = _numbers(r, part, worst)
     said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
-    lead = f"{where} the model, unchanged, misses {worst} by {said[0]} over {horizon(r)}"
-    return f"{lead}; noise and disturbance make {said[1]}."
+    lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}"
+    return f"{lead}; {_causes(r)} {said[1]}."

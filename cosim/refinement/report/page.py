@@ -20,6 +20,7 @@ from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.per_log import per_log_rows
 from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs
 from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
+from cosim.refinement.report.tables import table_parts
 from cosim.refinement.report.terms import Shown, shown
 from cosim.report.tables import Badge, Row
 from cosim.report.template import render
@@ -57,13 +58,9 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "rivals": _rivals(r),
         "warnings": r.record["warnings"],
         "tables": error_tables(r),
-        "horizons": horizon_table(r),
-        "horizon": horizon(r),
-        "windowed": horizon(r) != "a whole run",
-        "terms": [_term(s) for s in shown(r)],
-        "term_lead": _term_lead(r),
-        "runs": runs(r),
-        **_whiteness(r),
+        "error_lead": _error_lead(r),
+        **table_parts(r),
+        **(_NO_TIME if r.problem.table else _in_time(r)),
         **_ranking(r),
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
@@ -73,6 +70,22 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
         "provenance": _provenance(r),
         "version": __version__,
+    }
+
+
+_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "whiteness": []}  # of tables
+
+
+def _in_time(r: Refinement) -> Mapping[str, Any]:
+    """What is drawn over time, or told of it."""
+    return {
+        "horizons": horizon_table(r),
+        "horizon": horizon(r),
+        "windowed": horizon(r) != "a whole run",
+        "terms": [_term(s) for s in shown(r)],
+        "term_lead": _term_lead(r),
+        "runs": runs(r),
+        **_whiteness(r),
     }
 
 
@@ -108,12 +121,14 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
 def _badges(r: Refinement) -> list[Badge]:
     text, tone = TITLES.get(r.verdict.name, (r.verdict.name, "plain"))
     sealed = len(r.evidence["before"].get("validation", ()))
-    seconds = sum(float(log.time[-1] - log.time[0]) for log in r.study.logs)
+    what, much = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
+    if r.problem.table:
+        what, much = "table", counted(sum(log.rows for log in r.study.logs), "row")
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
-        Badge(f"{counted(len(r.study.logs), 'log')} learnt from, {plain(seconds)} s"),
-        Badge(f"{counted(sealed, 'log')} sealed" if sealed else "no log sealed", "plain" if sealed else "warn"),
+        Badge(f"{counted(len(r.study.logs), what)} learnt from, {much}"),
+        Badge(f"{counted(sealed, what)} sealed" if sealed else f"no {what} sealed", "plain" if sealed else "warn"),
         Badge(_tried(r)),
         Badge(f"{r.record['seconds']:.0f} s of work"),
     ]
@@ -191,6 +206,26 @@ def _term_sentence(s: Shown) -> str:
     return f"{text} ({rows_shown(s)})."
 
 
+def _error_lead(r: Refinement) -> str:
+    """What the errors are of, and what the floor."""
+    claimed = r.verdict.claimed is not None
+    if r.problem.table:
+        how = "over the rows, each predicted through the FMU from its own inputs"
+    else:
+        windowed, length = horizon(r) != "a whole run", horizon(r)
+        over = f"over replays of {length}" if windowed else f"over {length}"
+        each = "each started" if windowed else "started"
+        how = f"{over} through the FMU, {each} from the state that model's own filter knew by then"
+    made = "the noise that was" if r.problem.table else "the noise and the disturbance that were"
+    text = (
+        f"Root mean square of measured − model {how}. The noise floor is the same number for the "
+        f"{'refined ' if claimed else ''}model against itself, with {made} estimated."
+    )
+    if claimed:
+        text += " Excess left is the share of the squared error above the floor that remains, where there was one."
+    return text
+
+
 def _innovation_lead(claimed: bool) -> str:
     way = (
         "An innovation is what a reading tells that the filter did not expect one step before, over its expected "
@@ -212,7 +247,8 @@ def _ranking_lead(r: Refinement) -> str:
         "parameters, less ½ ln N for each parameter added and, for each candidate, 3 and the logarithm of their number."
     )
     if r.verdict.claimed is not None and gain is not None:
-        lead += f" On each log, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
+        each = "each part of the table" if r.problem.table else "each log"
+        lead += f" On {each}, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
     return lead
 
 
@@ -242,7 +278,8 @@ def _parts(r: Refinement) -> Sequence[Any]:
 
 
 def _log_row(label: str, log: Log) -> Row:
-    holes = f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s, measures {', '.join(log.outputs)}"
+    times = "" if log.table else f" t = {log.time[0]:.6g} … {log.time[-1]:.6g} s,"
+    holes = f"{log.rows} rows,{times} measures {', '.join(log.outputs)}"
     return Row(label, str(log.path), f"{holes}\n{_digest(log.path)}")
 
 
