@@ -183,6 +183,8 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
+    if not logs or not problem.layout.constants:
+        return {}
     problem = filtering(problem, variant.model, logs)
     ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
     return {name: value for end in ends for name, value in end.items()}
