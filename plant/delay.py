@@ -36,7 +36,9 @@ class Delay(Effect):
         history = memory if memory[-1][1] is command else (*memory, (t, command))
         begin, end = t - self.time, t + h - self.time
         mean = [0.0] * len(command)
-        for k, (since, value) in enumerate(history):
+        earliest = begin.min() if hasattr(begin, "min") else begin
+        first = next((k for k in range(len(history) - 1, 0, -1) if history[k][0] <= earliest), 0)
+        for k, (since, value) in enumerate(history[first:], first):
             until = history[k + 1][0] if k + 1 < len(history) else t + h
             since = since if k else begin  # the oldest command has always been there
             overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h

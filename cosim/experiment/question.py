@@ -13,6 +13,7 @@ from cosim.errors import Fault, InputError
 from cosim.estimation.candidates import Candidate, candidates, neutral_values
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
 from cosim.models.file import LoadedModel, load_model
+from cosim.refinement.hypotheses import TOGETHER
 from cosim.refinement.judgement import SIGNIFICANT
 from cosim.refinement.study import StudyFile
 from cosim.yaml_file import YamlFile, did_you_mean
@@ -112,11 +113,25 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     loaded = load_model(given.model, study.parent, yaml)
     known = _candidates(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
-    _check_names(path, names, known)
-    rivals, pairs = _rivals(loaded, known, names)
-    values = {**neutral_values(loaded.model), **loaded.values}
-    fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
-    return Question(loaded, loaded, fitted, pairs, tuple(content.measured), {**content.sensor_noise, **given.noise}, {})
+    together = {name: tuple(name.split(TOGETHER)) for name in names if TOGETHER in name}
+    if together:
+        _check_names(path, list(dict.fromkeys(n for name in names for n in together.get(name, (name,)))), known)
+        fitted = tuple(_together(name, together.get(name, (name,)), content, known) for name in names)
+        pairs: Sequence[Pair] = all_pairs(names)
+    else:
+        _check_names(path, names, known)
+        rivals, pairs = _rivals(loaded, known, names)
+        values = {**neutral_values(loaded.model), **loaded.values}
+        fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
+    return Question(
+        loaded, loaded, fitted, tuple(pairs), tuple(content.measured), {**content.sensor_noise, **given.noise}, {}
+    )
+
+
+def _together(text: str, names: Sequence[str], found: Refined, known: Mapping[str, Candidate]) -> Rival:
+    """A rival of several candidates, as the study fitted it."""
+    h = next((h for h in found.candidates if set(h.names) == set(names)), None)
+    return Rival(text, h.parameters if h else {}, tuple(f for n in names for f in known[n].free))
 
 
 def _as_fitted(

@@ -37,6 +37,7 @@ SETTLING = 15  # iterations
 MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis that are replaced in turn, and candidates in place of each
 SILENT = 0.1  # of ln of a variance above the least that a sensor's can be
 USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
+MOST_ENLARGED = 2
 FINALISTS = 4  # hypotheses beside the best that are fitted to the end
 
 
@@ -199,7 +200,7 @@ class Attributor:
         again, best = again if best.candidates else best, self._scattered(best)
         if (leading := self._leading(best)) is not best:
             best = min((best, *search.fit_again([leading])), key=lambda h: h.score)
-        best = self._replaced(best)
+        best = self._replaced(self._enlarged(best))
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
             beside = [h for h in self._beside(best) if not h.ended]
@@ -211,6 +212,12 @@ class Attributor:
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
         return Found(search, best, tuple(hidden), len(effects))
+
+    def _enlarged(self, best: Hypothesis) -> Hypothesis:
+        """The best, or one that has more: beside unknown inputs that last as the best has them, what lasts gains little."""
+        tried = sorted(self.search.tried.values(), key=lambda h: h.score)
+        larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
+        return min((best, *self.search.fit_again(larger[:MOST_ENLARGED])), key=lambda h: h.score)
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
         """The problem with substeps that are fine enough for the base model and for the best."""

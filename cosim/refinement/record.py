@@ -182,7 +182,9 @@ class Record(_Entry):
         "claimed for sure, and nearest.yaml is the model that predicts best"
     )
     effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
-    rivals: list[str] = Field(description="names the data cannot distinguish, where the verdict is `ambiguous`")
+    rivals: list[str] = Field(
+        description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together"
+    )
     experiment: str = Field(description="the input that would separate rivals, else empty")
     nearest: list[str] = Field(
         description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from cosim.estimation.candidates import Candidate, kind_within
-from cosim.refinement.hypotheses import Attribution, Hypothesis
+from cosim.refinement.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.sentences import (
     cannot_tell,
@@ -66,7 +66,7 @@ def judge(
         return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves))
     if _disputed(a, left):
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
-    if len(_rivalling(a)) > 1:
+    if a.rivals:
         return _ambiguous(a, model, residual)
     sentence = claim(a.best, a.best.candidates, model)
     if left.terms:
@@ -83,23 +83,17 @@ def _undecided(a: Attribution, model: Model, residual: Mapping[str, Any], *, sti
     return Verdict("ambiguous", None, rivals, experiment, residual, sentence)
 
 
-def _rivalling(a: Attribution) -> tuple[str, ...]:
-    """What the best and its rivals do not have in common."""
-    return tuple(dict.fromkeys(n for h in (a.best, *a.rivals) for n in h.names if n not in _common(a)))
-
-
-def _common(a: Attribution) -> set[str]:
-    """What every rival has too."""
-    return set(a.best.names).intersection(*(h.names for h in a.rivals))
-
-
 def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Verdict:
     """The best is in the model until an experiment separates it from its rivals; what they share is certain."""
-    names, common = _rivalling(a), _common(a)
-    experiment = experiment_for(model, names)
+    every = (a.best, *a.rivals)
+    common = set(a.best.names).intersection(*(h.names for h in a.rivals))
+    apart = [[n for n in h.names if n not in common] for h in every]
+    experiment = experiment_for(model, [n for names in apart for n in names])
     certain = [c for c in a.best.candidates if c.name in common]
-    sentence = cannot_tell(names, experiment, claim(a.best, certain, model) if certain else "", model)
-    return Verdict("ambiguous", a.best, names, experiment, residual, sentence)
+    certainly = claim(a.best, certain, model) if certain else ""
+    sentence = cannot_tell([" and ".join(names) for names in apart], experiment, certainly, model)
+    rivals = tuple(TOGETHER.join(h.names) for h in every)
+    return Verdict("ambiguous", a.best, rivals, experiment, residual, sentence)
 
 
 def _name_of(candidates: Sequence[Candidate], model: Model) -> Name:
