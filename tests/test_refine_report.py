@@ -352,7 +352,7 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     dry, (push,) = judged.single("dry"), judged.single("push").candidates
     best, rival = (replace(dry, candidates=(*dry.candidates, c)) for c in (push, replace(push, name="shove")))
     verdict = judged(best=best, rivals=(rival,))
-    assert (verdict.name, verdict.rivals) == ("ambiguous", ("push", "shove"))
+    assert (verdict.name, verdict.rivals) == ("ambiguous", ("dry + push", "dry + shove"))
     assert verdict.sentence.startswith("The model lacks dry (force = 0.")
     assert ". Beside it, these logs cannot tell push from shove; this would, and `cosim excite`" in verdict.sentence
     alone = judged(best=dry, rivals=(judged.single("push"),))

@@ -214,7 +214,10 @@ class Attributor:
         return Found(search, best, tuple(hidden), len(effects))
 
     def _enlarged(self, best: Hypothesis) -> Hypothesis:
-        """The best, or one that has more: beside unknown inputs that last as the best has them, what lasts gains little."""
+        """The best, or one that has more.
+
+        Beside unknown inputs that last as those of the best do, another effect that lasts gains little.
+        """
         tried = sorted(self.search.tried.values(), key=lambda h: h.score)
         larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
         return min((best, *self.search.fit_again(larger[:MOST_ENLARGED])), key=lambda h: h.score)

@@ -44,7 +44,7 @@ def _replay_errors(
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
     nothing = Path()
-    variants = variants_of(study, a, verdict.claimed, refined_model(study.loaded, verdict.claimed), (nothing, nothing))
+    variants = variants_of(study, a, verdict.claimed, refined_model(study, verdict.claimed), (nothing, nothing))
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
     return error, noise_floor(variants["after"], problem, study.logs, np.random.default_rng(FLOOR_SEED))
 
@@ -76,7 +76,7 @@ def proven(
 
 
 def _sensor_doubt(error: ErrorOf, floor: Channels) -> str:
-    """An error of a sensor alone leaves the replay as it is: that must be down to the noise without it."""
+    """An error of a sensor alone leaves the plant as it is: replays must be down to the noise without it."""
     if not (missed := _missed(error["after"], floor)):
         return ""
     worst = max(missed, key=lambda n: missed[n])

@@ -28,18 +28,20 @@ class Variant:
     parameters: Mapping[str, Any]  # what is set on the FMU
 
 
-def refined_model(loaded: LoadedModel, claimed: Hypothesis | None) -> LoadedModel:
+def refined_model(study: Study, claimed: Hypothesis | None) -> LoadedModel:
     """The model with what was claimed put in, base parameters recalibrated with it; unchanged where nothing was.
 
-    Errors of sensors alone leave its parameters as they are, and so its FMU. Of a parameter per log it has the mean.
+    Errors of sensors alone leave its parameters as they are, and so its FMU, but for those of which it is stated how
+    far they may be off. Of a parameter per log it has the mean.
     """
+    loaded = study.loaded
     if claimed is None:
         return loaded
     sensors = loaded.model.sensor_parameters
     moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     parameters = dict(loaded.parameters)
-    if not claimed.of_sensors:  # of which the plant knows nothing
-        parameters |= {n: v for n, v in moved.items() if n not in sensors}
+    stated = {p.name for p in loaded.model.parameters if p.tolerance is not None} | {*study.settings.tolerance}
+    parameters |= {n: v for n, v in moved.items() if n not in sensors and (n in stated or not claimed.of_sensors)}
     known = {**loaded.sensors, **{n: v for n, v in moved.items() if n in sensors}}
     return LoadedModel(loaded.model.with_values(parameters), loaded.source, parameters, known)
 

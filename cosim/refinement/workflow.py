@@ -70,7 +70,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     if left_out:
         said = on_rows_left_out(left_out, verdict, study.loaded.model)
         verdict = replace(verdict, sentence=f"{verdict.sentence} {said}")
-    refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
+    refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
         scratch = Path(name)
         progress("building the refined FMU", 0.0)

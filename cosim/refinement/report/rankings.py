@@ -10,6 +10,7 @@ from typing import Any
 from cosim.estimation.candidates import Candidate, Free
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.variants import refined_model
 from cosim.text import amount, display, joined, plain
 from plant.quantities import Parameter
 
@@ -135,7 +136,8 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
         "The bar is the 95 % interval, the dashed line the neutral value or the data sheet.", "Neutral",
         tuple(names[True]),
     )  # fmt: skip
-    note = "The model keeps its own: a sensor's error is none of the plant's." if hypothesis.of_sensors else ""
+    alone = hypothesis.of_sensors and refined_model(r.study, hypothesis).parameters == r.study.loaded.parameters
+    note = "The model keeps its own: a sensor's error is none of the plant's." if alone else ""
     rest = ParameterTable(
         f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
         note or "Held to the data sheet: within its tolerance is no discovery.", "Data sheet", tuple(names[False]),
