@@ -56,6 +56,9 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
     ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
 ) -> None:
@@ -65,7 +68,9 @@ def run(
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
-        outcome = run_scenario(scenario, out, overrides, report=report, figures=figures, progress=progress)
+        outcome = run_scenario(
+            scenario, out, overrides, nearest=nearest, report=report, figures=figures, progress=progress
+        )
     for warning in outcome.manifest["warnings"]:
         typer.echo(f"warning: {warning}", err=True)
     for criterion in outcome.manifest["criteria"]:
@@ -81,13 +86,19 @@ def run(
 def build(
     out: Out = Path("build"),
     model: Annotated[
-        str | None, typer.Option("--model", help="A model.yaml, or file.py:Class; builds the FMU of that model.")
+        str | None,
+        typer.Option(
+            "--model", help="A model.yaml, a refine's folder, or file.py:Class; builds the FMU of that model."
+        ),
     ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
+    ] = False,
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from cosim.models.fmus import build as build_fmus
 
-    for path in build_fmus(out, model):
+    for path in build_fmus(out, model, nearest=nearest):
         say(f"built {path}")
 
 

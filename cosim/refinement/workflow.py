@@ -23,6 +23,7 @@ from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
+from cosim.models.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
@@ -40,8 +41,7 @@ from cosim.refinement.variants import Variant, refined_model, variant_of, varian
 from cosim.refinement.verdict import Verdict, judge
 from fmus.build import build
 
-NEAREST = ("nearest.yaml", "nearest.fmu")
-RESULTS = ("model.yaml", "plant.fmu", *NEAREST, "refine.json")  # in the order in which they are moved to their place
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 
