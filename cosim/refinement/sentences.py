@@ -10,7 +10,7 @@ from cosim.estimation.fit import Fit
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
-from cosim.text import percent, plain, written
+from cosim.text import finer, joined, percent, plain, written
 from plant.model import Model
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
@@ -89,6 +89,20 @@ def misses(channel: str, times: float, base: Fit) -> str:
         f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
         "No candidate accounts for that."
     )
+
+
+def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
+    """That sealed logs are predicted worse than before, and on which channels; empty where no reader sees a rise.
+
+    errors: channel → root mean square before and after; file: the model that is meant by after
+    """
+    said = []
+    for name, pair in errors.items():
+        unit, factor = finer(units.get(name, ""), pair[1])
+        before, after = (joined(plain(error * factor), unit) for error in pair)
+        if before != after:
+            said.append(f"of {name} rises from {before} to {after}")
+    return f"On the sealed logs the error {' and '.join(said)} with {file}." if said else ""
 
 
 def follows(signal: str) -> str:

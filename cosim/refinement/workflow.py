@@ -33,7 +33,9 @@ from cosim.refinement.nearest import nearest
 from cosim.refinement.proof import held_against_replays
 from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.sealed import risen
 from cosim.refinement.search import Found
+from cosim.refinement.sentences import rises
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
@@ -82,6 +84,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
+        verdict = _opened(verdict, replayed, study)
         written = record(study, attribution, verdict, near, problem, replayed, floors, time.perf_counter() - began)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
@@ -177,6 +180,17 @@ def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) 
         if id(variant) not in done:
             done[id(variant)] = {part: replays(variant, problem, logs, horizons) for part, logs in sets.items()}
     return {name: done[id(variant)] for name, variant in variants.items()}
+
+
+def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:
+    """The verdict, whose sentence begins with an error that rises on the sealed logs. They change nothing else."""
+    model = study.loaded.model
+    variant, file = ("after", REFINED[0]) if verdict.claimed is not None else ("nearest", NEAREST[0])
+    if "validation" not in replayed["before"] or variant not in replayed:
+        return verdict
+    before, after = (replayed[name]["validation"][model.horizon] for name in ("before", variant))
+    said = rises(risen(before, after), {q.name: q.unit for q in model.outputs}, file)
+    return replace(verdict, sentence=f"{said} {verdict.sentence}") if said else verdict
 
 
 def _write(path: Path, written: Record) -> None:
