@@ -13,6 +13,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
+from cosim.refinement.between import Between, Way
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.measure import Evidence, rmse
 from cosim.refinement.study import Study
@@ -69,6 +70,16 @@ class CandidateEntry(_Entry):
     fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
     why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
+
+
+class Inputs(_Entry):
+    """What inputs do between two rows."""
+
+    taken: dict[str, Way] = Field(description="input → `held`, or `interpolated`: straight to the next row")
+    gain_otherwise: Likelihood = Field(
+        description="log-likelihood, priors included, that the model recalibrated gains where every input is taken the "
+        "other way; a warning says so where that is plainly likelier"
+    )
 
 
 class ProcessNoise(_Entry):
@@ -155,6 +166,7 @@ class Record(_Entry):
     sensor_noise: Channels = Field(
         description="standard deviation of the noise of each output in `measured`, as it was taken"
     )
+    inputs: Inputs
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
     horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]: the model's own")
@@ -177,6 +189,7 @@ def record(
     verdict: Verdict,
     near: Hypothesis | None,
     problem: Problem,
+    between: Between,
     replayed: Replayed,
     floors: Floors,
     seconds: float,
@@ -204,6 +217,7 @@ def record(
         hidden=list(a.hidden),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
+        inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),
         residual=residual(verdict),
         horizon=own if math.isfinite(own) else "free run",

@@ -24,6 +24,7 @@ from cosim.files import FilePath, atomic_write, check_writable
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
+from cosim.refinement.between import between_rows
 from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
@@ -64,7 +65,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     attribution = decided(found)
     verdict = _judged(study, attribution, found, progress)
     noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
-    study = replace(study, warnings=(*study.warnings, *noted))
+    between = between_rows(found.search.problem, attribution.base)
+    study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
@@ -85,7 +87,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         rng = np.random.default_rng(FLOOR_SEED)
         floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
         verdict = _opened(verdict, replayed, study)
-        written = record(study, attribution, verdict, near, problem, replayed, floors, time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        written = record(study, attribution, verdict, near, problem, between, replayed, floors, seconds)
         _write(scratch / "refine.json", written)
         variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
