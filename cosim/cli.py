@@ -158,7 +158,7 @@ def refine(
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous":
-        from cosim.experiment.question import inputs_to_limit
+        from cosim.experiment.ranges import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
@@ -177,6 +177,10 @@ def excite(
         list[str] | None,
         typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
     ] = None,
+    range_: Annotated[
+        list[str] | None,
+        typer.Option("--range", help="NAME=MIN..MAX: between what an input stays, within what the model declares."),
+    ] = None,
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
@@ -190,8 +194,8 @@ def excite(
 
     with stages() as progress:
         found = choose(
-            model, out, against or (), limits=limit or (), measured=measured or (), duration=duration, seed=seed,
-            progress=progress,
+            model, out, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
+            duration=duration, seed=seed, progress=progress,
         )  # fmt: skip
     if found.warning:
         typer.echo(f"warning: {found.warning}", err=True)
