@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -264,6 +265,7 @@ def entry() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
+    before = signal.signal(signal.SIGTERM, _terminated)
     try:
         app(standalone_mode=True)
     except CosimError as error:
@@ -272,6 +274,13 @@ def entry() -> None:
     except OSError as error:  # a folder that cannot be written, a disk that is full
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def _terminated(number: int, frame: object) -> None:
+    """Asked to end: what is half done is taken away on the way out."""
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

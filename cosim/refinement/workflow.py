@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +19,7 @@ from cosim.estimation.candidates import Candidate, candidates
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
@@ -69,8 +68,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
-    with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
-        scratch = Path(name)
+    with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
         write_model(scratch / "model.yaml", refined, folder)
         fmus, variant = _build_fmus(study.loaded, refined, scratch), None
@@ -90,7 +88,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         seconds = time.perf_counter() - began
         written = record(study, attribution, verdict, near, problem, between, replayed, floors, seconds)
         _write(scratch / "refine.json", written)
-        variants = _publish(scratch, folder, variants)
+        with uninterrupted():
+            variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
     evidence = {name: {part: played[own] for part, played in parts.items()} for name, parts in replayed.items()}
     content = written.model_dump(mode="json")
