@@ -68,7 +68,7 @@ def test_what_sealed_logs_show_changes_no_model_and_no_verdict(another: Refineme
     assert sorted(p.name for p in r.folder.iterdir()) == sorted(p.name for p in another.folder.iterdir())
     said = str(another.record["sentence"])
     assert said.endswith(str(r.record["sentence"]))
-    sealed = {"study", "sentence", "error", "horizons", "noise_floor", "noise_floors", "seconds"}
+    sealed = {"study", "sentence", "error", "horizons", "noise_floor", "noise_floors", "floor_scatters", "seconds"}
     kept = [{k: v for k, v in x.record.items() if k not in sealed} for x in (r, another)]
     assert kept[0] == kept[1]
     assert json.loads((another.folder / "refine.json").read_text())["sentence"] == said

@@ -15,7 +15,7 @@ from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.between import Between, Way
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.measure import Evidence, rmse
+from cosim.refinement.measure import Evidence, Floor, rmse
 from cosim.refinement.study import Study
 from cosim.refinement.verdict import Grade, Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
@@ -32,7 +32,7 @@ Likelihood = Annotated[  # null where the filter diverged
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
 Part = Literal["estimation", "validation"]
-Floors = Mapping[Part, dict[str, float]]
+Floors = Mapping[Part, Floor]
 Replayed = Mapping[str, Mapping[Part, Mapping[float, Evidence]]]  # before, recalibrated, after → set of logs → horizon
 Parts = dict[Part, Channels]
 
@@ -161,7 +161,7 @@ class Record(_Entry):
         "it is that model, recalibrated or as it was"
     )
     candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
-    hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
+    hidden: list[str] = Field(description="effects that these logs would not show at their usual size, and did not")
     measured: list[str] = Field(description="outputs that some estimation log holds")
     sensor_noise: Channels = Field(
         description="standard deviation of the noise of each output in `measured`, as it was taken"
@@ -177,6 +177,10 @@ class Record(_Entry):
         "sensor noise; on the validation logs where there are any"
     )
     noise_floors: Parts = Field(description="the same for each set of logs")
+    floor_scatters: Parts = Field(
+        description="standard deviation of the logarithm of each floor from draw to draw; where a floor is above the "
+        "error by more than 3 of these and a fifth, a warning says so"
+    )
     held_out_gain: Likelihood = Field(
         description="log-likelihood that the claim gains on each log, as the other logs have it"
     )
@@ -214,7 +218,7 @@ def record(
         experiment=verdict.experiment,
         nearest=list(near.names) if near and verdict.grade != "claimed" else [],
         candidates=ranking(a, verdict),
-        hidden=list(a.hidden),
+        hidden=unseen(a, verdict),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
@@ -223,8 +227,9 @@ def record(
         horizon=own if math.isfinite(own) else "free run",
         error=errors(own),
         horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
-        noise_floor=floors["validation" if "validation" in floors else "estimation"],
-        noise_floors=floors,
+        noise_floor=known(floors["validation" if "validation" in floors else "estimation"].level),
+        noise_floors={part: known(floor.level) for part, floor in floors.items()},
+        floor_scatters={part: known(floor.scatter) for part, floor in floors.items()},
         held_out_gain=a.total.held_out,
         seconds=seconds,
     )
@@ -261,6 +266,12 @@ def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> l
         EffectEntry(name=c.name, parameters={n.partition(".")[2] or "value": estimate(n) for n in c.parameters})
         for c in sorted(claimed.candidates, key=lambda c: alone.get((c.name,), math.inf))
     ]
+
+
+def unseen(a: Attribution, verdict: Verdict) -> list[str]:
+    """Effects that would not have shown at their usual size; not those that are claimed, for they did."""
+    claimed = verdict.claimed.names if verdict.claimed else ()
+    return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:

@@ -105,6 +105,27 @@ def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], f
     return f"On the sealed logs the error {' and '.join(said)} with {file}." if said else ""
 
 
+def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
+    """That a noise floor is above the error: channel → floor and error."""
+    which = "sealed" if part == "validation" else "estimation"
+    said = []
+    for name, (floor, error) in found.items():
+        unit, factor = finer(units.get(name, ""), error)
+        said.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
+    return (
+        f"on the {which} logs the error is below its noise floor ({', '.join(said)}): they hold less noise and "
+        "disturbance than was estimated, so that the floor is none for them"
+    )
+
+
+def holds(names: Sequence[str], *, fitted: bool) -> str:
+    """What nearest.yaml holds: what was added, or nothing; fitted: base parameters are recalibrated."""
+    what = (
+        f"has {' and '.join(names)}" if names else "is the model recalibrated" if fitted else "is the model as it was"
+    )
+    return f"nearest.yaml, which predicts logs left out best, {what}."
+
+
 def follows(signal: str) -> str:
     """How a term goes with its signal; `1` is the constant."""
     return "is constant" if signal == "1" else f"depends on {signal}"

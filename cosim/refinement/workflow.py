@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,21 +27,22 @@ from cosim.refinement.between import between_rows
 from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
-from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays
+from cosim.refinement.measure import FLOOR_SEED, Evidence, noise_floor, replays, rmse
 from cosim.refinement.missing import unknown_inputs
 from cosim.refinement.nearest import nearest
 from cosim.refinement.proof import held_against_replays
-from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
+from cosim.refinement.record import OTHER_HORIZONS, Floors, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.sealed import risen
 from cosim.refinement.search import Found
-from cosim.refinement.sentences import rises
+from cosim.refinement.sentences import calmer, holds, rises
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
 from fmus.build import build
+from plant.model import Model
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
@@ -67,6 +68,7 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     between = between_rows(found.search.problem, attribution.base)
     study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
+    verdict = _in_full(study, verdict, near)
     refined, nearer = refined_model(study.loaded, verdict.claimed), refined_model(study.loaded, near)
     with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
@@ -83,7 +85,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         replayed = _replayed(variants, problem, sets)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
-        floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
+        floors = {part: noise_floor(variants["after"], problem, logs, rng) for part, logs in sets.items()}
+        study = replace(study, warnings=(*study.warnings, *_too_calm(floors, replayed, study.loaded.model)))
         verdict = _opened(verdict, replayed, study)
         seconds = time.perf_counter() - began
         written = record(study, attribution, verdict, near, problem, between, replayed, floors, seconds)
@@ -131,8 +134,6 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
-    if study.content.candidates is not None:
-        verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     return verdict
 
 
@@ -142,6 +143,16 @@ def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | Non
         return verdict.claimed
     close = {h.names: h for h in (a.best, found.best) if h.candidates}
     return nearest(found.search, a, list(close.values()))
+
+
+def _in_full(study: Study, verdict: Verdict, near: Hypothesis | None) -> Verdict:
+    """The verdict, its sentence followed by what the nearest model holds, and by what was tried."""
+    said = [verdict.sentence]
+    if verdict.grade != "claimed":
+        said.append(holds(near.names if near else (), fitted=near is not None))
+    if study.content.candidates is not None:
+        said.append("(Tried: only what the study names as candidates.)")
+    return replace(verdict, sentence=" ".join(said))
 
 
 def _nearest_variant(
@@ -193,6 +204,14 @@ def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:
     before, after = (replayed[name]["validation"][model.horizon] for name in ("before", variant))
     said = rises(risen(before, after), {q.name: q.unit for q in model.outputs}, file)
     return replace(verdict, sentence=f"{said} {verdict.sentence}") if said else verdict
+
+
+def _too_calm(floors: Floors, replayed: Replayed, model: Model) -> Iterator[str]:
+    """Where a floor is above the error."""
+    units = {q.name: q.unit for q in model.outputs}
+    for part, floor in floors.items():
+        if found := floor.above(known(rmse(replayed["after"][part][model.horizon]))):
+            yield calmer(part, found, units)
 
 
 def _write(path: Path, written: Record) -> None:

@@ -160,6 +160,8 @@ def second_sentence(r: Refinement) -> str:
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
     lead = f"{where} the error of {name} over {horizon(r)} {verb} {said[0]} to {said[1]}"
+    if floor > after:
+        return f"{lead}, less than the {said[2]} that noise and disturbance make."
     return f"{lead}; noise and disturbance make {said[2]}."
 
 
@@ -175,4 +177,6 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
     _, _, after, floor = _numbers(r, part, worst)
     said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
     lead = f"{where} the model, unchanged, misses {worst} by {said[0]} over {horizon(r)}"
+    if floor > after:
+        return f"{lead}, less than the {said[1]} that noise and disturbance make."
     return f"{lead}; noise and disturbance make {said[1]}."

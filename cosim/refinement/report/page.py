@@ -140,16 +140,9 @@ def _rivals(r: Refinement) -> str:
         verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
         return (
             f"{' and '.join(r.verdict.rivals)} {verb} not claimed: something without a name does as much beside it, "
-            f"or replays are not near enough. model.yaml is the model as it was; {_near(r)}"
+            "or replays are not near enough. model.yaml is the model as it was."
         )
     return ""
-
-
-def _near(r: Refinement) -> str:
-    """What nearest.yaml holds."""
-    names = r.record.get("nearest") or []
-    held = f"has {' and '.join(names)} in it" if names else "is the model recalibrated, or as it was"
-    return f"nearest.yaml, which predicts logs that it did not see best, {held}."
 
 
 def _term_lead(r: Refinement) -> str:
