@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -56,6 +57,9 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
     ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
 ) -> None:
@@ -65,7 +69,9 @@ def run(
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
-        outcome = run_scenario(scenario, out, overrides, report=report, figures=figures, progress=progress)
+        outcome = run_scenario(
+            scenario, out, overrides, nearest=nearest, report=report, figures=figures, progress=progress
+        )
     for warning in outcome.manifest["warnings"]:
         typer.echo(f"warning: {warning}", err=True)
     for criterion in outcome.manifest["criteria"]:
@@ -81,13 +87,19 @@ def run(
 def build(
     out: Out = Path("build"),
     model: Annotated[
-        str | None, typer.Option("--model", help="A model.yaml, or file.py:Class; builds the FMU of that model.")
+        str | None,
+        typer.Option(
+            "--model", help="A model.yaml, a refine's folder, or file.py:Class; builds the FMU of that model."
+        ),
     ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
+    ] = False,
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from cosim.models.fmus import build as build_fmus
 
-    for path in build_fmus(out, model):
+    for path in build_fmus(out, model, nearest=nearest):
         say(f"built {path}")
 
 
@@ -147,7 +159,7 @@ def refine(
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
-        from cosim.experiment.question import inputs_to_limit
+        from cosim.experiment.ranges import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
@@ -166,6 +178,10 @@ def excite(
         list[str] | None,
         typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
     ] = None,
+    range_: Annotated[
+        list[str] | None,
+        typer.Option("--range", help="NAME=MIN..MAX: between what an input stays, within what the model declares."),
+    ] = None,
     measured: Annotated[
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
@@ -179,8 +195,8 @@ def excite(
 
     with stages() as progress:
         found = choose(
-            model, out, against or (), limits=limit or (), measured=measured or (), duration=duration, seed=seed,
-            progress=progress,
+            model, out, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
+            duration=duration, seed=seed, progress=progress,
         )  # fmt: skip
     if found.warning:
         typer.echo(f"warning: {found.warning}", err=True)
@@ -249,6 +265,7 @@ def entry() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
+    before = signal.signal(signal.SIGTERM, _terminated)
     try:
         app(standalone_mode=True)
     except CosimError as error:
@@ -257,6 +274,13 @@ def entry() -> None:
     except OSError as error:  # a folder that cannot be written, a disk that is full
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def _terminated(number: int, frame: object) -> None:
+    """Asked to end: what is half done is taken away on the way out."""
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,12 @@
-"""Text files written whole or not at all, and what keeps them from being written."""
+"""Text files written whole or not at all, also where the work is stopped, and what keeps them from being written."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import signal
+import tempfile
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +16,7 @@ from cosim.errors import Fault, InputError
 from fmus.files import draft_of
 
 FilePath = str | os.PathLike[str]
+STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
@@ -19,6 +24,37 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Nothing stops the block half-way: a signal that would waits for its end."""
+    if threading.current_thread() is not threading.main_thread():  # which alone gets them
+        yield
+        return
+    came: list[int] = []
+    handlers = {number: signal.signal(number, lambda n, frame: came.append(n)) for number in STOPPING}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if came:
+            signal.raise_signal(came[0])
+
+
+@contextmanager
+def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
+    """A folder within `beside` that is gone at the end, however that comes."""
+    made: Path | None = None
+    try:
+        with uninterrupted():
+            made = Path(tempfile.mkdtemp(prefix=prefix, dir=beside))
+        yield made
+    finally:
+        with uninterrupted():
+            if made is not None:
+                shutil.rmtree(made, ignore_errors=True)
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:

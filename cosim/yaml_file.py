@@ -103,7 +103,7 @@ class YamlFile:
         if any(len(e["loc"]) < 2 for e in errors):
             return None, faults
         for e in errors:
-            _leave_out(data, e["loc"])
+            _leave_out(data, tuple(p for p in e["loc"] if not _is_tag(p)))
         try:
             return model.model_validate(data), faults
         except ValidationError:

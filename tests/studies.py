@@ -13,6 +13,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
+from tests.verdicts import contradictions
 
 FEW = "[coulomb_friction, quadratic_drag, table_tilt, servo_dead_band, gyro_bias, mass]"
 SECONDS = 12.0
@@ -31,9 +32,12 @@ def refined(folder: Path, *arguments: Any, **conditions: Any) -> Refinement:
 
 
 def proven(study: Path, folder: Path) -> Refinement:
-    """Refine a study; what is written fits the schema, whatever the verdict."""
+    """Refine a study; what is written fits the schema and agrees with itself, whatever the verdict."""
     r = refine(study, folder)
-    jsonschema.validate(json.loads((folder / "refine.json").read_text()), json.loads(SCHEMA.read_text()))
+    written = json.loads((folder / "refine.json").read_text())
+    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    said = contradictions(written, folder)
+    assert not said, said
     return r
 
 

@@ -106,10 +106,10 @@ class Tank(Model):
 '''
 
 
-def tank_log(path: Path, seed: int, seconds: float = 400.0) -> Path:
+def tank_log(path: Path, seed: int, seconds: float = 400.0, step: float = STEP) -> Path:
     """A log of a tank that leaks LEAK·h, filled in steps; the gauge has noise."""
     rng = np.random.default_rng(seed)
-    time = STEP * np.arange(round(seconds / STEP) + 1)
+    time = step * np.arange(round(seconds / step) + 1)
     inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // 40 + 1), 40)[: time.size]
     level = [1.0]
     for q in inflow[:-1]:
@@ -117,7 +117,7 @@ def tank_log(path: Path, seed: int, seconds: float = 400.0) -> Path:
         def rate(_: float, h: np.ndarray, q: float = q) -> list[float]:
             return [(q - OUTLET * math.sqrt(max(h[0], 1e-6)) - LEAK * h[0]) / AREA]
 
-        level.append(float(solve_ivp(rate, (0.0, STEP), [level[-1]], rtol=1e-9, atol=1e-12).y[0, -1]))
+        level.append(float(solve_ivp(rate, (0.0, step), [level[-1]], rtol=1e-9, atol=1e-12).y[0, -1]))
     read = np.array(level) + NOISE * rng.standard_normal(time.size)
     return write_log(path, {"time": time, "inflow": inflow, "level": read})
 

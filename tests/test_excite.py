@@ -252,6 +252,18 @@ def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (
+            ["base", "--range", "duty_rigth=0..10"],
+            '--range duty_rigth=0..10: no input "duty_rigth"; did you mean "duty_ri',
+        ),
+        (["base", "--range", "ax=0..10"], '--range ax=0..10: no input "ax" (inputs: duty_right, duty_left'),
+        (["base", "--range", "duty_right=10..0"], "say between what duty_right stays, lower end first [%], as duty_ri"),
+        (["base", "--range", "tilt_right=0..10m"], "say between what tilt_right stays, lower end first [rad]"),
+        (["base", "--range", "tilt_right=2..3"], "the model declares -1.5708..1.5708 rad of tilt_right"),
+        (
+            ["base", "--range", "tilt_right=1..8deg"],
+            "--range: tilt_right=0.0174533..0.139626: the controller tilts both",
+        ),
         (["base", "--against", "lagg"], 'no candidate "lagg"; did you mean "lag"?'),
         (["base", "--against", "lag", "--against", "lag"], '"lag" is named twice'),
         (["base", "--limit", "tilt_rigth=8deg"], 'no input or output "tilt_rigth"; did you mean "tilt_right"?'),
@@ -263,7 +275,7 @@ def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: 
             "base: none of 48 experiments drives any two rivals a standard deviation apart; try a wider --limit",
         ),
         (["base", "--duration", "4"], "--duration 4: an experiment lasts between 5 and 600 s for a step of 0.02 s"),
-        ([f"{DRIVE}:Drive"], "how far from 0 may force go? Say --limit force=VALUE [N]"),
+        ([f"{DRIVE}:Drive"], "how far from 0 may force go? Say --limit force=VALUE or --range force=MIN..MAX [N]"),
     ],
 )
 def test_a_question_that_cannot_be_asked_is_told_with_its_cure(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cosim.checks import check_files
-from cosim.experiment.question import inputs_to_limit
+from cosim.experiment.ranges import inputs_to_limit
 from cosim.models.file import read_model
 from cosim.refinement.workflow import refine
 from plant.hovercraft import Hovercraft

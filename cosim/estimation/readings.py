@@ -35,7 +35,7 @@ class Readings:
         for j, rows in late.items():
             if rows:
                 moved[:, j] = np.nan
-                moved[: len(moved) - rows, j] = table[rows:, j]
+                moved[: max(0, len(moved) - rows), j] = table[rows:, j]
         return moved
 
 

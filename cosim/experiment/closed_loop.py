@@ -17,7 +17,8 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.arrays import Array
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Signals, Trial, played_lines, trial_of
+from cosim.errors import Fault, InputError
+from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, played_lines, trial_of, within
 from cosim.table import write_columns
 from fmus.build import build
 from fmus.recipes import controller_recipe
@@ -38,8 +39,9 @@ class ClosedLoop:
     sensors = ("psi", "psi_dot", "ax")
     commanded = ("tilt_right", "tilt_left")
 
-    def __init__(self, model: Model, limits: Mapping[str, float], duration: float) -> None:
-        self.settings = Settings(tilt_max=min(limits["tilt_right"], limits["tilt_left"]), sample_time=model.rate)
+    def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
+        self.ranges = ranges
+        self.settings = Settings(tilt_max=min(self._tilts(limits)), sample_time=model.rate)
         room, duty = min(limits["x_world"], limits["y_world"]), min(limits["duty_right"], limits["duty_left"])
         band = min(SLOWEST / duration, FASTEST / model.rate), FASTEST / model.rate
         dither = DITHER * self.settings.tilt_max
@@ -52,13 +54,22 @@ class ClosedLoop:
             Axis("duty_difference", DUTY_DIFFERENCE * duty, *band),
         )
 
+    def _tilts(self, limits: Mapping[str, float]) -> Iterator[float]:
+        """How far each propeller may tilt, either way: the controller's limit is one for both ways."""
+        for name in self.commanded:
+            low, high = self.ranges.get(name, (-math.inf, math.inf))
+            if not low < 0.0 < high:
+                message = f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
+                raise InputError([Fault(Path("--range"), 0, 0, message)])
+            yield min(limits[name], -low, high)
+
     def play(self, model: Model, signals: Signals) -> Trial:
         """The loop as a co-simulation runs it, Gauss-Seidel, without noise."""
         x_ref = signals["x_ref"] + signals["tilt_common"] / self.settings.k_1_1
         psi_ref = signals["psi_ref"] + signals["tilt_difference"] / self.settings.k_1_3
         rest = self.settings.duty_nominal
-        right = rest + signals["duty_common"] + signals["duty_difference"]
-        left = rest + signals["duty_common"] - signals["duty_difference"]
+        right = within(rest + signals["duty_common"] + signals["duty_difference"], "duty_right", self.ranges)
+        left = within(rest + signals["duty_common"] - signals["duty_difference"], "duty_left", self.ranges)
         loop = Loop(self.settings, [0.0] * 5, float(x_ref[0]), float(psi_ref[0]))
         names = [q.name for q in model.outputs]
         sensors = [names.index(name) for name in self.sensors]

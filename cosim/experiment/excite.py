@@ -111,6 +111,7 @@ def excite(
     against: Sequence[str] = (),
     *,
     limits: Sequence[str] = (),
+    ranges: Sequence[str] = (),
     measured: Sequence[str] = (),
     duration: float | None = None,
     seed: int = 1,
@@ -120,10 +121,10 @@ def excite(
     """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
-    question, folder = ask(text, against, limits, measured), Path(folder)
+    question, folder = ask(text, against, limits, measured, ranges), Path(folder)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
-    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, float(time[-1]))
+    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
     found = _choose(question, rig, time, seed, experiments, report)

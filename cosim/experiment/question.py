@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from cosim.errors import Fault, InputError
 from cosim.estimation.candidates import Candidate, candidates, neutral_values
+from cosim.experiment.ranges import allowed, inputs_to_limit, seen_in
+from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
+from cosim.logs.log import read_log
 from cosim.models.file import LoadedModel, load_model
 from cosim.refinement.hypotheses import TOGETHER
 from cosim.refinement.judgement import SIGNIFICANT
 from cosim.refinement.study import StudyFile
 from cosim.yaml_file import YamlFile, did_you_mean
-from fmus.units import factor
 from plant.model import Model
 
 NOTHING = "nothing"
-LIMIT = re.compile(r"(?P<name>[^=]+)=\s*(?P<number>\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>.*)")
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Question:
     base:     the model the rivals differ from, whose filter the logs are given to
     measured: outputs that will be logged; noise: their standard deviations where they are not the model's own
     limits:   how far from its start an input or output may go
+    ranges:   input → least and largest command that it takes, as declared, as asked for, or else as the logs have it
     """
 
     loaded: LoadedModel
@@ -41,6 +42,7 @@ class Question:
     measured: tuple[str, ...]
     noise: Mapping[str, float]
     limits: Mapping[str, float]
+    ranges: Ranges = field(default_factory=dict)
 
     def model_if(self, rival: Rival) -> Model:
         """The model if a rival is true; an error of a sensor does not change it."""
@@ -72,7 +74,13 @@ class Refined(BaseModel):
     sensor_noise: dict[str, float] = {}  # of an older one, the model's is taken
 
 
-def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), measured: Sequence[str] = ()) -> Question:
+def ask(
+    text: str,
+    against: Sequence[str] = (),
+    limits: Sequence[str] = (),
+    measured: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+) -> Question:
     """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
     path = Path(text)
     if folder := refinement_folder(text):
@@ -84,7 +92,7 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
     if model.static:
         told = "told_apart_by says what rows would separate rivals"
         raise InputError([Fault(path, 0, 0, f"{model.title} has no states, so no input over time tells more; {told}")])
-    allowed = _limits(model, limits, faults)
+    far, spans = allowed(model, limits, ranges, question.ranges, faults)
     outputs = [q.name for q in model.outputs]
     faults += [f'--measured: no output "{n}"{did_you_mean(n, outputs)}' for n in measured if n not in outputs]
     seen = tuple(n for n in outputs if n in (measured or question.measured))
@@ -92,7 +100,7 @@ def ask(text: str, against: Sequence[str] = (), limits: Sequence[str] = (), meas
         faults.append(f"it does not say what is measured; say --measured NAME, of {', '.join(outputs)}")
     if faults:
         raise InputError([Fault(path, 0, 0, fault) for fault in faults])
-    return replace(question, limits=allowed, measured=seen)
+    return replace(question, limits=far, ranges=spans, measured=seen)
 
 
 def refinement_folder(text: str) -> Path | None:
@@ -123,15 +131,27 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
         rivals, pairs = _rivals(loaded, known, names)
         values = {**neutral_values(loaded.model), **loaded.values}
         fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
-    return Question(
-        loaded, loaded, fitted, tuple(pairs), tuple(content.measured), {**content.sensor_noise, **given.noise}, {}
-    )
+    noise, seen = {**content.sensor_noise, **given.noise}, _seen(loaded.model, study.parent, given)
+    return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, seen)
 
 
 def _together(text: str, names: Sequence[str], found: Refined, known: Mapping[str, Candidate]) -> Rival:
     """A rival of several candidates, as the study fitted it."""
     h = next((h for h in found.candidates if set(h.names) == set(names)), None)
     return Rival(text, h.parameters if h else {}, tuple(f for n in names for f in known[n].free))
+
+
+def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
+    """The ranges of inputs in the logs of a study, where nobody says how far they may go; logs may be gone by now."""
+    if not inputs_to_limit(model):
+        return {}
+    logs = []
+    for name in study.logs.estimation:
+        try:
+            logs.append(read_log(folder / name, model.inputs, model.outputs))
+        except InputError:
+            continue
+    return seen_in(logs)
 
 
 def _as_fitted(
@@ -208,29 +228,3 @@ def _rivals(
     )
     taken = dict.fromkeys(name for pair in pairs for name in pair)
     return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
-
-
-def inputs_to_limit(model: Model) -> tuple[str, ...]:
-    """Inputs of which one has to say how far they may go."""
-    return tuple(q.name for q in model.inputs if q.name not in model.excursion)
-
-
-def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, float]:
-    """Limits by signal: the model's own, and over them those given as NAME=VALUE, a unit behind the value."""
-    units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
-    limits = dict(model.excursion)
-    for item in given:
-        read = LIMIT.fullmatch(item.strip())
-        name = read["name"].strip() if read else item.partition("=")[0].strip()
-        if name not in units:
-            faults.append(f'--limit {item}: no input or output "{name}"{did_you_mean(name, units)}')
-        elif (
-            read is None or not (size := float(read["number"]) * (factor(read["unit"].strip(), units[name]) or 0.0)) > 0
-        ):
-            faults.append(f"--limit {item}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
-        else:
-            limits[name] = size
-    for q in model.inputs:
-        if q.name not in limits:
-            faults.append(f"how far from {q.start:g} may {q.name} go? Say --limit {q.name}=VALUE [{q.unit}]")
-    return limits

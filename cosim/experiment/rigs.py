@@ -19,6 +19,7 @@ from plant.integrate import Stepper
 from plant.model import Model, Values
 
 Signals = Mapping[str, Array]
+Ranges = Mapping[str, tuple[float, float]]  # input → least and largest command
 FASTEST = 0.1  # of the sample rate
 SLOWEST = 2.0  # periods in a trial
 
@@ -62,7 +63,7 @@ class Trial:
 
 
 class Rig(Protocol):
-    """What plays an experiment, and writes down how a scenario plays it.
+    """What plays an experiment within the ranges of the inputs, and writes down how a scenario plays it.
 
     usual: what is played without thinking, to compare an experiment with
     files: what it writes beside excitation.csv, excitation.yaml and plant.fmu
@@ -94,15 +95,19 @@ class OpenLoop:
     usual = "a step of each input in turn"
     files: tuple[str, ...] = ()
 
-    def __init__(self, model: Model, limits: Mapping[str, float], duration: float) -> None:
+    def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
+        self.ranges = ranges
         fastest = FASTEST / model.rate
         slowest = min(SLOWEST / duration, fastest)
         self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Inputs played to the model."""
+        """Inputs played to the model; what would leave a range stays at its end."""
         rest = model.start_command()
-        u = np.column_stack([start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)])
+        moved = [start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)]
+        u = np.column_stack(
+            [within(values, q.name, self.ranges) for q, values in zip(model.inputs, moved, strict=True)]
+        )
         rows = [tuple(row) for row in u.tolist()]
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
@@ -126,6 +131,11 @@ class OpenLoop:
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
         """Every input is played."""
         yield from played_lines(q.name for q in model.inputs)
+
+
+def within(values: Array, name: str, ranges: Ranges) -> Array:
+    """Commands of an input, cut at the ends of its range."""
+    return np.clip(values, *ranges.get(name, (-math.inf, math.inf)))
 
 
 def played_lines(names: Iterable[str]) -> Iterator[str]:

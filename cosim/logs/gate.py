@@ -29,7 +29,7 @@ ALIKE = 0.98  # correlation of two inputs that cannot be separated
 def gate(
     log: Log,
     rate: float | None = None,
-    strict: bool = True,
+    strict: bool = False,
     traits: Traits | None = None,
 ) -> list[Finding]:
     """Everything there is to say about a log, faults first.
@@ -102,20 +102,36 @@ def _timing(log: Log) -> Iterator[Finding]:
                       "time takes it as it is", {"start": float(log.time[0])})  # fmt: skip
 
 
+def _unit_meant(log: Log, ratio: float) -> str | None:
+    """The unit that the time is in, for all it seems; None where the header says which, or where seconds can be meant.
+
+    A log in minutes seems to be over in seconds; one that is not has rows that far apart.
+    """
+    if log.written.get("time"):
+        return None
+    lasts = float(log.time[-1] - log.time[0])
+    units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if lasts < SHORT else ()))
+    return next((unit for unit, factor in units if 0.5 < ratio / factor < 2.0), None)
+
+
 def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
     if rate is None:
         return
     ratio, numbers = log.step / rate, {"step": log.step, "rate": rate}
     place = f"rows are {plain(log.step)}\u00a0s apart, the model is made for {plain(rate)}\u00a0s"
-    unit = next((u for u, f in (("ms", 1e3), ("us", 1e6), ("min", 1 / 60)) if 0.5 < ratio / f < 2.0), None)
-    if unit is not None:
-        yield Finding("fault", "rate", "time", f'{place}; is the time in {unit}? Then call the column "time [{unit}]"',
-                      numbers)  # fmt: skip
-    elif ratio > SLOWER or ratio < 1.0 / FASTER:
-        lost = "commands in between are lost; log every command" if ratio > 1.0 else "log at the model's step"
-        yield Finding("fault" if strict or ratio < 1.0 else "warning", "rate", "time", f"{place}; {lost}", numbers)
+    if unit := _unit_meant(log, ratio):
+        cure = f'"time [{unit}]", or "time [s]" if it is not'
+        yield Finding("fault", "rate", "time", f"{place}; is the time in {unit}? Then call it {cure}", numbers)
+    elif strict and ratio > SLOWER:
+        yield Finding("fault", "rate", "time", f"{place}; commands in between are lost; log every command", numbers)
+    elif ratio > SLOWER:
+        lost = "what was commanded between two rows is not in the log, and no command but that of a row acts"
+        yield Finding("warning", "rate", "time", f"{place}; {lost}", numbers)
+    elif ratio < 1.0 / FASTER:
+        fewer = "each row is a step, and takes its time; fewer would do"
+        yield Finding("warning", "rate", "time", f"{place}: {fewer}", numbers)
     elif abs(ratio - 1.0) > 0.02 and abs(1.0 / ratio - round(1.0 / ratio)) > 0.02:
-        yield Finding("warning", "rate", "time", f"{place}, no whole number of rows a step", numbers)
+        yield Finding("note", "rate", "time", f"{place}, no whole number of rows a step", numbers)
     elif abs(ratio - 1.0) > 0.02:
         yield Finding("note", "rate", "time", f"{place}: {counted(round(1.0 / ratio), 'row')} a step", numbers)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from plant.model import Effect, Model, overrides
 FLOOR_SEED = 20121
 
 DRAWS = 20
+CALMER, UNLIKE = 1.2, 3.0  # times the error, and times its scatter, from which a floor is plainly above it
 
 
 Evidence = list[tuple[Log, Replay]]
@@ -167,18 +168,38 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
     return _root_mean_squares(problem, missed)
 
 
-def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
+@dataclass(frozen=True)
+class Floor:
+    """Channel → error of a model against itself, and how much of it that scatters from draw to draw.
+
+    scatter: standard deviation of its logarithm; without a channel where one draw is all there is
+    """
+
+    level: Mapping[str, float]
+    scatter: Mapping[str, float]
+
+    def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Channel → floor and error, where the floor is plainly above: the logs hold less noise than it."""
+        there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
+        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
+        return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
+
+
+def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
     problem = filtering(problem, variant.model, logs)
-    missed = []
+    draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
         first = problem.run(whole, variant.noise, index, states=True).states[0]
-        for _ in range(-(-DRAWS // len(logs))):
+        for draw in draws:
             drawn = _drawn(problem, index, variant, first, rng)
             filtered = problem.filtered(drawn, variant.values, variant.noise, index, states=True)
-            missed.append(_missed(variant, problem, log, index, drawn, filtered))
-    return _root_mean_squares(problem, missed)
+            draw.append(_missed(variant, problem, log, index, drawn, filtered))
+    level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
+    each = [_root_mean_squares(problem, draw) for draw in draws]
+    sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
+    return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
 
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:

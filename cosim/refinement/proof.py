@@ -39,14 +39,12 @@ def held_against_replays(study: Study, a: Attribution, verdict: Verdict, search:
     return proven(verdict, *_replay_errors(study, a, verdict, problem), a.support)
 
 
-def _replay_errors(
-    study: Study, a: Attribution, verdict: Verdict, problem: Problem
-) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+def _replay_errors(study: Study, a: Attribution, verdict: Verdict, problem: Problem) -> tuple[ErrorOf, Channels]:
     """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
     nothing = Path()
     variants = variants_of(study, a, verdict.claimed, refined_model(study, verdict.claimed), (nothing, nothing))
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    return error, noise_floor(variants["after"], problem, study.logs, np.random.default_rng(FLOOR_SEED))
+    return error, noise_floor(variants["after"], problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 
 # -- a claim ----------------------------------------------------------------------------------

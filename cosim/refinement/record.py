@@ -17,8 +17,9 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
+from cosim.refinement.between import Between, Way
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.measure import Evidence, rmse
+from cosim.refinement.measure import Evidence, Floor, rmse
 from cosim.refinement.study import Study
 from cosim.refinement.verdict import Grade, Name, Verdict
 from cosim.residuals.statistics import FREE_RUN
@@ -35,7 +36,7 @@ Likelihood = Annotated[  # null where the filter diverged
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
 Part = Literal["estimation", "validation"]
-Floors = Mapping[Part, dict[str, float]]
+Floors = Mapping[Part, Floor]
 Replayed = Mapping[str, Mapping[Part, Mapping[float, Evidence]]]  # before, recalibrated, after → set of logs → horizon
 Parts = dict[Part, Channels]
 
@@ -93,6 +94,16 @@ class CandidateEntry(_Entry):
     fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
     why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
+
+
+class Inputs(_Entry):
+    """What inputs do between two rows."""
+
+    taken: dict[str, Way] = Field(description="input → `held`, or `interpolated`: straight to the next row")
+    gain_otherwise: Likelihood = Field(
+        description="log-likelihood, priors included, that the model recalibrated gains where every input is taken the "
+        "other way; a warning says so where that is plainly likelier"
+    )
 
 
 class ProcessNoise(_Entry):
@@ -192,11 +203,12 @@ class Record(_Entry):
     )
     per_log: dict[str, PerLog] = Field(default={}, description="parameters that the study gives each group of logs")
     candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
-    hidden: list[str] = Field(description="effects that these logs would not show at their usual size")
+    hidden: list[str] = Field(description="effects that these logs would not show at their usual size, and did not")
     measured: list[str] = Field(description="outputs that some estimation log holds")
     sensor_noise: Channels = Field(
         description="standard deviation of the noise of each output in `measured`, as it was taken"
     )
+    inputs: Inputs
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
     horizon: Finite | Literal["free run", "row"] = Field(
@@ -211,6 +223,10 @@ class Record(_Entry):
         "sensor noise; on the validation logs where there are any"
     )
     noise_floors: Parts = Field(description="the same for each set of logs")
+    floor_scatters: Parts = Field(
+        description="standard deviation of the logarithm of each floor from draw to draw; where a floor is above the "
+        "error by more than 3 of these and a fifth, a warning says so"
+    )
     held_out_gain: Likelihood = Field(
         description="log-likelihood that the claim gains on each log, as the other logs have it"
     )
@@ -223,6 +239,7 @@ def record(
     verdict: Verdict,
     near: Hypothesis | None,
     problem: Problem,
+    between: Between,
     replayed: Replayed,
     floors: Floors,
     left_out: Mapping[str, dict[str, float]] | None,
@@ -255,16 +272,18 @@ def record(
         nearest=list(near.names) if near and verdict.grade != "claimed" else [],
         per_log=per_log(study, verdict.claimed.fit if verdict.claimed else a.given, ends),
         candidates=ranking(a, verdict),
-        hidden=list(a.hidden),
+        hidden=unseen(a, verdict),
         measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
+        inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),
         residual=residual(verdict),
         horizon="row" if static else judged if math.isfinite(judged) else "free run",
         error=errors(judged).model_copy(update={"left_out": rows}),
         horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
-        noise_floor=floors["validation" if "validation" in floors else "estimation"],
-        noise_floors=floors,
+        noise_floor=known(floors["validation" if "validation" in floors else "estimation"].level),
+        noise_floors={part: known(floor.level) for part, floor in floors.items()},
+        floor_scatters={part: known(floor.scatter) for part, floor in floors.items()},
         held_out_gain=a.total.held_out,
         seconds=seconds,
     )
@@ -320,6 +339,12 @@ def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog
 def _estimate(f: Fit, name: str, unit: str) -> Estimate:
     value, half = float(f.values[name]), float(NORMAL_95 * f.sigma(name))
     return Estimate(value=value, unit=unit, ci95=(value - half, value + half))
+
+
+def unseen(a: Attribution, verdict: Verdict) -> list[str]:
+    """Effects that would not have shown at their usual size; not those that are claimed, for they did."""
+    claimed = verdict.claimed.names if verdict.claimed else ()
+    return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:

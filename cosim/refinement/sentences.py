@@ -10,7 +10,7 @@ from cosim.estimation.fit import Fit
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.unnamed import Unnamed
-from cosim.text import percent, plain, written
+from cosim.text import finer, joined, percent, plain, written
 from plant.model import Model
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
@@ -96,6 +96,41 @@ def misses(channel: str, times: float, base: Fit) -> str:
         f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
         "No candidate accounts for that."
     )
+
+
+def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
+    """That sealed logs are predicted worse than before, and on which channels; empty where no reader sees a rise.
+
+    errors: channel → root mean square before and after; file: the model that is meant by after
+    """
+    said = []
+    for name, pair in errors.items():
+        unit, factor = finer(units.get(name, ""), pair[1])
+        before, after = (joined(plain(error * factor), unit) for error in pair)
+        if before != after:
+            said.append(f"of {name} rises from {before} to {after}")
+    return f"On the sealed logs the error {' and '.join(said)} with {file}." if said else ""
+
+
+def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
+    """That a noise floor is above the error: channel → floor and error."""
+    which = "sealed" if part == "validation" else "estimation"
+    said = []
+    for name, (floor, error) in found.items():
+        unit, factor = finer(units.get(name, ""), error)
+        said.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
+    return (
+        f"on the {which} logs the error is below its noise floor ({', '.join(said)}): they hold less noise and "
+        "disturbance than was estimated, so that the floor is none for them"
+    )
+
+
+def holds(names: Sequence[str], *, fitted: bool) -> str:
+    """What nearest.yaml holds: what was added, or nothing; fitted: base parameters are recalibrated."""
+    what = (
+        f"has {' and '.join(names)}" if names else "is the model recalibrated" if fitted else "is the model as it was"
+    )
+    return f"nearest.yaml, which predicts logs left out best, {what}."
 
 
 def follows(signal: str) -> str:

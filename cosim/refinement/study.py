@@ -8,10 +8,10 @@ import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from cosim.errors import Fault, InputError
 from cosim.estimation.problem import Settings
@@ -31,7 +31,22 @@ from plant.traits import Traits
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Between = Literal["held", "interpolated"]
-Share = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=2)]
+WIDEST = 2.0  # of a parameter, beyond which a tolerance says nothing of it
+
+
+def _share(value: Any) -> Any:
+    """A tolerance: one message, with its cure, whatever is wrong with it."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= WIDEST:
+        raise ValueError(f"a tolerance is a share of the parameter, above 0 and at most {WIDEST:g}: 0.1 for 10 %")
+    return value
+
+
+def _by_name(value: Any) -> str:
+    """Whether a setting is one for all, or by name."""
+    return "«by name»" if isinstance(value, dict) else "«all»"
+
+
+Share = Annotated[float, BeforeValidator(_share)]
 
 
 def _file_name(name: str) -> str:
@@ -48,7 +63,7 @@ class LogLists(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    estimation: list[FileName] = Field(min_length=1)
+    estimation: list[FileName] = []
     validation: list[FileName] = []
 
 
@@ -60,8 +75,12 @@ class StudyFile(BaseModel):
     model: str = BASE
     logs: LogLists
     noise: dict[str, Positive] = {}
-    tolerance: Share | dict[str, Share] = {}
-    inputs: Between | dict[str, Between] = "held"
+    tolerance: Annotated[
+        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_by_name)
+    ] = {}
+    inputs: Annotated[
+        Annotated[Between, Tag("«all»")] | Annotated[dict[str, Between], Tag("«by name»")], Discriminator(_by_name)
+    ] = "held"
     candidates: list[str] | None = None
     per_log: list[str] | None = None
     groups: dict[str, list[FileName]] = {}
@@ -135,6 +154,10 @@ def read_study(path: Path) -> Study:
     faults += _unknown_names(yaml, content, loaded)
     lists, on_trial = content.logs, content.candidates or ()
     faults += per_log_faults(yaml, model, content.per_log, content.groups, lists.estimation, lists.validation, on_trial)
+    if yaml.root["logs"].get("estimation", []) == []:  # a faulty one is told already
+        cure = "none is left to learn from; move one to estimation"
+        sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
+        faults.append(yaml.fault(("logs", "estimation"), sealed))
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []
@@ -156,6 +179,7 @@ def read_study(path: Path) -> Study:
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
     faults += _listed_twice(yaml, content.logs, digests)
+    faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
         raise InputError(faults)
     return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
@@ -220,6 +244,27 @@ def _too_short(log: Log, horizon: float) -> Fault:
     what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
     cure = f"it takes {least} s, and {plain(20 * log.slowness)} s and more tell more; log longer or leave it out"
     return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
+
+
+def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
+    """Latencies of sensors in the model.yaml, by which too little of a log is left to be judged."""
+    late = {
+        f"{kind.name}.value": loaded.sensors.get(f"{kind.name}.value", 0.0)
+        for kind in loaded.model.sensors
+        if kind.late
+    }
+    for name, seconds in late.items():
+        lasts: dict[Path, float] = {}
+        for log in logs:
+            left = float(log.time[-1] - log.time[0]) - seconds
+            if left < least_duration(log, loaded.model.horizon) - 0.5 * log.step:
+                lasts[log.path] = left + seconds
+        if seconds > 0.0 and lasts:
+            which = ", ".join(f"{path.name} lasts {plain(whole)} s" for path, whole in lasts.items())
+            text = (
+                f"{name} is {plain(seconds)} s, and {which}: too little is left to be judged; correct it, or log longer"
+            )
+            yield YamlFile(model_file).fault(("sensors", name), text)
 
 
 def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> list[Fault]:

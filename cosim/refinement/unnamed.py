@@ -83,7 +83,8 @@ def left_beside(problem: Problem, at: Fit, price: float) -> Leftover:
     def term(name: str) -> tuple[Unnamed, Array]:
         _, equation, signal = name.split(".", 2)
         row = test.row({name: steps[equation]})
-        size = float(np.sqrt(row @ row))
+        with np.errstate(over="ignore"):  # of a term that runs away: then its step is none
+            size = float(np.sqrt(row @ row))
         step = steps[equation] * (DETECTABLE / size if size > 0.0 else 1.0)  # whatever the size of its basis
         row = test.row({name: step})
         gain, (taken,) = test.gain([row])

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,19 +20,23 @@ from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
+from cosim.models.refined import ANSWER, NEAREST, REFINED
+from cosim.refinement.between import between_rows
 from cosim.refinement.evidence import predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
-from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays
+from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays, rmse
 from cosim.refinement.missing import unknown_inputs
 from cosim.refinement.nearest import nearest
 from cosim.refinement.proof import held_against_replays
-from cosim.refinement.record import OTHER_HORIZONS, Part, Record, Replayed, known, record
+from cosim.refinement.record import OTHER_HORIZONS, Floors, Part, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.sealed import risen
 from cosim.refinement.search import Found
+from cosim.refinement.sentences import calmer, holds, rises
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
 from cosim.refinement.trust import attributed
@@ -41,9 +44,9 @@ from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
 from fmus.build import build
+from plant.model import Model
 
-NEAREST = ("nearest.yaml", "nearest.fmu")
-RESULTS = ("model.yaml", "plant.fmu", *NEAREST, "refine.json")  # in the order in which they are moved to their place
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 
@@ -64,15 +67,16 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     attribution = decided(found)
     verdict = _judged(study, attribution, found, progress)
     noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
-    study = replace(study, warnings=(*study.warnings, *noted))
+    between = between_rows(found.search.problem, attribution.base)
+    study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
+    verdict = _in_full(study, verdict, near)
     left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
     if left_out:
         said = on_rows_left_out(left_out, verdict, study.loaded.model)
         verdict = replace(verdict, sentence=f"{verdict.sentence} {said}")
     refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
-    with tempfile.TemporaryDirectory(prefix=".refine-", dir=folder) as name:
-        scratch = Path(name)
+    with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
         write_model(scratch / "model.yaml", refined, folder)
         fmus, variant = _build_fmus(study.loaded, refined, scratch), None
@@ -87,12 +91,15 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         replayed = _replayed(variants, problem, sets)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
-        floors = {part: known(noise_floor(variants["after"], problem, logs, rng)) for part, logs in sets.items()}
+        floors = {part: noise_floor(variants["after"], problem, logs, rng) for part, logs in sets.items()}
+        study = replace(study, warnings=(*study.warnings, *_too_calm(floors, replayed, study.loaded.model)))
+        verdict = _opened(verdict, replayed, study)
         ends = followed(variants["after"], problem, sets.get("validation", ()))
         took = time.perf_counter() - began
-        written = record(study, attribution, verdict, near, problem, replayed, floors, left_out, took, ends)
+        written = record(study, attribution, verdict, near, problem, between, replayed, floors, left_out, took, ends)
         _write(scratch / "refine.json", written)
-        variants = _publish(scratch, folder, variants)
+        with uninterrupted():
+            variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
     evidence = {name: {part: played[own] for part, played in parts.items()} for name, parts in replayed.items()}
     content = written.model_dump(mode="json")
@@ -137,8 +144,6 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
     verdict = with_leftover(verdict, a, problem, model) if model.static else verdict
-    if study.content.candidates is not None:
-        verdict = replace(verdict, sentence=f"{verdict.sentence} (Tried: only what the study names as candidates.)")
     return verdict
 
 
@@ -148,6 +153,16 @@ def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | Non
         return verdict.claimed
     close = {h.names: h for h in (a.best, found.best) if h.candidates}
     return nearest(found.search, a, list(close.values()))
+
+
+def _in_full(study: Study, verdict: Verdict, near: Hypothesis | None) -> Verdict:
+    """The verdict, its sentence followed by what the nearest model holds, and by what was tried."""
+    said = [verdict.sentence]
+    if verdict.grade != "claimed":
+        said.append(holds(near.names if near else (), fitted=near is not None))
+    if study.content.candidates is not None:
+        said.append("(Tried: only what the study names as candidates.)")
+    return replace(verdict, sentence=" ".join(said))
 
 
 def _nearest_variant(
@@ -189,6 +204,25 @@ def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) 
         if id(variant) not in done:
             done[id(variant)] = {part: replays(variant, problem, logs, horizons) for part, logs in sets.items()}
     return {name: done[id(variant)] for name, variant in variants.items()}
+
+
+def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:
+    """The verdict, whose sentence begins with an error that rises on the sealed logs. They change nothing else."""
+    model = study.loaded.model
+    variant, file = ("after", REFINED[0]) if verdict.claimed is not None else ("nearest", NEAREST[0])
+    if "validation" not in replayed["before"] or variant not in replayed:
+        return verdict
+    before, after = (replayed[name]["validation"][model.horizon] for name in ("before", variant))
+    said = rises(risen(before, after), {q.name: q.unit for q in model.outputs}, file)
+    return replace(verdict, sentence=f"{said} {verdict.sentence}") if said else verdict
+
+
+def _too_calm(floors: Floors, replayed: Replayed, model: Model) -> Iterator[str]:
+    """Where a floor is above the error."""
+    units = {q.name: q.unit for q in model.outputs}
+    for part, floor in floors.items():
+        if found := floor.above(known(rmse(replayed["after"][part][model.horizon]))):
+            yield calmer(part, found, units)
 
 
 def _write(path: Path, written: Record) -> None:

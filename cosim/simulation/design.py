@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal, Optional
 
 from pydantic import ConfigDict, Field, create_model
@@ -14,7 +15,8 @@ from pydantic import ConfigDict, Field, create_model
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.models.file import load_model
-from cosim.registry import BASE_NAME, MODELS, known, resolve
+from cosim.models.refined import NoNearest, refined_file
+from cosim.registry import BASE, BASE_NAME, MODELS, known, resolve
 from cosim.simulation.scenario import Design
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import NotNegative, Positive
@@ -51,9 +53,15 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     """The model of `design.model`, None where none is named, and who designs its controller."""
+    if design.model is None and design.nearest:
+        raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
     if design.model is None:
         return None, resolve(MODELS[BASE_NAME].design)
-    loaded = load_model(design.model, file.path.parent)
+    try:
+        named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
+    except NoNearest as error:
+        raise InputError([file.fault(("design", "nearest"), str(error))]) from None
+    loaded = load_model(BASE if design.model == BASE else str(named), Path())
     entry = known(type(loaded.model))
     if entry is None or not entry.design:
         message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"

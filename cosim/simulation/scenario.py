@@ -84,12 +84,14 @@ class Design(Part):
     """Start values of a controller designed before the run; further keys are the designer's (`cosim.registry`).
 
     `model`: a model file, from whose equations its numbers are taken; those given beside it win
+    `nearest`: of the refine that left it, the model that came nearest
     """
 
     model_config = ConfigDict(extra="allow")
 
     component: Name = "controller"
     model: str | None = None
+    nearest: bool | None = None
 
 
 class Criterion(Part):

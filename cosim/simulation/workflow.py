@@ -15,6 +15,7 @@ from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned, manifest, write_manifest
 from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
 
@@ -38,16 +39,20 @@ def run(
     folder: FilePath,
     overrides: Sequence[str] = (),
     *,
+    nearest: bool = False,
     report: bool = True,
     figures: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Outcome:
     """Run a scenario, or repeat a manifest, and leave results.csv, manifest.json and report.html in `folder`.
 
+    nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
     began = time.perf_counter()
     file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
+    if nearest:
+        take_nearest(file)
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)

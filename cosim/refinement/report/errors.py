@@ -161,17 +161,19 @@ def second_sentence(r: Refinement) -> str:
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
     lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
-    return f"{lead}; {_causes(r)} {said[2]}."
+    return f"{lead}{_causes(r, said[2], above=floor > after)}"
 
 
 def _over(r: Refinement) -> str:
     return "" if r.problem.table else f" over {horizon(r)}"
 
 
-def _causes(r: Refinement) -> str:
+def _causes(r: Refinement, floor: str, *, above: bool) -> str:
+    """How the sentence goes on: what the error would be without anything missing."""
+    causes = "noise and disturbance make"
     if r.problem.table:
-        return "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
-    return "noise and disturbance make"
+        causes = "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
+    return f", less than the {floor} that {causes}." if above else f"; {causes} {floor}."
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
@@ -186,4 +188,4 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
     _, _, after, floor = _numbers(r, part, worst)
     said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
     lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}"
-    return f"{lead}; {_causes(r)} {said[1]}."
+    return f"{lead}{_causes(r, said[1], above=floor > after)}"

@@ -157,16 +157,9 @@ def _rivals(r: Refinement) -> str:
         verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
         return (
             f"{' and '.join(r.verdict.rivals)} {verb} not claimed: something without a name does as much beside it, "
-            f"or replays are not near enough. model.yaml is the model as it was; {_near(r)}"
+            "or replays are not near enough. model.yaml is the model as it was."
         )
     return ""
-
-
-def _near(r: Refinement) -> str:
-    """What nearest.yaml holds."""
-    names = r.record.get("nearest") or []
-    held = f"has {' and '.join(names)} in it" if names else "is the model recalibrated, or as it was"
-    return f"nearest.yaml, which predicts logs that it did not see best, {held}."
 
 
 def _term_lead(r: Refinement) -> str:
@@ -259,6 +252,7 @@ def _provenance(r: Refinement) -> list[Row]:
     study = r.study
     rows = [Row("Study", str(study.path)), Row("Model", study.loaded.source, study.content.model)]
     rows += [_log_row("Estimation log", log) for log in study.logs]
+    rows += _inputs(r)
     rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
         file = r.folder / name
@@ -266,6 +260,17 @@ def _provenance(r: Refinement) -> list[Row]:
     if study.loaded.sensors or any(c.kind == "sensor" for c in _parts(r)):
         rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
+
+
+def _inputs(r: Refinement) -> list[Row]:
+    """How inputs were taken between rows, and what the other way would be worth."""
+    inputs = r.record.get("inputs")
+    if not inputs:
+        return []
+    gain = inputs["gain_otherwise"]
+    likelier = "likelier" if gain is not None and gain > 0.0 else "less likely"
+    by = "" if gain is None else f"the other way the logs are {likelier} by {plain(abs(gain))} in log-likelihood"
+    return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
 
 
 def _fmu(r: Refinement) -> Path:

@@ -1,0 +1,106 @@
+"""Inputs held or interpolated between rows: what the logs say of the way that the study took them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.estimation.posing import build_problem, coarsened
+from cosim.refinement.between import Between, between_rows
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.report.page import context
+from cosim.refinement.search import Search
+from cosim.refinement.study import read_study
+from plant.integrate import Stepper
+from tests.logs import write_log
+from tests.studies import proven
+from tests.tank import tank_study
+from tests.test_refine_conditions import MOTOR
+
+FINE = 20  # steps of the truth in a row
+
+
+def motor_study(folder: Path, rig: str, study: str) -> Path:
+    """A motor that lacks nothing, on a multisine that its rig holds or ramps between rows, and how a study takes it."""
+    from cosim.models.file import load_model
+
+    (folder / "motor.py").write_text(MOTOR)
+    model = load_model("motor.py:Motor", folder).model
+    for seed, name in enumerate("abc"):
+        rng = np.random.default_rng(seed)
+        time = 0.02 * np.arange(500)
+        frequency, phase = rng.uniform(0.3, 8.0, 8), rng.uniform(0.0, 2.0 * np.pi, 8)
+        u = 2.0 * np.sin(2.0 * np.pi * np.outer(time, frequency) + phase).sum(axis=1)
+        stepper = Stepper(model)
+        moment, tacho = stepper.start(), []
+        for k, command in enumerate(u.tolist()):
+            tacho.append(0.02 * moment.state[0])
+            step = (u[min(k + 1, u.size - 1)] - command) if rig == "interpolated" else 0.0
+            for part in range(FINE):
+                moment = stepper.step(moment, (command + step * (part + 0.5) / FINE,), 0.02 / FINE)
+        seen = np.array(tacho) + 1e-2 * rng.standard_normal(time.size)
+        write_log(folder / f"{name}.csv", {"time": time, "voltage": u, "tacho": seen})
+    path = folder / "study.yaml"
+    logs = "logs: {estimation: [a.csv, b.csv], validation: [c.csv]}"
+    path.write_text(f"model: motor.py:Motor\ninputs: {study}\n{logs}\n")
+    return path
+
+
+def between(path: Path) -> Between:
+    study = read_study(path)
+    problem = coarsened(build_problem(study.loaded.model, study.logs, settings=study.settings))
+    search = Search(study.loaded.model, problem, 1, lambda stage, share: None)
+    return between_rows(problem, search.hypothesis((), None))
+
+
+def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_path: Path) -> None:
+    gains = {}
+    for rig in ("held", "interpolated"):
+        for taken in ("held", "interpolated"):
+            folder = tmp_path / f"{rig}-{taken}"
+            folder.mkdir()
+            found = between(motor_study(folder, rig, taken))
+            assert found.taken == {"voltage": taken}
+            gains[rig, taken] = found.gain
+            assert bool(found.warnings) == (rig != taken)
+            if rig != taken:
+                (warning,) = found.warnings
+                assert warning.startswith(f"between rows voltage is taken as {taken}; the other way the logs are lik")
+                assert warning.endswith(f"if the rig commands so, say `inputs: {rig}` in the study")
+    for rig, other in (("held", "interpolated"), ("interpolated", "held")):
+        # both ways are fitted to the end, wherever one begins
+        assert gains[rig, rig] == pytest.approx(-gains[rig, other], rel=0.02)
+
+
+def test_a_tank_that_is_filled_in_steps_holds_its_inputs(tmp_path: Path) -> None:
+    found = between(tank_study(tmp_path))
+    assert found.gain < -10.0
+    assert not found.warnings
+
+
+def test_inputs_that_are_taken_differently_are_told_one_by_one() -> None:
+    (warning,) = Between({"a": "held", "b": "interpolated", "c": "held"}, 12.0, 4.0).warnings
+    assert warning.startswith("between rows a and c are taken as held and b is taken as interpolated; the other way")
+    assert "12.0 in log-likelihood, 4.0 times its scatter" in warning
+    assert warning.endswith("say `inputs: {a: interpolated, b: held, c: interpolated}` in the study")
+    assert not Between({"a": "held"}, 12.0, 2.0).warnings
+    assert not Between({"a": "held"}, 4.0, 9.0).warnings
+
+
+@pytest.fixture(scope="module")
+def ramped(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    folder = tmp_path_factory.mktemp("ramped")
+    return proven(motor_study(folder, "interpolated", "held"), folder / "out")
+
+
+def test_refine_records_both_likelihoods_and_warns(ramped: Refinement) -> None:
+    written = json.loads((ramped.folder / "refine.json").read_text())
+    assert written["inputs"]["taken"] == {"voltage": "held"}
+    assert written["inputs"]["gain_otherwise"] > 100.0
+    assert any("`inputs: interpolated` in the study" in text for text in written["warnings"])
+    (row,) = [row for row in context(ramped)["provenance"] if row.label == "Inputs between rows"]
+    assert "voltage held" in str(row)
+    assert "the other way the logs are likelier by" in str(row)

@@ -1,0 +1,142 @@
+"""`--nearest`: where a refine is named, the model that came nearest in it, with `build`, `run` and `design:`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cosim.blocks.fmu import read_description
+from cosim.cli import app
+from cosim.errors import InputError
+from cosim.models.fmus import build
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
+
+
+def refine_left(folder: Path, grade: str | None = "nearest", fmu: Path | None = None) -> Path:
+    """What a refine of the craft leaves: 0.8 kg in model.yaml, 0.9 kg in nearest.yaml; the nearest FMU is as named."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "refine.json").write_text(json.dumps({"grade": grade} if grade else {"verdict": "no_effect"}))
+    (folder / "model.yaml").write_text("parameters: {mass: 0.8}\n")
+    if fmu is not None:
+        shutil.copy(fmu, folder / "plant.fmu")
+    if grade != "claimed" and grade is not None:
+        (folder / "nearest.yaml").write_text("parameters: {mass: 0.9}\n")
+        if fmu is not None:
+            shutil.copy(fmu, folder / "nearest.fmu")
+    return folder
+
+
+def mass_of(fmu: Path) -> float:
+    return float(next(v.start for v in read_description(fmu).modelVariables if v.name == "mass"))
+
+
+@pytest.mark.parametrize("named", ["", "refine.json", "model.yaml", "nearest.yaml"])
+def test_build_takes_the_nearest_model_of_a_refine_however_it_is_named(tmp_path: Path, named: str) -> None:
+    refined = refine_left(tmp_path / "refined")
+    done = CliRunner().invoke(
+        app, ["build", "--model", str(refined / named), "--nearest", "--out", str(tmp_path / "built")]
+    )
+    assert done.exit_code == 0, done.output
+    assert mass_of(tmp_path / "built" / "plant.fmu") == 0.9
+
+
+def test_without_it_a_refine_is_its_refined_model(tmp_path: Path) -> None:
+    refined = refine_left(tmp_path / "refined")
+    build(tmp_path / "built", str(refined))
+    assert mass_of(tmp_path / "built" / "plant.fmu") == 0.8
+
+
+def test_where_all_is_claimed_the_refined_model_is_the_nearest(tmp_path: Path) -> None:
+    refined = refine_left(tmp_path / "refined", "claimed")
+    build(tmp_path / "built", str(refined / "refine.json"), nearest=True)
+    assert mass_of(tmp_path / "built" / "plant.fmu") == 0.8
+
+
+@pytest.mark.parametrize(
+    ("named", "words"),
+    [
+        ("none", "is of no refine, so there is no nearest model; name the folder that `cosim refine` left"),
+        ("alone/model.yaml", "is of no refine, so there is no nearest model; name the folder that `cosim refine` left"),
+        ("base", "base is of no refine"),
+        ("older", "holds no nearest.yaml; refine its study again, or leave nearest out"),
+        (None, "--nearest: says nothing without a model; name the folder of a refine as --model"),
+    ],
+)
+def test_where_there_is_no_nearest_model_build_says_so_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: str | None, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refine_left(tmp_path / "older", None)
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "alone" / "model.yaml").write_text("parameters: {mass: 0.8}\n")
+    with pytest.raises(InputError) as refused:
+        build("built", named, nearest=True)
+    (line,) = str(refused.value).splitlines()
+    assert words in line
+    assert refused.value.exit_code == 2
+    assert not Path("built").exists()
+
+
+def test_a_design_is_made_for_the_nearest_model_where_it_asks_for_that(project: Path) -> None:
+    refine_left(project / "refined")
+    scenario = project / "scenarios" / "regulate.yaml"
+
+    def mass(design: str) -> float:
+        file = ScenarioFile(scenario, [f"design={design}"])
+        values = designed_values(file)
+        assert not file.faults, file.faults
+        return float(values["controller"]["mass"])
+
+    assert mass("{model: ../refined, nearest: true}") == 0.9
+    assert mass("{model: ../refined/model.yaml, nearest: true}") == 0.9
+    assert mass("{model: ../refined}") == 0.8
+    for design, words in (
+        ("{nearest: true}", "nearest is of a refine; name its folder as model"),
+        ("{model: base, nearest: true}", "is of no refine, so there is no nearest model"),
+    ):
+        file = ScenarioFile(scenario, [f"design={design}"])
+        designed_values(file)
+        (fault,) = file.faults
+        assert words in str(fault)
+        assert fault.exit_code == 2
+
+
+def test_a_run_takes_the_nearest_plant_and_a_controller_for_it(project: Path, plant_fmu: Path) -> None:
+    refined = refine_left(project / "refined", fmu=plant_fmu)
+    settings = ["duration=0.1", "criteria={}", "design={model: ../refined/model.yaml}"]
+    settings += ["components.plant.fmu=../refined/plant.fmu"]
+    scenario = project / "scenarios" / "regulate.yaml"
+    record = run(scenario, project / "out", settings, nearest=True, report=False).manifest
+    assert record["fmus"]["plant"]["path"] == str(refined / "nearest.fmu")
+    assert record["scenario"]["components"]["controller"]["start"]["mass"] == 0.9
+    as_it_was = run(scenario, project / "out", settings, report=False).manifest
+    assert as_it_was["fmus"]["plant"]["path"] == str(refined / "plant.fmu")
+    again = run(project / "out" / "manifest.json", project / "again", report=False).manifest
+    assert again["scenario"] == as_it_was["scenario"]
+
+
+def test_a_run_that_names_no_refine_or_repeats_another_is_told(project: Path, plant_fmu: Path) -> None:
+    scenario = project / "scenarios" / "regulate.yaml"
+    done = CliRunner().invoke(app, ["run", str(scenario), "--nearest", "--out", str(project / "out")])
+    assert isinstance(done.exception, InputError)
+    assert str(done.exception) == (
+        f"{scenario}: nothing in it comes from a refine, so --nearest says nothing; "
+        "name the FMU or the model.yaml that `cosim refine` left, or leave --nearest out"
+    )
+    refine_left(project / "refined", fmu=plant_fmu)
+    settings = ["duration=0.1", "criteria={}", "components.plant.fmu=../refined/plant.fmu"]
+    run(scenario, project / "first", settings, report=False)
+    with pytest.raises(InputError, match="a manifest repeats its run as it was; leave --nearest out"):
+        run(project / "first" / "manifest.json", project / "again", nearest=True, report=False)
+    (project / "refined" / "nearest.fmu").unlink()
+    with pytest.raises(InputError) as refused:
+        run(scenario, project / "again", [*settings, "sed=3"], nearest=True, report=False)
+    told = str(refused.value)
+    assert "holds no nearest.fmu; refine its study again, or leave nearest out" in told
+    assert 'unknown key "sed"; did you mean "seed"?' in told  # every fault at once

@@ -1,0 +1,109 @@
+"""Sealed logs: an error that rises on them stands in the first sentence, and they change no file beside."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.logs.log import Log
+from cosim.models.file import load_model
+from cosim.refinement.measure import Evidence
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.report.page import write_refine_report
+from cosim.refinement.sealed import plain_rise, risen
+from cosim.refinement.sentences import rises
+from cosim.residuals.windows import Replay
+from plant.integrate import Stepper
+from tests.logs import write_log
+from tests.studies import named, proven
+from tests.test_refine_conditions import MOTOR
+
+
+def motor_log(path: Path, seed: int, fan: float) -> None:
+    """A motor that turns a fan, on steps of its voltage."""
+    rng = np.random.default_rng(seed)
+    stepper = Stepper(load_model("motor.py:Motor", path.parent).model.with_values({"fan.factor": fan}))
+    u = 6.0 * np.repeat(rng.uniform(-1, 1, 30), 20)
+    moment, tacho = stepper.start(), []
+    for command in u.tolist():
+        tacho.append(0.02 * moment.state[0])
+        moment = stepper.step(moment, (command,), 0.02)
+    seen = np.array(tacho) + 1e-2 * rng.standard_normal(u.size)
+    write_log(path, {"time": 0.02 * np.arange(u.size), "voltage": u, "tacho": seen})
+
+
+@pytest.fixture(scope="module")
+def another(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    """A study whose sealed log is of a motor without the fan that the others have."""
+    folder = tmp_path_factory.mktemp("another")
+    (folder / "motor.py").write_text(MOTOR)
+    for seed, name, fan in ((0, "a", 5e-6), (1, "b", 5e-6), (2, "c", 0.0)):
+        motor_log(folder / f"{name}.csv", seed, fan)
+    logs = "logs: {estimation: [a.csv, b.csv], validation: [c.csv]}"
+    (folder / "study.yaml").write_text(f"model: motor.py:Motor\n{logs}\n")
+    return proven(folder / "study.yaml", folder / "out")
+
+
+def test_an_error_that_rises_on_sealed_logs_stands_in_the_first_sentence(another: Refinement, tmp_path: Path) -> None:
+    assert named(another) == {"fan"}
+    error = another.record["error"]
+    assert error["after"]["validation"]["tacho"] > 1.5 * error["before"]["validation"]["tacho"]
+    first = str(another.record["sentence"]).split(" with ")[0]
+    assert first.startswith("On the sealed logs the error of tacho rises from 0.0")
+    assert "The model lacks fan" in another.record["sentence"]
+    write_refine_report(tmp_path / "report.html", another)
+    assert "On the sealed logs the error of tacho rises" in (tmp_path / "report.html").read_text()
+
+
+def test_what_sealed_logs_show_changes_no_model_and_no_verdict(another: Refinement) -> None:
+    study = another.study.path
+    bare = study.with_name("bare.yaml")
+    bare.write_text(study.read_text().replace(", validation: [c.csv]", ""))
+    r = proven(bare, study.parent / "bare")
+    assert (r.folder / "model.yaml").read_bytes() == (another.folder / "model.yaml").read_bytes()
+    assert sorted(p.name for p in r.folder.iterdir()) == sorted(p.name for p in another.folder.iterdir())
+    said = str(another.record["sentence"])
+    assert said.endswith(str(r.record["sentence"]))
+    sealed = {"study", "sentence", "error", "horizons", "noise_floor", "noise_floors", "floor_scatters", "seconds"}
+    kept = [{k: v for k, v in x.record.items() if k not in sealed} for x in (r, another)]
+    assert kept[0] == kept[1]
+    assert json.loads((another.folder / "refine.json").read_text())["sentence"] == said
+
+
+def evidence(sizes: list[float], horizon: float = 1.0) -> Evidence:
+    """A log with replays of ten rows, each of which misses by a size of its own."""
+    rows = 10 * len(sizes) + 1
+    time = 0.1 * np.arange(rows)
+    log = Log(Path("a.csv"), time, {}, {"y": np.zeros(rows)}, {"y": "m"}, 0.1, {"y": ""}, {})
+    missed = np.concatenate([[np.nan], np.repeat(sizes, 10)])
+    return [(log, Replay(time, horizon, {10 * k: {} for k in range(len(sizes))}, {"y": missed}, {"y": "m"}))]
+
+
+def test_a_rise_counts_by_how_it_scatters_from_replay_to_replay() -> None:
+    rng = np.random.default_rng(3)
+    before = 1.0 + 0.3 * rng.random(12)
+    assert risen(evidence(before.tolist()), evidence((1.1 * before).tolist())).keys() == {"y"}
+    assert not risen(evidence(before.tolist()), evidence((0.9 * before).tolist()))
+    once = before.copy()
+    once[5] *= 4.0  # one replay alone, by much: as the others have it, chance
+    assert not risen(evidence(before.tolist()), evidence(once.tolist()))
+    assert not risen(evidence([1.0]), evidence([2.0]))  # one replay shows no scatter
+    assert risen(evidence(before.tolist(), math.inf), evidence((2.0 * before).tolist(), math.inf))
+    assert not risen(evidence(before.tolist()), evidence(before.tolist()))
+
+
+def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    told = sum(plain_rise(rng.standard_normal(5).tolist(), 0.01) for _ in range(4000))
+    assert 20 < told < 65  # 40 expected, give or take 6.3
+
+
+def test_a_rise_that_no_reader_sees_is_not_told() -> None:
+    assert rises({"x": (0.10001, 0.10002)}, {"x": "m"}, "model.yaml") == ""
+    said = rises({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
+    text = "the error of x rises from 100 mm to 200 mm and of phi rises from 0.573° to 1.15° with nearest.yaml."
+    assert said.replace("\u00a0", " ") == f"On the sealed logs {text}"

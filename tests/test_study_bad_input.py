@@ -1,0 +1,145 @@
+"""What is wrong with a study is told all at once, each with its place and its cure, and nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cosim.checks import check_files
+from cosim.cli import app
+from cosim.errors import InputError
+from cosim.refinement.study import read_study
+from tests.tank import MODEL, tank_log
+
+LATE = '''
+
+@dataclass(frozen=True, kw_only=True)
+class GaugeLate(Latency):
+    """The gauge is late."""
+
+    name = "gauge_late"
+    outputs = ("level",)
+    output = "level"
+
+    value: float = parameter(0.0, unit="s", bounds=(0, 1000), neutral=0.0, typical=2.0, doc="latency")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tank('''
+
+
+@pytest.fixture(scope="module")
+def tanks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The texts of a model and of two logs, 100 s and 60 s long."""
+    folder = tmp_path_factory.mktemp("tanks")
+    model = MODEL.replace("import SensorError", "import Latency, SensorError")
+    model = model.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(", LATE)
+    model = model.replace("sensors = (GaugeOffset,)", "sensors = (GaugeOffset, GaugeLate)")
+    logs = {
+        f"{name}.csv": tank_log(folder / name, seed, lasts) for seed, name, lasts in ((0, "a", 100.0), (1, "b", 60.0))
+    }
+    return {"tank.py": model, **{name: path.read_text() for name, path in logs.items()}}
+
+
+def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
+    """The faults of a study, as `cosim check`, `cosim refine` and Python all tell them."""
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    path = folder / "study.yaml"
+    path.write_text(study)
+    with pytest.raises(InputError) as refused:
+        read_study(path)
+    assert refused.value.exit_code == 2
+    with pytest.raises(InputError) as checked:
+        check_files(path)
+    assert checked.value.faults == refused.value.faults
+    done = CliRunner().invoke(app, ["refine", str(path), "--out", str(folder / "out")])
+    assert isinstance(done.exception, InputError)
+    assert done.exception.faults == refused.value.faults
+    assert not (folder / "out").exists()
+    return [str(f).removeprefix(f"{folder}/").replace("\u00a0", " ") for f in refused.value.faults]
+
+
+def test_a_tolerance_that_is_none_is_told_wherever_it_stands(tmp_path: Path, tanks: dict[str, str]) -> None:
+    study = "model: tank.py:Tank\ntolerance: {area: -0.1, aera: 0.1}\nlogs: {estimation: [a.csv]}\ncandidates: [leek]\n"
+    assert told(tmp_path, tanks, study) == [
+        "study.yaml:2:19: tolerance.area is -0.1: a tolerance is a share of the parameter, above 0 and at most 2: "
+        "0.1 for 10 %",
+        'study.yaml:2:25: no base parameter "aera"; did you mean "area"?',
+        'study.yaml:4:14: no candidate "leek"; did you mean "leak"?',
+    ]
+
+
+@pytest.mark.parametrize("value", ["0", "30", ".nan", ".inf", "true", "ten", "[0.1]"])
+def test_a_tolerance_that_is_absurd_is_told_in_one_line(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
+    study = f"model: tank.py:Tank\ntolerance: {value}\nlogs: {{estimation: [a.csv]}}\n"
+    (line,) = told(tmp_path, tanks, study)
+    assert line.startswith("study.yaml:2:12: tolerance is ")
+    assert line.endswith("a tolerance is a share of the parameter, above 0 and at most 2: 0.1 for 10 %")
+
+
+def test_a_way_of_an_input_that_is_none_is_told(tmp_path: Path, tanks: dict[str, str]) -> None:
+    study = "model: tank.py:Tank\ninputs: {inflow: linear, outflow: held}\nlogs: {estimation: [a.csv]}\n"
+    assert told(tmp_path, tanks, study) == [
+        "study.yaml:2:18: inputs.inflow is 'linear': it should be 'held' or 'interpolated'",
+        'study.yaml:2:26: no input "outflow"; did you mean "inflow"?',
+    ]
+
+
+def test_a_unit_that_cannot_be_converted_is_told_of_every_log(tmp_path: Path, tanks: dict[str, str]) -> None:
+    wrong = {name: text.replace("level", "level [kg]", 1) for name, text in tanks.items() if name.endswith(".csv")}
+    wrong["b.csv"] = wrong["b.csv"].replace("inflow", "inflow [m/s]", 1)
+    study = "model: tank.py:Tank\nlogs: {estimation: [a.csv], validation: [b.csv]}\n"
+    faults = told(tmp_path, tanks | wrong, study)
+    assert [line.partition(" is no unit")[0] for line in faults] == [
+        'a.csv:1:3: "kg"', 'b.csv:1:2: "m/s"', 'b.csv:1:3: "kg"',
+    ]  # fmt: skip
+    assert " is no unit of level, which is in m; known here: m, mm, cm, km" in faults[0]
+
+
+def test_logs_that_hold_different_inputs_are_told_which_is_missing_where(tmp_path: Path, tanks: dict[str, str]) -> None:
+    without = "\n".join(",".join(line.split(",")[::2]) for line in tanks["b.csv"].splitlines())
+    strange = tanks["a.csv"].replace("inflow", "inflw", 1)
+    study = "model: tank.py:Tank\nlogs: {estimation: [a.csv, c.csv], validation: [b.csv]}\n"
+    assert told(tmp_path, tanks | {"b.csv": without, "c.csv": strange}, study) == [
+        'b.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow',
+        'c.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow',
+        'c.csv:1:2: unknown column "inflw"; did you mean "inflow"? (the model has inflow, level)',
+    ]
+
+
+@pytest.mark.parametrize(
+    ("logs", "line"),
+    [
+        (
+            "{validation: [a.csv, b.csv]}",
+            "study.yaml:2:1: every log is sealed, and none is left to learn from; move on",
+        ),
+        ("{estimation: [], validation: [a.csv]}", "study.yaml:2:20: every log is sealed, and none is left to learn"),
+        ("{estimation: []}", "study.yaml:2:20: no log is listed; list one"),
+    ],
+)
+def test_a_study_of_which_every_log_is_sealed_has_nothing_to_learn_from(
+    tmp_path: Path, tanks: dict[str, str], logs: str, line: str
+) -> None:
+    first, second = told(tmp_path, tanks, f"model: tank.py:Tank\nlogs: {logs}\ncandidates: [leek]\n")
+    assert first.startswith(line)
+    assert second.startswith('study.yaml:3:14: no candidate "leek"')
+
+
+def test_a_latency_longer_than_a_log_is_told_at_its_place(tmp_path: Path, tanks: dict[str, str]) -> None:
+    model = "model: tank.py:Tank\nsensors:\n  gauge_offset.value: 0.01\n  gauge_late.value: {}\n"
+    study = "model: model.yaml\nlogs: {estimation: [a.csv], validation: [b.csv]}\ncandidates: [leek]\n"
+    late, candidate = told(tmp_path, tanks | {"model.yaml": model.format(80)}, study)
+    assert late == (
+        "model.yaml:4:21: gauge_late.value is 80.0 s, and a.csv lasts 100 s, b.csv lasts 60.0 s: "
+        "too little is left to be judged; correct it, or log longer"
+    )
+    assert candidate.startswith("study.yaml:3:14: no candidate")
+    (late, _) = told(tmp_path, tanks | {"model.yaml": model.format(15)}, study)
+    assert "a.csv" not in late  # 85 s are enough
+    (tmp_path / "study.yaml").write_text(study.replace("candidates: [leek]\n", ""))
+    (tmp_path / "model.yaml").write_text(model.format(5))
+    assert len(read_study(tmp_path / "study.yaml").logs) == 1

@@ -1,0 +1,245 @@
+"""Each verdict's sentence against its own numbers: sentences as they are made agree, and what does not is noticed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.estimation.candidates import Candidate, Free
+from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
+from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.measure import Floor
+from cosim.refinement.record import effects, unseen
+from cosim.refinement.sentences import (
+    calmer,
+    cannot_tell,
+    claim,
+    excites_too_little,
+    holds,
+    left_over,
+    misses,
+    nothing,
+    partly,
+    rises,
+    unexplained,
+)
+from cosim.refinement.unnamed import Unnamed
+from cosim.refinement.verdict import Verdict
+from plant.hovercraft import Hovercraft
+from tests.verdicts import contradictions
+
+CRAFT = Hovercraft()
+FORCE = Free("coulomb_friction.force", 0.0, 1.0, 0.01, neutral=0.0)
+DRAG = Free("quadratic_drag.coefficient", 0.0, 10.0, 0.5, neutral=0.0)
+MASS = Free("mass", 0.1, 10.0, 0.05)
+KINDS = {"coulomb_friction": (FORCE, "effect"), "quadratic_drag": (DRAG, "effect"), "mass": (MASS, "parameter")}
+VALUES = {FORCE.name: 0.0612, DRAG.name: 0.447, MASS.name: 0.8123}
+UNITS = {"vx": "m/s", "psi": "rad"}
+
+
+def fitted(*names: str) -> Hypothesis:
+    """A hypothesis of these candidates, each known to a hundredth."""
+    parts = tuple(Candidate(n, KINDS[n][1], (KINDS[n][0],), ()) for n in names)  # type: ignore[arg-type]
+    free = tuple(KINDS[n][0] for n in names)
+    information = np.diag([(0.01 * VALUES[f.name]) ** -2 for f in free])
+    fit = Fit(VALUES, Noise(np.zeros(1), 0.0, np.zeros(1), np.zeros(1)), free, (0.0,), 0.0, information, 5, True)
+    return Hypothesis(parts, fit, -100.0)
+
+
+def errors(before: float, after: float, near: float | None = None) -> dict[str, Any]:
+    sizes = {"before": before, "recalibrated": 0.9 * before, "after": after, "nearest": near}
+    return {k: None if v is None else {"estimation": {"vx": v}, "validation": {"vx": v}} for k, v in sizes.items()}
+
+
+def written(
+    verdict: str, sentence: str, grade: str, h: Hypothesis | None = None, near: tuple[str, ...] = (), **more: Any
+) -> dict[str, Any]:
+    """As refine.json has it; floors of 0.01, an error before of 0.1."""
+    entries = [e.model_dump(mode="json") for e in effects(CRAFT, h, ())] if h else []
+    after = 0.0101 if h else 0.1
+    if grade != "claimed":
+        sentence = f"{sentence} {holds(near, fitted=bool(near))}"
+    ranked = [{"names": list(h.names), "why": "claimed", "score_gain": 200.0}] if h else []
+    floors: dict[str, Any] = {part: {"vx": 0.01} for part in ("estimation", "validation")}
+    record = {
+        "verdict": verdict, "sentence": sentence, "grade": grade, "effects": entries, "rivals": [], "experiment": "",
+        "nearest": list(near), "candidates": ranked, "hidden": [], "warnings": [],
+        "residual": {"equation": None, "signals": [], "share": None, "terms": []},
+        "error": errors(0.1, after, None if grade == "claimed" else 0.1 if not near else 0.05),
+        "noise_floor": floors["validation"], "noise_floors": floors,
+        "floor_scatters": {part: {"vx": 0.05} for part in floors},
+    }  # fmt: skip
+    return record | more
+
+
+def found(*names: str) -> dict[str, Any]:
+    h = fitted(*names)
+    return written("effect_found", claim(h, h.candidates, CRAFT), "claimed", h)
+
+
+def in_part() -> dict[str, Any]:
+    h = fitted("coulomb_friction")
+    residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
+    left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
+    sentence = partly(claim(h, h.candidates, CRAFT), residual, "vx", left)
+    near = ("coulomb_friction", "quadratic_drag")
+    return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
+
+
+def outside_the_catalogue(share: float | None = 0.42) -> dict[str, Any]:
+    residual = {"equation": "vx", "signals": ["x_world"], "share": share, "terms": [{"gain": 30.0}]}
+    sentence = unexplained(residual, ["coulomb_friction"])
+    return written("unexplained", sentence, "nearest", None, ("coulomb_friction",), residual=residual)
+
+
+def open_question() -> dict[str, Any]:
+    h, experiment = fitted("mass", "coulomb_friction"), "both duties varied"
+    names = ["coulomb_friction", "quadratic_drag"]
+    certain = [c for c in h.candidates if c.name == "mass"]
+    sentence = cannot_tell(names, experiment, claim(h, certain, CRAFT))
+    return written("ambiguous", sentence, "nearest", h, ("mass",), rivals=names, experiment=experiment)
+
+
+def too_little() -> dict[str, Any]:
+    names = ["coulomb_friction", "quadratic_drag"]
+    experiment = "larger and broader commands on all inputs, one at a time and together"
+    sentence = excites_too_little(len(names), still=False)
+    return written("ambiguous", sentence, "nearest", rivals=names, experiment=experiment, hidden=names)
+
+
+def only_recalibrated() -> dict[str, Any]:
+    h = fitted("mass")
+    sentence = misses("vx", 10.0, h.fit)
+    return written("unexplained", sentence, "nearest", error=errors(0.1, 0.1, 0.1))
+
+
+def nothing_missing() -> dict[str, Any]:
+    hidden = ["coulomb_friction", "quadratic_drag"]
+    return written("no_effect", nothing(hidden, {"vx": 0.012}), "nearest", hidden=hidden)
+
+
+def beside_something() -> dict[str, Any]:
+    h = fitted("coulomb_friction")
+    term = Unnamed("vx", "x_world", 30.0, 0.1, 30.0)
+    sentence = claim(h, h.candidates, CRAFT) + left_over(term, 200.0)
+    return found("coulomb_friction") | {
+        "sentence": sentence,
+        "residual": {"equation": "vx", "signals": ["x_world"], "share": 0.1, "terms": [{"gain": 30.0}]},
+    }
+
+
+def worse_on_sealed_logs() -> dict[str, Any]:
+    record = found("coulomb_friction")
+    record["error"]["after"]["validation"] = {"vx": 0.2}
+    record["sentence"] = f"{rises({'vx': (0.1, 0.2)}, UNITS, 'model.yaml')} {record['sentence']}"
+    return record
+
+
+def below_its_floor() -> dict[str, Any]:
+    record = found("coulomb_friction")
+    record["error"]["after"]["validation"] = {"vx": 0.005}
+    above = Floor({"vx": 0.01}, {"vx": 0.05}).above({"vx": 0.005})
+    return record | {"warnings": [calmer("validation", above, UNITS)]}
+
+
+MADE: dict[str, Callable[[], dict[str, Any]]] = {
+    "an effect": lambda: found("coulomb_friction"),
+    "two effects": lambda: found("coulomb_friction", "quadratic_drag"),
+    "a parameter": lambda: found("mass") | {"verdict": "parameter_error"},
+    "a part": in_part,
+    "outside": outside_the_catalogue,
+    "outside, by little": lambda: outside_the_catalogue(0.02),
+    "ambiguous": open_question,
+    "too little": too_little,
+    "only recalibrated": only_recalibrated,
+    "nothing": nothing_missing,
+    "something left": beside_something,
+    "worse on sealed logs": worse_on_sealed_logs,
+    "below its floor": below_its_floor,
+}
+
+
+@pytest.mark.parametrize("made", MADE)
+def test_a_verdict_agrees_with_its_own_numbers(made: str) -> None:
+    assert contradictions(MADE[made]()) == []
+
+
+def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    """The record with something else at a place of it."""
+    record = copy.deepcopy(record)
+    node: Any = record
+    *steps, last = (int(k) if k.isdigit() else k for k in path.split("/"))
+    for step in steps:
+        node = node[step]
+    node[last] = value(node[last]) if callable(value) else value
+    return record
+
+
+@pytest.mark.parametrize(
+    ("made", "path", "value", "words"),
+    [
+        ("an effect", "hidden", ["coulomb_friction"], "claimed, and not to be seen"),
+        ("an effect", "candidates", [], "in the ranking"),
+        ("an effect", "effects/0/parameters/force/value", 0.0615, "its interval"),
+        ("an effect", "effects/0/parameters/force", {"value": 0.062, "ci95": [0.061, 0.063]}, "does not tell"),
+        ("an effect", "effects/0/name", "drag", "drag is claimed and not in the sentence"),
+        ("an effect", "grade", "nearest", "effect_found is nearest"),
+        ("an effect", "verdict", "no_effect", "no_effect, and ['coulomb_friction'] is claimed"),
+        ("an effect", "error/after/estimation/vx", 0.05, "claimed as a whole, and"),
+        ("an effect", "error/after/validation/vx", 0.005, "the floor of vx on validation logs is 0.01"),
+        ("an effect", "noise_floor", {"vx": 0.3}, "noise_floor is none of noise_floors"),
+        ("a part", "error/after/estimation/vx", 0.08, "in the sentence, {'vx': 0.6"),
+        ("a part", "grade", "claimed", "the grade is claimed"),
+        ("a part", "sentence", lambda s: s.replace("rest", "remainder"), "does not say how much is left"),
+        ("a part", "nearest", ["coulomb_friction"], "nearest.yaml has ['coulomb_friction'], the sentence says it has"),
+        ("outside", "residual/equation", "vy", "the misfit is in vy"),
+        ("outside", "residual/signals", ["psi"], "it depends on psi"),
+        ("outside", "residual/share", 0.6, "0.6 in the record"),
+        ("outside", "sentence", lambda s: s.partition(" nearest.yaml")[0], "in the sentence None"),
+        ("ambiguous", "rivals", ["coulomb_friction", "lag"], "the rival lag is not in the sentence"),
+        ("ambiguous", "rivals", ["coulomb_friction"], "rivals ['coulomb_friction']"),
+        ("ambiguous", "experiment", "something else", "experiment 'something else'"),
+        ("too little", "rivals", ["coulomb_friction", "lag", "mass"], "none of 2 effects in the sentence, 3 in the"),
+        ("only recalibrated", "noise_floors/estimation/vx", 0.02, "in the sentence, 5.00 in the record"),
+        ("nothing", "hidden", ["lag"], "lag would not have shown, which the sentence does not say"),
+        ("nothing", "rivals", ["lag"], "no_effect with rivals"),
+        ("nothing", "error/after/estimation/vx", 0.05, "nothing is claimed, and the error after is another"),
+        ("nothing", "error/nearest/validation/vx", 0.05, "nearest.yaml is the model as it was, and its error another"),
+        ("something left", "residual/terms/0/gain", 90.0, "15\u00a0% in the sentence, 90.0 of 200.0 in the record"),
+        ("worse on sealed logs", "error/after/validation/vx", 0.09, "the error of vx goes from 0.1 to 0.09"),
+        ("below its floor", "warnings", [], "the floor of vx on validation logs is 0.01, the error 0.005; said: False"),
+        ("below its floor", "floor_scatters/validation/vx", 0.5, "said: True"),
+    ],
+)
+def test_what_contradicts_itself_is_noticed(made: str, path: str, value: Any, words: str) -> None:
+    said = contradictions(changed(MADE[made](), path, value))
+    assert any(words in text for text in said), said
+
+
+def test_files_that_do_not_go_with_the_grade_are_noticed(tmp_path: Path) -> None:
+    for name in ("model.yaml", "plant.fmu", "refine.json"):
+        (tmp_path / name).touch()
+    assert contradictions(found("coulomb_friction"), tmp_path) == []
+    (said,) = contradictions(nothing_missing(), tmp_path)
+    assert "the files are ['model.yaml', 'plant.fmu']" in said
+
+
+def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
+    h, base = fitted("coulomb_friction"), Hypothesis((), fitted("mass").fit, 0.0)
+    verdict = Verdict("effect_found", h, (), "", {}, "…", "claimed")
+    a = Attribution(base, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
+    assert unseen(a, verdict) == ["lag"]
+    assert unseen(a, Verdict("no_effect", None, (), "", {}, "…")) == ["coulomb_friction", "lag"]
+
+
+def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:
+    floor = Floor({"x": 2.0, "y": 1.1, "z": 2.0}, {"x": 0.1, "y": 0.01, "z": 0.4})
+    assert floor.above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
+    assert Floor({"x": 2.0}, {}).above({"x": 1.0}) == {"x": (2.0, 1.0)}
+    assert floor.above({"x": 0.0}) == {}

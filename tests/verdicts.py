@@ -1,0 +1,208 @@
+"""Whether a refine.json agrees with itself: its sentence with its numbers, its verdict with its grade and its files."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from cosim.text import percent, plain
+
+CLAIMS = {"effect_found", "parameter_error", "sensor_error"}
+FILES = {"claimed": ("model.yaml", "plant.fmu"), "other": ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu")}
+NOISE = 0.03  # of the excess error: what replays by the kernel, as the verdict has them, and through the FMU may differ
+PART = 0.1
+Record = Mapping[str, Any]
+
+
+def contradictions(record: Record, folder: Path | None = None) -> list[str]:
+    """Everything in which a record contradicts itself, and the files beside it."""
+    rules = (_names, _intervals, _estimates, _grade, _rivals, _nearest, _share, _left, _misses, _floors, _sealed)
+    said = [text for rule in rules for text in rule(record)]
+    return said + (list(_files(record, folder)) if folder is not None else [])
+
+
+def _claimed(record: Record) -> list[str]:
+    return [e["name"] for e in record["effects"]]
+
+
+def _names(record: Record) -> Iterator[str]:
+    """What is claimed is not invisible; the ranking claims it, and nothing else; the sentence names what is certain."""
+    claimed, said = _claimed(record), record["sentence"]
+    if both := set(claimed) & set(record["hidden"]):
+        yield f"claimed, and not to be seen: {sorted(both)}"
+    ranked = [set(c["names"]) for c in record["candidates"] if c["why"] == "claimed"]
+    if ranked != ([set(claimed)] if claimed else []):
+        yield f"claimed {claimed}, in the ranking {ranked}"
+    if record["verdict"] in CLAIMS:
+        yield from (f"{name} is claimed and not in the sentence" for name in claimed if name not in said)
+    if record["verdict"] == "no_effect":
+        yield from (
+            f"{name} would not have shown, which the sentence does not say"
+            for name in record["hidden"]
+            if name not in said
+        )
+
+
+def _intervals(record: Record) -> Iterator[str]:
+    """Each estimate is in the middle of its interval."""
+    for entry in record["effects"]:
+        for name, p in entry["parameters"].items():
+            low, high = p["ci95"]
+            if not abs(p["value"] - 0.5 * (low + high)) <= 1e-6 * (high - low) + 1e-12 * abs(p["value"]):
+                yield f"{entry['name']}.{name} is {p['value']}, and its interval {p['ci95']}"
+
+
+def _estimates(record: Record) -> Iterator[str]:
+    """Every `name = value ± half` of the sentence is an estimate, rounded; of a claim each estimate is told."""
+    said = set(re.findall(r"(\w+) = ([-\d.e+]+) ± ([-\d.e+]+)", record["sentence"]))
+    known: set[tuple[str, str, str]] = set()
+    for entry in record["effects"]:
+        for name, p in entry["parameters"].items():
+            rounded = f"{p['value']:.4g}", f"{0.5 * (p['ci95'][1] - p['ci95'][0]):.2g}"
+            ways = {(own, *rounded) for own in ((name, entry["name"]) if name == "value" else (name,))}
+            known |= ways
+            untold = not ways & said and f"{name} not identified" not in record["sentence"]
+            if record["verdict"] in CLAIMS and untold:
+                yield f"the sentence does not tell {entry['name']}.{name} = {rounded}"
+    if strange := said - known:
+        yield f"the sentence has {sorted(strange)}, the record {sorted(known)}"
+
+
+def _grade(record: Record) -> Iterator[str]:
+    verdict, grade, claimed = record["verdict"], record["grade"], _claimed(record)
+    if (grade in ("claimed", "part")) != (verdict in CLAIMS):
+        yield f"{verdict} is {grade}"
+    if verdict in CLAIMS and not claimed:
+        yield f"{verdict}, and nothing is claimed"
+    if verdict in ("no_effect", "unexplained") and claimed:
+        yield f"{verdict}, and {claimed} is claimed"
+    if (grade == "part") != ("A part of what is missing" in record["sentence"]):
+        yield f"the grade is {grade}, the sentence {record['sentence']!r}"
+    changed = any(
+        record["error"]["before"][part] != record["error"]["after"][part] for part in record["error"]["before"]
+    )
+    if changed and not claimed:
+        yield "nothing is claimed, and the error after is another than before"
+
+
+def _rivals(record: Record) -> Iterator[str]:
+    """Rivals are of an open question; each is named, or all are counted, and so is what would decide."""
+    rivals, said = record["rivals"], record["sentence"]
+    if (record["verdict"] == "ambiguous") != bool(rivals):
+        yield f"{record['verdict']} with rivals {rivals}"
+    if record["verdict"] != "ambiguous":
+        return
+    if len(rivals) < 2 or not record["experiment"] or record["experiment"] not in said:
+        yield f"rivals {rivals}, experiment {record['experiment']!r}"
+    counted = re.search(r"none of (\d+) effects", said)
+    effects = len([name for name in rivals if name != "no_effect"])
+    if counted is not None and int(counted[1]) != effects:
+        yield f"{counted[0]} in the sentence, {effects} in the record"
+    if counted is None and "the one effect" not in said:
+        yield from (f"the rival {name} is not in the sentence" for name in rivals if name not in said)
+
+
+def _nearest(record: Record) -> Iterator[str]:
+    """Where not all is claimed, there is a nearest model, and the sentence says what it holds."""
+    error, held = (
+        record["error"],
+        re.search(r"nearest\.yaml, which predicts logs left out best, (.*?)\.(?: |$)", record["sentence"]),
+    )
+    if (record["grade"] == "claimed") != (error.get("nearest") is None) or (record["grade"] == "claimed") != (
+        held is None
+    ):
+        yield f"the grade is {record['grade']}, nearest {error.get('nearest')}, in the sentence {held and held[0]!r}"
+    if held is None or error.get("nearest") is None:
+        return
+    names = record["nearest"]
+    if names != (held[1].removeprefix("has ").split(" and ") if held[1].startswith("has ") else []):
+        yield f"nearest.yaml has {names}, the sentence says it {held[1]}"
+    if held[1] == "is the model as it was" and error["nearest"] != error["before"]:
+        yield "nearest.yaml is the model as it was, and its error another"
+
+
+def _share(record: Record) -> Iterator[str]:
+    """Where something acts, on what it depends and how much that takes away."""
+    residual, said = record["residual"], record["sentence"]
+    if "Something outside the catalogue" in said or "A disturbance acts" in said:
+        if f"acts on {residual['equation']}" not in said:
+            yield f"the misfit is in {residual['equation']}, the sentence says {said!r}"
+        for signal in residual["signals"][:1]:
+            if signal != "1" and f"depends on {signal}" not in said:
+                yield f"it depends on {signal}, the sentence says {said!r}"
+    found = re.search(r"and that takes away ((?:less than |more than )?[\d.]+\u00a0%) of what is missing", said)
+    if found is not None and found[1] != percent(residual["share"]):
+        yield f"{found[1]} in the sentence, {residual['share']} in the record"
+    if found := re.search(r"promises ((?:less than |more than )?[\d.]+\u00a0%) of the claim's gain", said):
+        gained = next(c["score_gain"] for c in record["candidates"] if c["why"] == "claimed")
+        if found[1] != percent(residual["terms"][0]["gain"] / gained):
+            yield f"{found[1]} in the sentence, {residual['terms'][0]['gain']} of {gained} in the record"
+
+
+def _excess(record: Record, part: str = "estimation") -> dict[str, float]:
+    """Channel → share of the excess error that is left, where there was an excess."""
+    before, after, floor = (
+        x[part] for x in (record["error"]["before"], record["error"]["after"], record["noise_floors"])
+    )
+    excess = {n: (before[n], after[n], floor[n]) for n in floor if before.get(n, 0.0) > 2.0 * floor[n]}
+    return {n: (a * a - f * f) / (b * b - f * f) for n, (b, a, f) in excess.items()}
+
+
+def _left(record: Record) -> Iterator[str]:
+    """A part leaves as much as it says, and more than a tenth; what is claimed as a whole leaves less."""
+    left, said = _excess(record), record["sentence"]
+    if record["grade"] == "claimed" and max(left.values(), default=0.0) > PART + NOISE:
+        yield f"claimed as a whole, and {left} of the excess is left"
+    if record["grade"] == "part":
+        found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)
+        if found is None or "the rest" not in said:
+            yield f"a part, and the sentence does not say how much is left: {said!r}"
+        elif abs(0.01 * float(found[1]) - left.get(found[2], math.inf)) > NOISE:
+            yield f"{found[0]} in the sentence, {left} in the record"
+
+
+def _misses(record: Record) -> Iterator[str]:
+    """By how many times what noise makes the model as it stands misses a channel."""
+    found = re.search(r"as it stands misses (\w+) by ([\d.]+) times what noise makes", record["sentence"])
+    if found is not None:
+        before, floor = (record[k] for k in ("error", "noise_floors"))
+        times = before["before"]["estimation"][found[1]] / floor["estimation"][found[1]]
+        if not math.isclose(times, float(found[2]), rel_tol=0.1):
+            yield f"{found[0]} in the sentence, {plain(times)} in the record"
+
+
+def _floors(record: Record) -> Iterator[str]:
+    """No floor is above the error by more than it scatters, or a warning says so."""
+    for part, floors in record["noise_floors"].items():
+        scatters = record["floor_scatters"][part]
+        for name, floor in floors.items():
+            after = record["error"]["after"][part].get(name, math.inf)
+            beyond = after > 0.0 and floor > after * max(1.2, math.exp(3.0 * scatters.get(name, 0.0)))
+            which = "sealed" if part == "validation" else part
+            said = any(
+                f"on the {which} logs the error is below its noise floor" in w and f"{name} " in w
+                for w in record["warnings"]
+            )
+            if beyond != said:
+                yield f"the floor of {name} on {part} logs is {floor}, the error {after}; said: {said}"
+    if record["noise_floor"] != record["noise_floors"].get("validation", record["noise_floors"]["estimation"]):
+        yield "noise_floor is none of noise_floors"
+
+
+def _sealed(record: Record) -> Iterator[str]:
+    """An error that is said to rise on sealed logs does, and begins the sentence."""
+    for name in re.findall(r"(?:the error of|and of) (\w+) rises from", record["sentence"]):
+        variant = "after" if record["effects"] else "nearest"
+        before, after = (record["error"][v]["validation"][name] for v in ("before", variant))
+        if not (after > before and record["sentence"].startswith("On the sealed logs the error of ")):
+            yield f"the error of {name} goes from {before} to {after}, the sentence is {record['sentence']!r}"
+
+
+def _files(record: Record, folder: Path) -> Iterator[str]:
+    wanted = FILES["claimed" if record["grade"] == "claimed" else "other"]
+    there = {p.name for p in folder.iterdir()} - {"report.html", "refine.json"}
+    if there != set(wanted):
+        yield f"the grade is {record['grade']}, the files are {sorted(there)}"
