@@ -156,7 +156,7 @@ def _left(record: Record) -> Iterator[str]:
     left, said = _excess(record), record["sentence"]
     if record["grade"] == "claimed" and max(left.values(), default=0.0) > PART + NOISE:
         yield f"claimed as a whole, and {left} of the excess is left"
-    if record["grade"] == "part" and record["horizon"] == "row":
+    if record["grade"] == "part" and record.get("horizon") == "row":
         found = re.search(r"(\d+)\u00a0% of the mean square error of (\w+)", said)
         error = record["error"]
         after, other = (error[name]["estimation"] for name in ("after", "recalibrated"))
