@@ -111,7 +111,7 @@ def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
 
 
 def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
-    """Other hypotheses of no more candidates that explain as well, or would with other tolerances."""
+    """Other hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
     if not best.candidates:
         return ()
     near = [
@@ -119,7 +119,7 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
         for h in search.tried.values()
         if h.ended
         and h.score - best.score < NEAR
-        and len(h.candidates) <= len(best.candidates)
+        and (len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL)
         and not set(h.names) <= set(best.names)
         and not set(h.names) >= set(best.names)
     ]
