@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from plant.model import Effect, Model, Number, Values, overrides
+from plant.model import Model, Number, Values
 from plant.namespaces import SCALAR, Namespace
 
 Derivative = Callable[[Number, Values, Values], Values]
@@ -45,7 +44,7 @@ class Stepper:
         self.model = model
         self.namespace = m
         self.derivative, self.output = model.equations(m)
-        self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
+        self.shaping = model.shaping
 
     def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:
         """Moment at `t` from start values by name: states, and memory as `effect.memory`."""

@@ -66,6 +66,10 @@ class Effect(Parametric):
         awake = (p for p in parameters_of(self) if p.neutral is not None)
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
 
+    def bound(self, inputs: tuple[str, ...]) -> Self:
+        """The effect, knowing the names of the commands that `shape` gets, in their order."""
+        return self
+
     def remember(self, t: Number, start: Values) -> Values:
         """Memory at time `t` [s] from the start values of `memory`."""
         return start
@@ -169,6 +173,12 @@ class Model(Parametric):
     def awake(self) -> tuple[Any, ...]:
         """The effects that act, in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)
+
+    @property
+    def shaping(self) -> tuple[Any, ...]:
+        """The effects that act and shape the command, in catalogue order."""
+        names = tuple(q.name for q in self.inputs)
+        return tuple(e.bound(names) for e in overrides(self.awake, "shape", Effect))
 
     @property
     def states(self) -> tuple[Quantity, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from plant.model import Effect, Model, overrides
+from plant.model import Model
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.languages import Language
 from plant.symbolic.symbols import SymbolicModel, symbolic
@@ -83,7 +83,7 @@ class Body:
         stages: list[dict[Any, Any]] = []
         before: list[Any] = []
         after: list[Any] = []
-        for effect in overrides(self.symbols.model.awake, "shape", Effect):
+        for effect in self.symbols.model.shaping:
             if effect.delay:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
