@@ -19,9 +19,9 @@ from plant.quantities import parameter
 class SensorError(Effect):
     """One output reads wrong. `measure` gives what the sensor says for what is there, a straight line of it.
 
-    One whose reading depends on more than that, on time or on other outputs, gives `read` a body of its own: the true
-    output, and something of time and of the others beside it. One of several outputs names them in `outputs`, in place
-    of `output`, and gives `readings` a body.
+    One of several outputs, alike, names them in `outputs` in place of `output`. One whose reading depends on more, on
+    time or on other outputs, gives `read` a body of its own (of several outputs, `readings`): the true output, and
+    something of time and of the others added to it.
     """
 
     output: ClassVar[str]
@@ -34,11 +34,12 @@ class SensorError(Effect):
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
         """Reading at time `t` [s] from the true outputs by name: those that the model has."""
-        return self.measure(outputs[self.output])
+        return self.measure(outputs[self.affected()[0]])
 
     def readings(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> dict[str, Number]:
         """Reading of each output that it changes, by name."""
-        return {self.affected()[0]: self.read(m, t, outputs)}
+        names = self.affected()
+        return {n: self.measure(outputs[n]) for n in names} if len(names) > 1 else {names[0]: self.read(m, t, outputs)}
 
     @classmethod
     def affected(cls) -> tuple[str, ...]:

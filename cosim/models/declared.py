@@ -203,6 +203,9 @@ def _sensors(kind: type[Model]) -> Found:
             text = f'a sensor error has one parameter, called "value"; {owner.name} has {has}'
             yield owner, (names or [""])[0], f"{text}; {cure}"
         own = "outputs" if owner.outputs else "output"
+        if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
+            text = f"{owner.name}: `read` is of one output; name it in `output`, or give `readings` a body"
+            yield owner, "outputs", text
         for attribute in (own, "others") if issubclass(owner, LeverArm) else (own,):
             given = getattr(owner, attribute, ())
             if attribute != "output" and isinstance(given, str):
