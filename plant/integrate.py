@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from plant.model import Model, Number, Values
+from plant.model import Effect, Model, Number, Values, overrides
 from plant.namespaces import SCALAR, Namespace
 
 Derivative = Callable[[Number, Values, Values], Values]
@@ -43,8 +44,8 @@ class Stepper:
     def __init__(self, model: Model, m: Namespace = SCALAR) -> None:
         self.model = model
         self.namespace = m
-        self.derivative, self.output = model.equations(m)
-        self.shaping = model.shaping
+        self.derivative, self.output = model.acting(m)
+        self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
 
     def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:
         """Moment at `t` from start values by name: states, and memory as `effect.memory`."""

@@ -66,10 +66,6 @@ class Effect(Parametric):
         awake = (p for p in parameters_of(self) if p.neutral is not None)
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
 
-    def bound(self, inputs: tuple[str, ...]) -> Self:
-        """The effect, knowing the names of the commands that `shape` gets, in their order."""
-        return self
-
     def remember(self, t: Number, start: Values) -> Values:
         """Memory at time `t` [s] from the start values of `memory`."""
         return start
@@ -77,6 +73,10 @@ class Effect(Parametric):
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         """Command that acts over the substep from `t` to `t + h` [s], and the memory after it."""
         return command, memory
+
+    def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
+        """Commands that act, by input, of those that have arrived: in derivative and output alike, of any model."""
+        return command
 
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
@@ -164,6 +164,25 @@ class Model(Parametric):
 
     # -- the same for every model -------------------------------------------------------------
 
+    def acting(self, m: Namespace) -> Equations:
+        """The equations bound to a namespace, under the commands that the effects transmit."""
+        bound = self.equations(m)
+        names = [q.name for q in self.inputs]
+        terms = overrides(self.awake, "transmit", Effect)
+        if not terms:
+            return bound
+
+        def transmitted(command: Values) -> Values:
+            through: Mapping[str, Number] = dict(zip(names, command, strict=True))
+            for term in terms:
+                through = term.transmit(m, through)
+            return tuple(through[name] for name in names)
+
+        return Equations(
+            lambda t, state, command: bound.derivative(t, state, transmitted(command)),
+            lambda t, state, command: bound.output(t, state, transmitted(command)),
+        )
+
     @property
     def static(self) -> bool:
         """Without states: outputs follow the inputs at once, and what is measured is a table without time."""
@@ -173,12 +192,6 @@ class Model(Parametric):
     def awake(self) -> tuple[Any, ...]:
         """The effects that act, in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)
-
-    @property
-    def shaping(self) -> tuple[Any, ...]:
-        """The effects that act and shape the command, in catalogue order."""
-        names = tuple(q.name for q in self.inputs)
-        return tuple(e.bound(names) for e in overrides(self.awake, "shape", Effect))
 
     @property
     def states(self) -> tuple[Quantity, ...]:

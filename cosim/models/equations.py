@@ -11,7 +11,7 @@ from cosim.errors import Fault
 from cosim.models.source import Source
 from cosim.yaml_file import did_you_mean
 from plant.integrate import Stepper
-from plant.model import Effect, Equations, Model
+from plant.model import Effect, Equations, Model, overrides
 from plant.namespaces import SCALAR, Namespace, SymbolNamespace
 from plant.quantities import parameters_of
 from plant.sensors import LeverArm, SensorError
@@ -187,7 +187,7 @@ def _shaping_faults(model: Model, source: Source) -> list[Fault]:
 
     s = symbolic(model)
     faults = []
-    for effect in s.model.shaping:
+    for effect in overrides(s.model.awake, "shape", Effect):
         if effect.delay:
             continue
         own = tuple(sympy.Symbol(f"memory:{q.name}", real=True) for q in effect.memory)

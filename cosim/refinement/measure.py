@@ -123,8 +123,9 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
 
 def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
     """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
+    shaping = overrides(variant.model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}
-    for place, effect in enumerate(variant.model.shaping):
+    for place, effect in enumerate(shaping):
         if effect.delay:
             row = int(log.grid[k])
             late = values[f"{effect.name}.{effect.delay}"] / data.step

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from plant.model import Model
+from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.languages import Language
 from plant.symbolic.symbols import SymbolicModel, symbolic
@@ -52,7 +52,7 @@ class Body:
         import sympy
 
         s = symbolic(model, effects=effects)
-        derivative, output = s.model.equations(SymbolNamespace())
+        derivative, output = s.model.acting(SymbolNamespace())
         rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
         return cls(
             s,
@@ -83,7 +83,7 @@ class Body:
         stages: list[dict[Any, Any]] = []
         before: list[Any] = []
         after: list[Any] = []
-        for effect in self.symbols.model.shaping:
+        for effect in overrides(self.symbols.model.awake, "shape", Effect):
             if effect.delay:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
