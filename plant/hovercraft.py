@@ -78,12 +78,17 @@ TOLD_APART_BY = {
     frozenset({"actuator_delay", "actuator_second_order", "lag"}): "broadband tilt commands: steps, a chirp up to 5 Hz",
     frozenset({"coulomb_friction", "quadratic_drag", "stribeck_friction", "friction"}): "several speeds, and rest",
     frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
+    frozenset({"gyro_bias", "gyro_drift"}): "a longer log",
+    frozenset({"accelerometer_bias", "accelerometer_drift"}): "a longer log",
+    frozenset({"accelerometer_lever_arm", "accelerometer_scale", "accelerometer_bias"}): "fast turns both ways",
+    frozenset({"camera_latency", "actuator_delay", "lag"}): "speed, and heading or acceleration logged beside position",
     frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
 }
 DRAWN_AGAINST = {
     **dict.fromkeys(("coulomb_friction", "stribeck_friction", "quadratic_drag", "friction"), ("vx", "vy")),
     **dict.fromkeys(("yaw_damping", "yaw_coulomb_friction"), ("psi_dot",)),
-    "battery_sag": ("time",),
+    **dict.fromkeys(("battery_sag", "accelerometer_drift", "gyro_drift"), ("time",)),
+    "accelerometer_lever_arm": ("psi_dot",),
     "table_tilt": ("psi",),
     "coriolis": ("psi_dot · vx", "psi_dot · vy"),
 }

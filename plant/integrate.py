@@ -44,7 +44,7 @@ class Stepper:
     def __init__(self, model: Model, m: Namespace = SCALAR) -> None:
         self.model = model
         self.namespace = m
-        self.derivative, self.output = model.equations(m)
+        self.derivative, self.output = model.acting(m)
         self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
 
     def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:

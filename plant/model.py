@@ -74,6 +74,10 @@ class Effect(Parametric):
         """Command that acts over the substep from `t` to `t + h` [s], and the memory after it."""
         return command, memory
 
+    def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
+        """Commands that act, by input, of those that have arrived: in derivative and output alike, of any model."""
+        return command
+
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
     """The effects whose class gives `hook` a body of its own, in order."""
@@ -159,6 +163,25 @@ class Model(Parametric):
         return {}
 
     # -- the same for every model -------------------------------------------------------------
+
+    def acting(self, m: Namespace) -> Equations:
+        """The equations bound to a namespace, under the commands that the effects transmit."""
+        bound = self.equations(m)
+        names = [q.name for q in self.inputs]
+        terms = overrides(self.awake, "transmit", Effect)
+        if not terms:
+            return bound
+
+        def transmitted(command: Values) -> Values:
+            through: Mapping[str, Number] = dict(zip(names, command, strict=True))
+            for term in terms:
+                through = term.transmit(m, through)
+            return tuple(through[name] for name in names)
+
+        return Equations(
+            lambda t, state, command: bound.derivative(t, state, transmitted(command)),
+            lambda t, state, command: bound.output(t, state, transmitted(command)),
+        )
 
     @property
     def static(self) -> bool:

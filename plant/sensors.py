@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from plant.model import Effect, Number
+from plant.model import Effect, Number, Values
 from plant.namespaces import Namespace
 from plant.quantities import parameter
 
@@ -19,10 +19,13 @@ from plant.quantities import parameter
 class SensorError(Effect):
     """One output reads wrong. `measure` gives what the sensor says for what is there, a straight line of it.
 
-    One whose reading depends on more than that, on time or on other outputs, gives `read` a body of its own.
+    One of several outputs, alike, names them in `outputs` in place of `output`. One whose reading depends on more, on
+    time or on other outputs, gives `read` a body of its own (of several outputs, `readings`): the true output, and
+    something of time and of the others added to it.
     """
 
     output: ClassVar[str]
+    outputs: ClassVar[tuple[str, ...]] = ()
     late: ClassVar[bool] = False  # its value is a time by which readings are late
 
     def measure(self, value: Number) -> Number:
@@ -31,12 +34,22 @@ class SensorError(Effect):
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
         """Reading at time `t` [s] from the true outputs by name: those that the model has."""
-        return self.measure(outputs[self.output])
+        return self.measure(outputs[self.affected()[0]])
+
+    def readings(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> dict[str, Number]:
+        """Reading of each output that it changes, by name."""
+        names = self.affected()
+        return {n: self.measure(outputs[n]) for n in names} if len(names) > 1 else {names[0]: self.read(m, t, outputs)}
 
     @classmethod
     def affected(cls) -> tuple[str, ...]:
         """The outputs whose readings it changes."""
-        return (cls.output,)
+        return cls.outputs or (cls.output,)
+
+    @classmethod
+    def straight(cls) -> bool:
+        """Whether the reading is a straight line of the output alone."""
+        return cls.read is SensorError.read and cls.readings is SensorError.readings and not cls.late
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,16 +92,36 @@ class Drift(SensorError):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LeverArm(SensorError):
+    """A sensor mounted l away from the point whose motion the output is: reading y + l·c, c of other outputs.
+
+    A model names, beside `output` or `outputs`, the `others` that c needs, and says in `carried` what c is. In a plane,
+    of a rigid body with heading ψ to the left, mounted l ahead, by r_P = r + l·e and its derivatives:
+        position   x + l·cos ψ,  y + l·sin ψ        c = cos ψ, sin ψ
+        velocity   to the left   v + l·ψ̇           c = ψ̇
+        acceleration   forward   a − l·ψ̇²           c = −ψ̇²
+    """
+
+    equation = "reading y + l·c of other outputs"
+    others: ClassVar[tuple[str, ...]]
+
+    value: float = parameter(0.0, unit="m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="lever arm l, ahead")
+
+    def carried(self, m: Namespace, *others: Number) -> Values:
+        """What a metre of lever arm adds to each of the outputs, from the `others` in their order."""
+        raise NotImplementedError
+
+    def readings(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> dict[str, Number]:
+        """y + l·c, of each output."""
+        added = self.carried(m, *(outputs[name] for name in self.others))
+        return {n: outputs[n] + self.value * c for n, c in zip(self.affected(), added, strict=True)}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Latency(SensorError):
     """Readings stamped T after what they show: reading at t is y(t − T), of every output in `outputs`."""
 
     equation = "reading y(t − T)"
     late = True
-    outputs: ClassVar[tuple[str, ...]]
 
     value: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings")
-
-    @classmethod
-    def affected(cls) -> tuple[str, ...]:
-        """The outputs of the late sensor."""
-        return cls.outputs

@@ -69,7 +69,7 @@ def _moving(model: Model, rng: Any) -> tuple[Any, Any]:
     """Outputs at a state drawn about the start, and their slopes [1/s]."""
     import numpy as np
 
-    derivative, output = model.equations(SCALAR)
+    derivative, output = model.acting(SCALAR)
     start, held = np.array(model.start(), dtype=np.float64), np.array(model.start_command(), dtype=np.float64)
     x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in (start, held))
     command = tuple(u.tolist())

@@ -71,7 +71,7 @@ def free_run(
     model: Model, log: dict[str, np.ndarray], start: dict[str, float], interpolated: bool = False
 ) -> np.ndarray:
     """Outputs at the rows of a log, four steps of RK4 a row; the input held or interpolated."""
-    bound, x = model.equations(SCALAR), model.start(start)
+    bound, x = model.acting(SCALAR), model.start(start)
     inputs = np.column_stack([log[q.name] for q in model.inputs])
     found = []
     for k, t in enumerate(log["time"]):
@@ -111,15 +111,15 @@ def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(ex
     model = model_of(example)
     n = len(model.base_states)
     state, command = tuple(0.3 + 0.2 * k for k in range(n)), tuple(0.7 for _ in model.inputs)
-    base = model.equations(SCALAR).derivative(0.0, state, command)
+    base = model.acting(SCALAR).derivative(0.0, state, command)
     for kind in model.catalogue:
         if kind.delay is not None:
             continue  # it shapes the command, not the equations
         switches = {name: p for name, p in model.declared.items() if name.startswith(f"{kind.name}.") and p.typical}
         shifted = model.with_values({name: p.neutral + p.typical for name, p in switches.items()})
-        assert shifted.equations(SCALAR).derivative(0.0, state, command) != base, kind.name
+        assert shifted.acting(SCALAR).derivative(0.0, state, command) != base, kind.name
         dormant = model.with_values({name: p.neutral for name, p in switches.items()})
-        assert dormant.equations(SCALAR).derivative(0.0, state, command) == base, kind.name
+        assert dormant.acting(SCALAR).derivative(0.0, state, command) == base, kind.name
 
 
 # -- recordings ---------------------------------------------------------------------------------

@@ -161,7 +161,7 @@ def _shown(model: Model) -> set[str]:
     """States that outputs of their name show as they are, not with a factor or turned: tried at one state."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
-    outputs = model.equations(SCALAR).output(0.0, state, model.start_command())
+    outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
     return {q.name for q, y in zip(model.outputs, outputs, strict=True) if values.get(q.name) == y}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,6 +22,7 @@ from cosim.logs.log import slowness
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
 TOO_QUIET, UNKNOWN = 0.1, 1e-4  # of a stated standard deviation, below which it is no sensor's; where none is stated
 LONGEST_MEMORY = 0.1  # of a log
+APART = 10  # times as long as readings are late, rows are apart whose states are asked of one run of the filter
 WITHIN = 10.0  # times, by which a stated variance of a sensor is believed: a standard deviation of its logarithm
 
 
@@ -275,6 +277,26 @@ class Problem:
             P0[places, places] = np.exp(noise.power)
         variances = self.variances(noise, index)
         return self.kernel.run(data, p, x0, P0, self.densities(noise), variances, states=states)
+
+    def known(self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]) -> Filtered:
+        """Filter what might have been measured in place of a log; its states in `rows` know what had arrived by then.
+
+        A late reading stands in the row that it shows, and arrives after it: a state there must do without. It does
+        without those that arrived while another one was asked for, too: a few, long ago.
+        """
+        filtered = self.filtered(data, values, noise, index, states=True)
+        late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}
+        if not late or not rows:
+            return filtered
+        apart, states = min(np.diff(rows), default=len(data.u)), filtered.states.copy()
+        runs = min(len(rows), math.ceil(APART * max(late.values()) / apart))
+        for first in range(runs):
+            asked, y = list(rows[first::runs]), data.y.copy()
+            for row in asked:
+                for k, n in late.items():
+                    y[max(0, row - n + 1) : row + 1, k] = np.nan
+            states[asked] = self.filtered(replace(data, y=y), values, noise, index, states=True).states[asked]
+        return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
         """Errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""

@@ -108,8 +108,9 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
         symbol = body.parameter(f"{kind.name}.value")
         if kind.late:
             continue  # it changes when readings were taken, not what they say
-        others = {**true, kind.output: body.outputs[kind.output]}
-        body.outputs[kind.output] = sympy.sympify(kind(value=symbol).read(SymbolNamespace(), body.symbols.time, others))
+        outputs = true | {name: body.outputs[name] for name in kind.affected()}
+        read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
+        body.outputs.update({name: sympy.sympify(e) for name, e in read.items()})
 
 
 def _disturbed(body: Body, reach: Reach) -> Body:

@@ -22,7 +22,7 @@ def settling(model: Model, names: Sequence[str]) -> float:
     ln(1/FORGOTTEN) times the slowest stable time constant of the base model about its start; 0 where it has none.
     """
     base = replace(model, effects=())
-    derivative, start, command = base.equations(SCALAR).derivative, base.start(), base.start_command()
+    derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()
     places = [[s.name for s in base.states].index(name) for name in names]
 
     def rates(place: int, change: float) -> Array:

@@ -17,9 +17,10 @@ from cosim.models.source import Source
 from cosim.yaml_file import did_you_mean
 from fmus.units import parse
 from plant.delay import Delay
+from plant.gain import Gain
 from plant.model import Effect, Model, overrides
 from plant.quantities import Parameter, Quantity, parameters_of
-from plant.sensors import Drift, SensorError
+from plant.sensors import Drift, LeverArm, SensorError
 
 WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
 DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
@@ -28,7 +29,7 @@ DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 def checked(kind: type[Model], source: Source) -> Model:
     """The model with its default parameters; InputError with every fault of its class."""
     _refuse(source, _shape(kind))
-    declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_timeless(kind)]
+    declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_gains(kind), *_timeless(kind)]
     names = [*unique(kind), *named(kind), *_numbers(kind), *_limits(kind), *_units(kind)]
     values = [fault for owner in (kind, *kind.catalogue, *kind.sensors) for fault in _values(owner)]
     faults = [source.fault(*found) for found in (*declared, *names, *values)]
@@ -192,7 +193,7 @@ def _effects(kind: type[Model]) -> Found:
 
 
 def _sensors(kind: type[Model]) -> Found:
-    """A sensor error has one parameter, `value`, and an output of the model."""
+    """A sensor error has one parameter, `value`, and is of outputs of the model."""
     outputs = [q.name for q in kind.outputs]
     for owner in kind.sensors:
         names = [p.name for p in parameters_of(owner)]
@@ -201,10 +202,21 @@ def _sensors(kind: type[Model]) -> Found:
             cure = "let another class hold what is more" if "value" in names else "call it so"
             text = f'a sensor error has one parameter, called "value"; {owner.name} has {has}'
             yield owner, (names or [""])[0], f"{text}; {cure}"
-        output = getattr(owner, "output", None)
-        if output not in outputs:
-            text = f'no output "{output}"{did_you_mean(str(output), outputs)}' if output else "no output is named"
-            yield owner, "output", f"{owner.name}: {text} (outputs: {', '.join(outputs)})"
+        own = "outputs" if owner.outputs else "output"
+        if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
+            text = f"{owner.name}: `read` is of one output; name it in `output`, or give `readings` a body"
+            yield owner, "outputs", text
+        for attribute in (own, "others") if issubclass(owner, LeverArm) else (own,):
+            given = getattr(owner, attribute, ())
+            if attribute != "output" and isinstance(given, str):
+                text = f'{attribute} is a tuple of names, with a comma even after a single one: ("{given}",)'
+                yield owner, attribute, f"{owner.name}: {text}"
+                continue
+            for name in (given,) if isinstance(given, str) else given or ("",):
+                if name not in outputs:
+                    told = f'no output "{name}"{did_you_mean(str(name), outputs)}' if name else "no output is named"
+                    text = f"{told} in `others`" if attribute == "others" else told
+                    yield owner, attribute, f"{owner.name}: {text} (outputs: {', '.join(outputs)})"
 
 
 def _delays(kind: type[Model]) -> Found:
@@ -232,6 +244,15 @@ def _delays(kind: type[Model]) -> Found:
         yield owner, "delay", f"{owner.name} and {late[0].name} both delay the command; let one of them do it"
 
 
+def _gains(kind: type[Model]) -> Found:
+    """A gain is of an input of the model."""
+    inputs = [q.name for q in kind.inputs]
+    for owner in kind.catalogue:
+        if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
+            text = f'no input "{name}"{did_you_mean(str(name), inputs)}' if name else "no input is named"
+            yield owner, "input", f"{owner.name}: {text} (inputs: {', '.join(inputs)})"
+
+
 def _timeless(kind: type[Model]) -> Found:
     """A model without states knows no time: nothing in its catalogue may keep or measure any."""
     if kind.base_states:
@@ -241,6 +262,9 @@ def _timeless(kind: type[Model]) -> Found:
     for owner in kind.catalogue:
         if owner.states or owner.memory or owner.delay:
             yield owner, "", f"{why}; {owner.name} keeps what was before: {cure}"
+        elif owner.shape is not Effect.shape:
+            text = "an output takes a command as it was given; let it act in the output, by a hook of your own"
+            yield owner, "", f"{kind.__name__} has no states, and {owner.name} shapes what acts on states: {text}"
     for sensor in kind.sensors:
         if sensor.late or issubclass(sensor, Drift):
             yield sensor, "", f"{why}; {sensor.name} goes with time: {cure}"

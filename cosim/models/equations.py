@@ -14,6 +14,7 @@ from plant.integrate import Stepper
 from plant.model import Effect, Equations, Model, overrides
 from plant.namespaces import SCALAR, Namespace, SymbolNamespace
 from plant.quantities import parameters_of
+from plant.sensors import LeverArm, SensorError
 from plant.symbolic.symbols import SymbolicModel, symbolic
 
 
@@ -208,15 +209,25 @@ def _length(values: Any) -> int:
 
 
 def _sensor_faults(model: Model, source: Source) -> list[Fault]:
-    """Readings of symbols."""
+    """Readings of symbols, which time and every output of the model are."""
     import sympy
 
+    value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))
+    outputs = {q.name: sympy.Symbol(f"output:{q.name}", real=True) for q in model.outputs}
     faults = []
     for kind in model.sensors:
-        value, true = (sympy.Symbol(name, real=True) for name in ("value", "true"))
-        reading = _tried(source, f"`measure` of {kind.name} raises", kind(value=value).measure, true)
-        if isinstance(reading, Fault):
-            faults.append(reading)
-        elif text := _expressions([reading])[0]:
-            faults.append(source.fault(kind, "measure", f"`measure` of {kind.name} gives {text} for a reading"))
+        hook = next((h for h in ("readings", "read") if getattr(kind, h) is not getattr(SensorError, h)), "measure")
+        hook = "carried" if issubclass(kind, LeverArm) and kind.readings is LeverArm.readings else hook
+        read = _tried(
+            source, f"`{hook}` of {kind.name} raises", kind(value=value).readings, SymbolNamespace(), t, outputs
+        )
+        if isinstance(read, Fault):
+            faults.append(read)
+        elif list(read) != list(kind.affected()):
+            text = f"reads {', '.join(map(str, read)) or 'nothing'}; it is of {', '.join(kind.affected())}"
+            faults.append(source.fault(kind, hook, f"`{hook}` of {kind.name} {text}"))
+        else:
+            wrong = next((text for text in _expressions([*read.values()]) if text), "")
+            if wrong:
+                faults.append(source.fault(kind, hook, f"`{hook}` of {kind.name} gives {wrong} for a reading"))
     return faults

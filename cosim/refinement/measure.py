@@ -28,6 +28,8 @@ from cosim.residuals.statistics import FREE_RUN, pooled
 from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
 from fmus.state import MEMORY, Memory
 from plant.model import Effect, Model, overrides
+from plant.namespaces import arrays
+from plant.sensors import SensorError
 
 FLOOR_SEED = 20121
 
@@ -62,23 +64,24 @@ def replays(
     for index, log in enumerate(logs):
         with Drive(log, variant.fmu, interpolated=problem.settings.interpolated) as drive:
             if log.table:
-                corrected = without_sensor_errors(log, variant, {})
-                played[judged].append((corrected, row_by_row(drive, variant.parameters)))
+                replay = row_by_row(drive, variant.parameters)
+                played[judged].append((without_sensor_errors(log, variant, {}, replay.outputs), replay))
                 continue
-            filtered = problem.run(variant.values, variant.noise, index, states=True)
-            values = problem.of_log(variant.values, index)
+            data, values = problem.data(variant.values, index), problem.of_log(variant.values, index)
             for horizon, evidence in played.items():
                 rows = first_rows(log, horizon)
+                filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
                 given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
                 starts = {k: {**variant.parameters, **start} for k, start in given.items()}
                 memories = {k: _on_its_way(variant, values, log, problem.logs[index], k) for k in rows}
-                corrected = without_sensor_errors(log, variant, _acting(problem, filtered, log.grid[rows], log.grid))
                 try:
-                    evidence.append((corrected, windows(drive, starts, horizon, memories)))
+                    replay = windows(drive, starts, horizon, memories)
                 except StoppedReplay:
                     if horizon == judged:
                         raise
                     break  # a failed FMU is not called again
+                acting = _acting(problem, filtered, log.grid[rows], log.grid)
+                evidence.append((without_sensor_errors(log, variant, acting, replay.outputs), replay))
     return played
 
 
@@ -131,13 +134,42 @@ def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: D
     return waiting
 
 
-def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array]) -> Log:
-    """The log with its readings corrected for what the model knows of its sensors, and what is `acting` in each row."""
+def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
+    """The log with its readings corrected for what the model knows of its sensors, and what is `acting` in each row.
+
+    said: output → what the model says is there; where a reading is late or goes by other outputs, these are the model's
+    """
     outputs = dict(log.outputs)
-    for output, at_zero, gain in _lines(variant, acting):
-        if output in outputs:
-            outputs[output] = (outputs[output] - at_zero) / gain
+    for sensor in _sensors(variant, acting):
+        if sensor.straight():
+            at_zero, gain = _line(sensor)
+            outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
+        elif not sensor.dormant:
+            outputs |= {n: outputs[n] - by for n, by in _added(sensor, log.time, said).items() if n in outputs}
     return replace(log, outputs=outputs)
+
+
+def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
+    """The errors of the sensors, the last to act first."""
+    values = {**variant.values, **acting}
+    for kind in reversed(variant.model.sensors):
+        yield kind(value=values[f"{kind.name}.value"])
+
+
+def _line(sensor: SensorError) -> tuple[Any, Any]:
+    """Reading at zero, and gain, of one whose readings are a straight line."""
+    at_zero = sensor.measure(0.0)
+    return at_zero, sensor.measure(1.0) - at_zero
+
+
+def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
+    """Output → what one that is no straight line adds to it, at what the model says is there."""
+    own = {n: said[n] for n in sensor.affected()}
+    if sensor.late:
+        return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
+    own = {n: np.nan_to_num(there) for n, there in own.items()}
+    read = sensor.readings(arrays(), time, {**said, **own})
+    return {n: np.asarray(read[n] - there) for n, there in own.items()}
 
 
 def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
@@ -151,20 +183,12 @@ def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> d
     return {name: np.array([known[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
-def _lines(variant: Variant, acting: Mapping[str, Array]) -> Iterator[tuple[str, Any, Any]]:
-    """Output, reading at zero and gain of each sensor error, the last to act first; readings are straight lines."""
-    values = {**variant.values, **acting}
-    for kind in reversed(variant.model.sensors):
-        sensor = kind(value=values[f"{kind.name}.value"])
-        yield kind.output, sensor.measure(0.0), sensor.measure(1.0) - sensor.measure(0.0)
-
-
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
     problem = filtering(problem, variant.model, logs)
-    runs = (problem.run(variant.values, variant.noise, index, states=True) for index in range(len(logs)))
-    read = (problem.data(variant.values, index) for index in range(len(logs)))
-    missed = [_missed(variant, problem, *each) for each in zip(logs, range(len(logs)), read, runs, strict=True)]
+    missed = [
+        _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
+    ]
     return _root_mean_squares(problem, missed)
 
 
@@ -194,8 +218,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
         first = problem.run(whole, variant.noise, index, states=True).states[0]
         for draw in draws:
             drawn = _drawn(problem, index, variant, first, rng)
-            filtered = problem.filtered(drawn, variant.values, variant.noise, index, states=True)
-            draw.append(_missed(variant, problem, log, index, drawn, filtered))
+            draw.append(_missed(variant, problem, log, index, drawn))
     level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
     each = [_root_mean_squares(problem, draw) for draw in draws]
     sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
@@ -222,8 +245,11 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
 
 
 def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """A log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew."""
-    layout, data = problem.layout, problem.logs[index]
+    """A log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew.
+
+    Late readings are where they belong, as of `Problem.data`.
+    """
+    layout, data = problem.layout, problem.data(variant.values, index)
     rows, noisy = len(data.u), layout.noise_places
     density = problem.densities(variant.noise)[list(layout.noisy)]
     kicks = np.zeros((rows, len(layout.states)))
@@ -232,10 +258,15 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
     p = problem.numbers(problem.of_log(lasting if layout.coloured else variant.values, index))
     truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
     sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
-    return replace(data, y=np.where(np.isnan(data.y), np.nan, truth.outputs + sensed))
+    return replace(data, y=np.where(np.isnan(data.y), np.nan, _older(truth.outputs, data.late) + sensed))
 
 
-def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data, filtered: Filtered) -> Array:
+def _older(outputs: Array, late: Array | None) -> Array:
+    """Outputs by part of a row earlier, as the filter takes readings that are older than their row."""
+    return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
+
+
+def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
     """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
 
     Each starts from the state that the filter knew by then.
@@ -243,10 +274,11 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
     gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
     horizon = variant.model.horizon
     rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
+    filtered = problem.known(data, variant.values, variant.noise, index, rows)
     acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
-    for output, _, gain in _lines(variant, acting):
-        if output in gains:
-            gains[output] = gains[output] * gain
+    for sensor in _sensors(variant, acting):
+        if sensor.straight():
+            gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
     readings = filtered.errors
     if not data.table:
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
@@ -271,5 +303,5 @@ def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows:
         end = min(k + length, len(data.u) - 1)
         part = data.rows(0, end + 1)
         run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
-        predicted[k + 1 : end + 1] = run.outputs[k + 1 :]
+        predicted[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
     return predicted

@@ -7,6 +7,7 @@ Wigren and Schoukens (2013). All forces are referred to the input, in volt: a sp
 from dataclasses import dataclass
 
 from plant.delay import Delay
+from plant.gain import Gain
 from plant.model import Effect, Equations, Model, Number, Values, overrides
 from plant.namespaces import Namespace
 from plant.quantities import Quantity, parameter
@@ -26,10 +27,6 @@ TOLD_APART_BY = {
 class CircuitEffect(Effect):
     """A force on the mass that the base model lacks, or an error of the command."""
 
-    def drive(self, m: Namespace, voltage: Number) -> Number:
-        """Input [V] as it acts."""
-        return voltage
-
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Force [V] on the mass."""
         return 0.0
@@ -47,17 +44,14 @@ class CommandDelay(Delay, CircuitEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputGain(CircuitEffect):
+class InputGain(Gain, CircuitEffect):
     """The amplifier is not of gain 1: g·V1."""
 
     name = "input_gain"
     equation = "input g·V1"
+    input = "V1"
 
     gain: float = parameter(1.0, unit="1", bounds=(0.5, 2.0), neutral=1.0, typical=0.05, doc="gain g of the input")
-
-    def drive(self, m: Namespace, voltage: Number) -> Number:
-        """g·V1."""
-        return self.gain * voltage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,15 +202,11 @@ class Silverbox(Model):
         ÿ = ω²·(V1 − y + forces of the effects) − d·ẏ
         """
         stiffness, d = self.frequency * self.frequency, self.damping
-        drives = overrides(self.awake, "drive", CircuitEffect)
         terms = overrides(self.awake, "force", CircuitEffect)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             position, velocity = state
-            total = command[0]
-            for drive in drives:
-                total = drive.drive(m, total)
-            total = total - position
+            total = command[0] - position
             for term in terms:
                 total = total + term.force(m, position, velocity)
             return velocity, stiffness * total - d * velocity

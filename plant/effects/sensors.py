@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.model import Number
+from plant.model import Number, Values
+from plant.namespaces import Namespace
 from plant.quantities import parameter
-from plant.sensors import SensorError
+from plant.sensors import Drift, Latency, LeverArm, SensorError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,5 +52,57 @@ class GyroBias(SensorError):
         return value + self.value
 
 
-# A scale acts before a bias.
-SENSORS = (AccelerometerScale, AccelerometerBias, GyroBias)
+@dataclass(frozen=True, kw_only=True)
+class AccelerometerLeverArm(LeverArm):
+    """The accelerometer sits l ahead of the CoM and reads what a turn presses out of a_P = a + ψ̈×r + ψ̇×(ψ̇×r)."""
+
+    name = "accelerometer_lever_arm"
+    equation = "reading a_x − l·ψ̇²"
+    output, others = "ax", ("psi_dot",)
+
+    def carried(self, m: Namespace, *others: Number) -> Values:
+        (psi_dot,) = others
+        return (-psi_dot * psi_dot,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccelerometerDrift(Drift):
+    """The accelerometer reads a_x + d·t."""
+
+    name = "accelerometer_drift"
+    equation = "reading a_x + d·t"
+    output = "ax"
+
+    value: float = parameter(0.0, unit="m/s3", bounds=(-0.2, 0.2), neutral=0.0, typical=5e-3, doc="drift d")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroDrift(Drift):
+    """The gyroscope reads ψ̇ + d·t."""
+
+    name = "gyro_drift"
+    equation = "reading ψ̇ + d·t"
+    output = "psi_dot"
+
+    value: float = parameter(0.0, unit="rad/s2", bounds=(-0.05, 0.05), neutral=0.0, typical=1e-3, doc="drift d")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraLatency(Latency):
+    """The camera's frames are stamped T after they were taken: positions at t are those of t − T."""
+
+    name = "camera_latency"
+    equation = "readings X(t − T), Y(t − T)"
+    outputs = ("x_world", "y_world")
+
+
+# What is there, then what the sensor makes of it: a lever arm before a scale, and that before a bias.
+SENSORS = (
+    AccelerometerLeverArm,
+    AccelerometerScale,
+    AccelerometerBias,
+    AccelerometerDrift,
+    GyroBias,
+    GyroDrift,
+    CameraLatency,
+)

@@ -43,7 +43,7 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 def _outputs(s: SymbolicModel) -> list[Any]:
     import sympy
 
-    outputs = s.model.equations(SymbolNamespace()).output(s.time, s.state, s.command)
+    outputs = s.model.acting(SymbolNamespace()).output(s.time, s.state, s.command)
     return [sympy.sympify(e) for e in outputs]
 
 

@@ -52,7 +52,7 @@ class Body:
         import sympy
 
         s = symbolic(model, effects=effects)
-        derivative, output = s.model.equations(SymbolNamespace())
+        derivative, output = s.model.acting(SymbolNamespace())
         rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
         return cls(
             s,

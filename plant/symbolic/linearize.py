@@ -34,7 +34,7 @@ def linearize(model: Model, state: Values | None = None, command: Values | None 
     point_u = model.start_command() if command is None else command
     x = sympy.symbols([f"x{k}" for k in range(len(point_x))], real=True)
     u = sympy.symbols([f"u{k}" for k in range(len(point_u))], real=True)
-    equations = model.equations(SymbolNamespace())
+    equations = model.acting(SymbolNamespace())
     point = dict(zip((*x, *u), (*point_x, *point_u), strict=True))
 
     def jacobian(expressions: Values, symbols: list[sympy.Symbol]) -> Matrix:

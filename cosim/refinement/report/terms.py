@@ -150,24 +150,61 @@ def _per_second(unit: str) -> str:
 def _reading(
     model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
 ) -> Shown:
-    """A sensor's reading less what is there, against what is there, both along the refined estimate."""
+    """A sensor's reading less what is there, along the refined estimate, against what its error comes of.
+
+    That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
+    several outputs the one on which the error is largest is shown.
+    """
     kind = next(k for k in model.sensors if k.name == c.name)
-    channel = problem.layout.outputs.index(kind.output)
-    rows = []
-    for index in logs:
-        data = problem.logs[index]
-        run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
-        clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
-        wrong = Steps(problem, index, with_it.values)
-        for k in range(unscored(data), min(len(data.u), MOST_ROWS) - 1):
-            there, read = (s.step(k, run.states[k], run.memory[k])[1][channel] for s in (clean, wrong))
-            rows.append((index, data.start + k * data.step, there, data.y[k, channel] - there, read - there))
-    table = np.array(rows)
-    table = table[np.isfinite(table).all(axis=1)]
-    unit = next(q.unit for q in model.outputs if q.name == kind.output)
-    against = Regressor(f"{kind.output} as the refined model says it is", unit, table[:, 2])
-    sigma = np.full(len(table), float(np.sqrt(problem.r[channel])))
+    parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in logs]
+    first = len(parts[0].time)
+    time = np.concatenate([p.time for p in parts])
+    there, read, y, rate = (np.vstack([getattr(p, n) for p in parts]) for n in ("there", "read", "y", "rate"))
+    names = problem.layout.outputs
+    sizes = np.sqrt(np.nanmean((read - there) ** 2, axis=0) / problem.r)
+    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
+    rows = np.isfinite(y[:, channel]) & np.isfinite(read[:, channel])
+    unit = {q.name: q.unit for q in model.outputs}
+    said = {n: Regressor(f"{n} as the refined model says it is", unit[n], there[rows, k]) for k, n in enumerate(names)}
+    name, missed, term = names[channel], (y - there)[rows, channel], (read - there)[rows, channel]
+    if kind.late:
+        against = Regressor(f"rate of {name}, by the refined model", _per_second(unit[name]), rate[rows, channel])
+    elif kind.straight():
+        against = said[name]
+    else:
+        known = {"time": Regressor("time", "s", time[rows]), **said}
+        against = choose(known, model.drawn_against.get(c.name, ()), term)
+    sigma = np.full(len(term), float(np.sqrt(problem.r[channel])))
     return Shown(
-        c.name, "sensor", kind.output, unit, against, table[:, 1], table[:, 3], sigma, table[:, 4],
-        int((table[:, 0] == logs[0]).sum()), problem.logs[logs[0]].step,
+        c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, int(rows[:first].sum()),
+        problem.logs[logs[0]].step,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensed:
+    """Rows of one log: what is there without an error of a sensor, what is read with it, readings, rates of change."""
+
+    time: Array
+    there: Array
+    read: Array
+    y: Array
+    rate: Array
+
+
+def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late: bool) -> _Sensed:
+    """Along the refined estimate of a log, every measured output."""
+    data = problem.logs[index]
+    run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
+    clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
+    wrong = Steps(problem, index, with_it.values)
+    count = min(len(data.u), MOST_ROWS) - 1
+    there, read = (np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (clean, wrong))
+    k = np.arange(count, dtype=np.float64)
+    if late:  # by another clock: what was there that long ago
+        rows = with_it.values[c.parameters[0]] / data.step
+        read = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in there.T])
+    rate = np.gradient(there, data.step, axis=0)
+    kept = slice(min(unscored(data), count - 1), count)
+    time = data.start + data.step * k
+    return _Sensed(time[kept], there[kept], read[kept], data.y[:count][kept], rate[kept])
