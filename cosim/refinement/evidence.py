@@ -62,15 +62,18 @@ def correlated(scored: Scored) -> float:
     return longest
 
 
-def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
-    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time."""
+def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
+    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time.
+
+    costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
+    """
     scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
     better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
     gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], worse.penalty - better.penalty)
+    return in_scatter(gains[np.bincount(block) > 0], costs + worse.penalty - better.penalty)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
