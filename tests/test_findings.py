@@ -27,7 +27,7 @@ from cosim.models.file import load_model, read_model
 from cosim.refinement.attribution import Attributor
 from cosim.refinement.evidence import scattered
 from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import _is_rival, _with_tolerance, beyond, decided
+from cosim.refinement.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
 from cosim.refinement.measure import first_rows
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search import Search
@@ -301,6 +301,16 @@ def test_friction_that_is_less_at_rest_than_in_motion_is_never_claimed(
     for h in a.tried:
         if "stribeck" in h.names:
             assert h.fit.values["stribeck.rest"] >= h.fit.values["stribeck.sliding"]
+
+
+def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model, tmp_path: Path) -> None:
+    """Drag looks like friction that rises with speed; as far as it may, that is friction which does not fall."""
+    problem = coarsened(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
+    (stribeck,) = parts_of(problem, rail, "stribeck")
+    h = searched(rail, problem).hypothesis((stribeck,), None)
+    assert h.fit.values["stribeck.rest"] == h.fit.values["stribeck.sliding"] > 0.1
+    (rest,) = (f for f in stribeck.free if f.above)
+    assert at_limit(h, rest, problem.values)  # so that nobody claims it
 
 
 def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
