@@ -31,6 +31,7 @@ from cosim.refinement.sentences import (
 )
 from cosim.refinement.unnamed import Unnamed
 from cosim.refinement.verdict import Verdict
+from cosim.text import percent
 from plant.hovercraft import Hovercraft
 from tests.verdicts import contradictions
 
@@ -87,7 +88,9 @@ def in_part() -> dict[str, Any]:
     h = fitted("coulomb_friction")
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
     left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
-    sentence = partly(claim(h, h.candidates, CRAFT), residual, "vx", left)
+    sentence = partly(
+        claim(h, h.candidates, CRAFT), residual, f"replays keep {percent(left)} of the excess error of vx"
+    )
     near = ("coulomb_friction", "quadratic_drag")
     return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
 
@@ -102,14 +105,14 @@ def open_question() -> dict[str, Any]:
     h, experiment = fitted("mass", "coulomb_friction"), "both duties varied"
     names = ["coulomb_friction", "quadratic_drag"]
     certain = [c for c in h.candidates if c.name == "mass"]
-    sentence = cannot_tell(names, experiment, claim(h, certain, CRAFT))
+    sentence = cannot_tell(names, experiment, claim(h, certain, CRAFT), CRAFT)
     return written("ambiguous", sentence, "nearest", h, ("mass",), rivals=names, experiment=experiment)
 
 
 def too_little() -> dict[str, Any]:
     names = ["coulomb_friction", "quadratic_drag"]
     experiment = "larger and broader commands on all inputs, one at a time and together"
-    sentence = excites_too_little(len(names), still=False)
+    sentence = excites_too_little(len(names), experiment, still=False)
     return written("ambiguous", sentence, "nearest", rivals=names, experiment=experiment, hidden=names)
 
 
@@ -233,7 +236,7 @@ def test_files_that_do_not_go_with_the_grade_are_noticed(tmp_path: Path) -> None
 def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
     h, base = fitted("coulomb_friction"), Hypothesis((), fitted("mass").fit, 0.0)
     verdict = Verdict("effect_found", h, (), "", {}, "…", "claimed")
-    a = Attribution(base, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
+    a = Attribution(base, base.fit, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
     assert unseen(a, verdict) == ["lag"]
     assert unseen(a, Verdict("no_effect", None, (), "", {}, "…")) == ["coulomb_friction", "lag"]
 

@@ -156,7 +156,15 @@ def _left(record: Record) -> Iterator[str]:
     left, said = _excess(record), record["sentence"]
     if record["grade"] == "claimed" and max(left.values(), default=0.0) > PART + NOISE:
         yield f"claimed as a whole, and {left} of the excess is left"
-    if record["grade"] == "part":
+    if record["grade"] == "part" and record.get("horizon") == "row":
+        found = re.search(r"(\d+)\u00a0% of the mean square error of (\w+)", said)
+        error = record["error"]
+        after, other = (error[name]["estimation"] for name in ("after", "recalibrated"))
+        if found is None:
+            yield f"a part, and the sentence does not say how much is left: {said!r}"
+        elif abs(0.01 * float(found[1]) - (after[found[2]] / other[found[2]]) ** 2) > NOISE:
+            yield f"{found[0]} in the sentence, {error} in the record"
+    elif record["grade"] == "part":
         found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)
         if found is None or "the rest" not in said:
             yield f"a part, and the sentence does not say how much is left: {said!r}"

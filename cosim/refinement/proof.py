@@ -20,7 +20,7 @@ from cosim.refinement.study import Study
 from cosim.refinement.variants import refined_model, variants_of
 from cosim.refinement.verdict import Verdict
 from cosim.residuals.statistics import COUNTS_FROM, excess_left
-from cosim.text import plain
+from cosim.text import percent, plain
 from plant.model import Model
 
 PART = 0.1  # of the excess error, from which a claim that leaves it is of a part only
@@ -68,7 +68,8 @@ def proven(
         if weak := [n for n in verdict.claimed.names if n in support and support[n].predicted < BETTER]:
             text = f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(weak)}."
             return _withdrawn(verdict, text)
-        sentence = partly(verdict.sentence, verdict.residual, worst, left[worst])
+        kept = f"replays keep {percent(left[worst])} of the excess error of {worst}"
+        sentence = partly(verdict.sentence, verdict.residual, kept)
         return replace(verdict, grade="part", sentence=sentence)
     return verdict
 

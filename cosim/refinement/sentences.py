@@ -74,14 +74,11 @@ def unexplained(
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
 
 
-def partly(sentence: str, residual: Mapping[str, Any], channel: str, left: float) -> str:
-    """A claim that is a part of what is missing: how much replays keep, and where the rest acts."""
+def partly(sentence: str, residual: Mapping[str, Any], left: str) -> str:
+    """A claim that is a part of what is missing: what is left, and where that acts."""
     where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
     on = f" and {follows(residual['signals'][0])}" if residual["signals"] else ""
-    return (
-        f"A part of what is missing: replays keep {percent(left)} of the excess error of {channel}, "
-        f"and the rest{where}{on}. {sentence}"
-    )
+    return f"A part of what is missing: {left}, and the rest{where}{on}. {sentence}"
 
 
 def misses(channel: str, times: float, base: Fit) -> str:

@@ -20,7 +20,7 @@ from cosim.refinement.proof import PART
 from cosim.refinement.search import Search
 from cosim.refinement.sentences import follows, partly, unexplained
 from cosim.refinement.verdict import Verdict
-from cosim.text import size
+from cosim.text import percent, size
 from plant.model import Model
 
 FEWEST = 8  # rows, below which neighbours tell nothing
@@ -63,7 +63,8 @@ def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Mod
     column = problem.layout.outputs.index(output)
     kept = _sizes(problem, verdict.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
     if verdict.name != "ambiguous" and kept > PART:
-        return replace(verdict, grade="part", sentence=partly(verdict.sentence, verdict.residual, output, kept))
+        share = f"{percent(kept)} of the mean square error of {output}, as the model recalibrated has it, is left"
+        return replace(verdict, grade="part", sentence=partly(verdict.sentence, verdict.residual, share))
     return replace(verdict, sentence=f"{verdict.sentence} Something is left of {output} that {follows(signal)}.")
 
 
@@ -89,10 +90,8 @@ def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] 
 
 
 def _left(problem: Problem, h: Hypothesis) -> Array:
-    """Measured − model of every row, each output about its mean: rows, outputs."""
-    rows = [open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))]
-    left = np.vstack(rows)
-    return np.asarray(left - np.nanmean(left, axis=0))
+    """Measured − model of every row: rows, outputs."""
+    return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
 def _sizes(problem: Problem, h: Hypothesis) -> Array:

@@ -141,31 +141,38 @@ class Drive:
         visit:  called at each row between, where the FMU takes steps of any length
         """
         times, held, rows = self._steps(first, last)
-        reached = [float(self.log.time[first]), *(t + h for t, h in zip(times, held, strict=True))]
+        read = self._read(rows)
+        ends = [t + h for t, h in zip(times, held, strict=True)]
+        reached = [float(self.log.time[first]), *(t for t, wanted in zip(ends, read, strict=True) if wanted)]
         table = np.zeros((len(reached), len(self.outputs)))
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
-        there, block, commands, acting, done = table.ctypes.data, self.block, self._commands, first, 0
+        there, block, acting, whole, made = table.ctypes.data, self.block, first, 0, 0
         ramping = bool(self._ramps.any())
+        commands: list[Any] = self._between(times, held, rows) if ramping else self._commands
         try:
             self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
             block.start()
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
-            for done, (t, h, k) in enumerate(zip(times, held, rows, strict=True), 1):
+            whole = 1
+            for j, (t, h, k) in enumerate(zip(times, held, rows, strict=True)):
                 if k != acting and visit is not None:
                     visit(k)
                 if commands and (ramping or k != acting):
-                    self._row[: len(self.inputs)] = self._between(k, t + 0.5 * h) if ramping else commands[k]
+                    self._row[: len(self.inputs)] = commands[j if ramping else k]
                     block.put()
                 acting = k
                 block.advance(t, h)
-                block.get()
-                ctypes.memmove(there + done * size, here, size)
-                if self.progress is not None and done % PROGRESS_EVERY == 0:
-                    self.progress(self._driven[0] + done)
-        except SimulationError as error:  # `done` rows are whole: the one of the step that failed is not
-            raise StoppedReplay(error, self._at_rows(table[:done], reached[:done], first, last)) from None
+                made = j + 1
+                if read[j]:
+                    block.get()
+                    ctypes.memmove(there + whole * size, here, size)
+                    whole += 1
+                if self.progress is not None and made % PROGRESS_EVERY == 0:
+                    self.progress(self._driven[0] + made)
+        except SimulationError as error:
+            raise StoppedReplay(error, self._at_rows(table[:whole], reached[:whole], first, last)) from None
         self._driven[0] += len(times)
         if self.progress is not None:
             self.progress(self._driven[0])
@@ -220,12 +227,21 @@ class Drive:
         rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
         return times.tolist(), [step] * steps, rows.tolist()
 
-    def _between(self, k: int, t: float) -> list[Any]:
-        """The command at a time after row k: on the way to the next row where it is interpolated, else as held."""
-        here, there = self._table[k], self._table[min(k + 1, len(self._table) - 1)]
-        time = self.log.time
-        share = (t - time[k]) / (time[k + 1] - time[k]) if k + 1 < time.size else 0.0
-        moved: list[Any] = (here + np.where(self._ramps, share * (there - here), 0.0)).tolist()
+    def _read(self, rows: Sequence[int]) -> list[bool]:
+        """Whether outputs are read after each step: of several within a row, where all end on rows, after the last."""
+        if not self.variable_step:
+            return [True] * len(rows)
+        return [k != following for k, following in zip(rows, [*rows[1:], -1], strict=True)]
+
+    def _between(self, times: Sequence[float], held: Sequence[float], rows: Sequence[int]) -> list[list[float]]:
+        """The command of each step, midway: on the way to the next row where it is interpolated, else as held."""
+        k, time = np.array(rows, np.intp), self.log.time
+        here, following = self._table[k], np.minimum(k + 1, time.size - 1)
+        lasts = np.where(following > k, time[following] - time[k], 1.0)
+        share = (np.array(times) + 0.5 * np.array(held) - time[k]) / lasts
+        moved: list[list[float]] = (
+            here + np.where(self._ramps, share[:, None] * (self._table[following] - here), 0.0)
+        ).tolist()
         return moved
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:

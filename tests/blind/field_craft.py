@@ -184,7 +184,7 @@ class CraftRig(Rig):
 
 def craft(base: dict[str, float], kind: str, truth: dict[str, dict[str, float]]) -> Craft:
     """The laboratory's craft with the numbers of a field study."""
-    if kind == "outside":
+    if kind == "outside" and truth:  # none yet while the recorder's stamps are drawn
         (name,) = truth
         return Craft(base=base, outside=outside(name, truth[name]))
     sensors = CraftRig.sensors
