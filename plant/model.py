@@ -46,6 +46,7 @@ class Effect(Parametric):
             a history of commands, with one quantity in `memory` for each input; where the whole log is at hand,
             the late command is looked up there instead
     starts: parameter values from which a fit starts as well, where its likelihood has more than one hill
+    at_least: parameter → another of the effect that it is never below: what makes it physical, which no fit leaves
     """
 
     name: ClassVar[str]
@@ -54,6 +55,7 @@ class Effect(Parametric):
     memory: ClassVar[tuple[Quantity, ...]] = ()
     delay: ClassVar[str | None] = None
     starts: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    at_least: ClassVar[Mapping[str, str]] = {}
 
     @property
     def prefix(self) -> str:

@@ -59,7 +59,8 @@ def _effects(model: Model, values: Mapping[str, float]) -> Iterator[Candidate]:
     for kind in (*model.catalogue, *model.sensors):
         declared = parameters_of(kind)
         names = [f"{kind.name}.{p.name}" for p in declared]
-        free = tuple(_free(p, name) for p, name in zip(declared, names, strict=True))
+        above = {f"{kind.name}.{p}": f"{kind.name}.{other}" for p, other in kind.at_least.items()}
+        free = tuple(_free(p, name, above.get(name, "")) for p, name in zip(declared, names, strict=True))
         here = {name: values[name] for name in names}
         first = {name: _start(p, values[name]) for p, name in zip(declared, names, strict=True)}
         starts = [first, *({f"{kind.name}.{name}": value for name, value in s.items()} for s in kind.starts)]
@@ -95,8 +96,8 @@ def usual_size(p: Parameter) -> float:
     return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 
-def _free(p: Parameter, name: str) -> Free:
-    return Free(name, *p.bounds, usual_size(p), neutral=p.neutral)
+def _free(p: Parameter, name: str, above: str) -> Free:
+    return Free(name, *p.bounds, usual_size(p), neutral=p.neutral, above=above)
 
 
 def _start(p: Parameter, value: float) -> float:
@@ -116,6 +117,7 @@ class Free:
 
     neutral: where its effect does nothing; None of a base parameter
     parameter, group: what it is the value of, and of which group of logs, where each has its own
+    above:   another parameter, below which it may not be
     """
 
     name: str
@@ -126,3 +128,4 @@ class Free:
     neutral: float | None = None
     parameter: str = ""
     group: str = ""
+    above: str = ""

@@ -129,7 +129,9 @@ class _Scoring:
         self.size = np.array([f.size for f in free] + [1.0] * len(self.moved))
         self.difference = self.size * np.array([DIFFERENCE] * len(free) + [NOISE_DIFFERENCE] * len(self.moved))
         here = [*(self.known[f.name] for f in free), *self.fixed[self.moved]]
-        self.theta = np.clip(np.array(here), self.low, self.high)
+        places = {f.name: k for k, f in enumerate(free)}
+        self.ordered = [(k, places[f.above]) for k, f in enumerate(free) if f.above in places]
+        self.theta = self._within(np.array(here))
         self.damping = 1e-3
         self.enough = CONVERGED if sensing else NEARLY
 
@@ -169,6 +171,13 @@ class _Scoring:
         vector = self.fixed.copy()
         vector[self.moved] = theta[n:]
         return {**self.known, **moved}, self.noise.like(vector)
+
+    def _within(self, theta: Array) -> Array:
+        """The nearest within the limits; what may not be below another is raised to it."""
+        there = np.clip(theta, self.low, self.high)
+        for upper, lower in self.ordered:
+            there[upper] = max(there[upper], there[lower])
+        return np.asarray(there)
 
     def _evaluate(self, theta: Array) -> Scored:
         return self.problem.scored(*self._unpack(theta), self.only)
@@ -224,7 +233,7 @@ class _Scoring:
             F = information[np.ix_(rest, rest)]
             step = np.zeros_like(self.theta)
             step[rest] = -np.linalg.lstsq(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest], rcond=None)[0]
-            there = np.clip(self.theta + step * self.size, self.low, self.high)
+            there = self._within(self.theta + step * self.size)
             scored = self._evaluate(there)
             after = self._objective(there, scored)
             if after < before:

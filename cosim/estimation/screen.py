@@ -208,8 +208,9 @@ class Choice:
                     sigma[parameter] += spread[k] * abs(size)
             for f in terms.candidate.free:
                 slack = BEYOND * sigma[f.name]
-                there = f.neutral is None or f.low - slack <= found[f.name] <= f.high + slack
+                low = max(f.low, found.get(f.above, f.low))
+                there = f.neutral is None or low - slack <= found[f.name] <= f.high + slack
                 # of an effect that the model has, too much may be taken away: none is left
                 within = within and (there or self.neutral[f.name] != f.neutral)
-                values[f.name] = float(np.clip(found[f.name], f.low, f.high))
+                values[f.name] = float(np.clip(found[f.name], low, f.high))
         return values, within

@@ -190,6 +190,8 @@ def _effects(kind: type[Model]) -> Found:
         names = [p.name for p in parameters_of(owner)]
         for name in dict.fromkeys(n for start in owner.starts for n in start if n not in names):
             yield owner, "starts", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+        for name in dict.fromkeys(n for pair in owner.at_least.items() for n in pair if n not in names):
+            yield owner, "at_least", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
 
 
 def _sensors(kind: type[Model]) -> Found:

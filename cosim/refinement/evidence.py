@@ -62,15 +62,18 @@ def correlated(scored: Scored) -> float:
     return longest
 
 
-def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
-    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time."""
+def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
+    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time.
+
+    costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
+    """
     scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
     better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
     gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], worse.penalty - better.penalty)
+    return in_scatter(gains[np.bincount(block) > 0], costs + worse.penalty - better.penalty)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
@@ -139,7 +142,8 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
 
 def _nearer(found: Sequence[Sequence[Array]]) -> Array:
     """By how much square errors are less, in each replay of each log, every output in units of its own."""
-    worse, better = (np.concatenate([missed[k] for missed in found]) for k in (0, 1))
+    longest = max(missed[0].shape[1] for missed in found)  # rows of a replay, where logs are of unlike length
+    worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
     both = np.isfinite(worse) & np.isfinite(better)
     counts = np.maximum(1, both.sum(axis=1))
     squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
@@ -147,6 +151,11 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
     return np.asarray(per_replay[both.any(axis=(1, 2))])
+
+
+def _padded(missed: Array, rows: int) -> Array:
+    """Replays with NaN behind their end, so that all have as many rows."""
+    return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:

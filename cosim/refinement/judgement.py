@@ -136,7 +136,9 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
         for t in TOLERANCES
     ):
         return True
-    return steadiness(search.problem, best.fit, h.fit) < UNSURE
+    # that a richer one costs more counts against it, or one that holds the best as a special case always were a rival
+    richer = max(0.0, search.cost(h.candidates) - search.cost(best.candidates))
+    return steadiness(search.problem, best.fit, h.fit, richer) < UNSURE
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
@@ -178,7 +180,8 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
 def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     """Moved, and as far as it may; to neutral is where an effect that the model has too much of belongs."""
     value = h.fit.values[f.name]
-    return value in (f.low, f.high) and value not in (neutral[f.name], f.neutral)
+    limits = f.low, f.high, h.fit.values.get(f.above)
+    return value in limits and value not in (neutral[f.name], f.neutral)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from plant.effects.terms import HovercraftEffect, Motion, Wrench
 from plant.model import Number
@@ -45,6 +47,7 @@ class StribeckFriction(HovercraftEffect):
 
     name = "stribeck_friction"
     equation = "force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s"
+    at_least: ClassVar[Mapping[str, str]] = {"static_force": "force"}
 
     force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.05, doc="sliding friction force F")
     static_force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.08, doc="breakaway force F_s")

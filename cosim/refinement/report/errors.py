@@ -54,9 +54,10 @@ class ErrorTable:
 
 @dataclass(frozen=True)
 class HorizonTable:
-    """Errors over several horizons on one set of logs: a channel's name and its texts, one for each horizon."""
+    """Errors over several horizons on one set of logs: of `what`; a channel's name and its texts, one a horizon."""
 
     title: str
+    what: str
     horizons: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
 
@@ -91,19 +92,24 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
 
 
 def horizon_table(r: Refinement) -> HorizonTable:
-    """Before → refined (one number where nothing was claimed), from the shortest horizon to the longest."""
+    """Before → refined, or → nearest where nothing was claimed, from the shortest horizon to the longest.
+
+    Horizons shorter than the rows are apart are left away.
+    """
     part = judged(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
     errors[r.study.loaded.model.horizon] = r.record["error"]
-    variants = ("before", "after") if r.verdict.claimed else ("after",)
+    near = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
+    variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if near else ("after",)
+    what = "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if near else "Over"
 
     def text(error: Mapping[str, Any], channel: str) -> str:
         sizes = [float(error[name][part].get(channel, math.nan)) for name in variants]
         return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
 
-    ordered = sorted(errors)
+    ordered = sorted(h for h in errors if any(v is not None for v in errors[h]["before"][part].values()))
     rows = [(c, tuple(text(errors[h], c) for h in ordered)) for c in r.record["error"]["before"][part]]
-    return HorizonTable(PARTS[part], tuple(map(horizon_name, ordered)), tuple(rows))
+    return HorizonTable(PARTS[part], what, tuple(map(horizon_name, ordered)), tuple(rows))
 
 
 def judged(r: Refinement) -> str:
@@ -187,5 +193,9 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
         return ""
     _, _, after, floor = _numbers(r, part, worst)
     said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
-    lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}"
+    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(worst, math.nan))
+    beside = ""
+    if near < after:
+        beside = f", and nearest.yaml by {error_size(near, units(r).get(worst, ''), after)}"
+    lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}{beside}"
     return f"{lead}{_causes(r, said[1], above=floor > after)}"

@@ -190,6 +190,8 @@ def _term_sentence(s: Shown) -> str:
     what = s.what
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
+    if not np.any(s.term):  # it acts where no unknown input does, behind a sensor say
+        return f"{s.effect} adds nothing to the {what}: it acts elsewhere ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
     text = f"Of the mean square {what}, {who} takes away {percent(min(1.0, max(0.0, s.share)))}"
     if s.kind == "sensor":
