@@ -46,10 +46,15 @@ def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
 
 
 def local_signals(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
-    """Over what a shape may be local: time, states that do not drift unseen, commands."""
-    states = {q.name: x for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in unknown}
-    commands = {f"command {q.name}": u for q, u in zip(s.model.inputs, s.command, strict=True)}
-    return {"time": s.time, **states, **commands}
+    """Over what a shape may be local: time, states that do not drift unseen, circles of angles, commands."""
+    import sympy
+
+    known = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in unknown]
+    found = {"time": s.time} | {q.name: x for q, x in known}
+    for q, x in known:
+        if q.unit == "rad":
+            found |= {f"cos {q.name}": sympy.cos(x), f"sin {q.name}": sympy.sin(x)}
+    return found | {f"command {q.name}": u for q, u in zip(s.model.inputs, s.command, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class LocalShape:
     """One local shape as symbols: factor · shape, each a symbol of its own that `stages` say how to compute.
 
     terms:  what it adds to each equation
-    slopes: signal → derivatives of factor and shape by it
+    slopes: symbol of a signal → derivatives of factor and shape by it
     """
 
     factor: Any
@@ -78,6 +83,10 @@ def local_shape(
 
     weights = {role: {z: number(f"{LOCAL}.{slot}.{role}.{n}") for n, z in signals.items()} for role in ROLES}
     mixed = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
+
+    def slope(role: str, x: Any) -> Any:
+        return sum(w * sympy.diff(z, x) for z, w in weights[role].items())
+
     over, dry, factor, shape, bend, edge = map(symbol, ("over", "dry", "factor", "shape", "bend", "edge"))
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
@@ -94,7 +103,7 @@ def local_shape(
                 edge: sympy.diff(clipped(dry), dry),
             },
         ),
-        {z: (weights["by"][z] + edge * weights["dry"][z], bend * weights["of"][z]) for z in signals.values()},
+        {x: (slope("by", x) + edge * slope("dry", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )
 
 

@@ -8,7 +8,7 @@ sign or the distance from there, are held against it by regression. Only the mos
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -27,6 +27,8 @@ SLIP = 0.05  # of its range, within which the sign of a velocity turns
 FEWEST = 30  # rows within a width
 KEPT = 3  # of the bumps and steps of an equation, that are worth a filter run; of splines one
 TWICE = 0.9  # correlation, from which two of them are one
+EVERY = 4  # rows, of which one has its slopes taken: a regression needs no more
+TURN = 2.0 * np.pi
 DIFFERENCE = " − "
 
 Signals = Mapping[str, Array]
@@ -40,7 +42,7 @@ class Shape:
     kind:  `bump`, `step` or `spline`; place: of its middle, a spline's first bump; width: of a bump at half its
            height, of a step from end to end, of a spline from bump to bump
     times: signals as in `of` that it is multiplied by, or none; dry: by their sign alone, which turns within `slip`
-    well:  it is multiplied by the distance from its place
+    well:  it is multiplied by the distance from its place; turned: it is over an angle and comes back every turn
     """
 
     equation: str
@@ -52,6 +54,7 @@ class Shape:
     dry: bool = False
     slip: float = 1.0
     well: bool = False
+    turned: bool = False
 
     @property
     def signal(self) -> str:
@@ -68,7 +71,9 @@ class Shape:
 
     @property
     def per(self) -> float:
-        """ζ per unit of the signal."""
+        """ζ per unit of the signal, of an angle that turns per unit of 1 − cosine."""
+        if self.turned:
+            return float(HALF / (1.0 - np.cos(0.5 * self.width)))
         return {"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width
 
     def settings(self, slot: int) -> dict[str, float]:
@@ -77,8 +82,13 @@ class Shape:
         def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
 
-        found = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0, f"{LOCAL}.{slot}.of.1": -self.place * self.per}
-        found |= mixed("of", self.of, self.per)
+        found = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
+        if self.turned:
+            (angle,) = self.of
+            circle = {"1": 1.0, f"cos {angle}": -np.cos(self.place), f"sin {angle}": -np.sin(self.place)}
+            found |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
+        else:
+            found |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
         if self.well:
             return found | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
         if self.dry:
@@ -93,7 +103,7 @@ class Shape:
     def columns(self, signals: Signals) -> Array:
         """What each coefficient multiplies, shape (rows, coefficients)."""
         z = _mixed(signals, self.of)
-        over = self.per * (z - self.place)
+        over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
         basis = {
             "bump": lambda: bump(over)[:, None],
             "step": lambda: rise(over)[:, None],
@@ -140,7 +150,8 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     if not any(n.startswith(f"{LOCAL}.") for n in problem.layout.parameters):
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        parts = [(k, missing(problem, Filter(at.values, at.noise), k)) for k in range(min(LOGS, len(problem.logs)))]
+        here = Filter(at.values, at.noise)
+        parts = [(k, missing(problem, here, k, EVERY)) for k in range(min(LOGS, len(problem.logs)))]
     lacking, sigma = (np.vstack([getattr(m, name) for _, m in parts]) for name in ("value", "sigma"))
     signals = signals_of(problem, parts)
     if not np.isfinite(lacking).all() or not all(np.isfinite(z).all() for z in signals.values()):
@@ -205,7 +216,22 @@ def _family(problem: Problem, equation: str, signals: Signals, units: Mapping[st
         moving = [(equation,)] if equation in signals else []
         if all(n in rates and rates[n] in signals for n in of):
             moving = list(dict.fromkeys(((*(rates[n] for n in of),), *moving)))
-        yield from _over(equation, of, z, low, high, [(t, _slip(signals, t)) for t in moving if not set(t) & set(of)])
+        slips = [(t, _slip(signals, t)) for t in moving if not set(t) & set(of)]
+        if len(of) == 1 and units.get(of[0]) == "rad" and high - low > TURN:
+            yield from _round(equation, of, slips)
+        else:
+            yield from _over(equation, of, z, low, high, slips)
+
+
+def _round(equation: str, of: tuple[str, ...], moving: Sequence[tuple[tuple[str, ...], float]]) -> Iterator[Shape]:
+    """The shapes over an angle that turns."""
+    for width in WIDTHS:
+        for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
+            where = Shape(equation, of, "bump", float(place), width * TURN, turned=True)
+            yield where
+            for times, slip in moving:
+                yield replace(where, times=times)
+                yield replace(where, times=times, dry=True, slip=slip)
 
 
 def _slip(signals: Signals, names: tuple[str, ...]) -> float:
@@ -222,7 +248,7 @@ def _over(
         step = Shape(equation, of, "step", float(place), span / STEPS)
         yield step
         for times, _ in moving:
-            yield Shape(equation, of, "step", float(place), span / STEPS, times)
+            yield replace(step, times=times)
     if of == ("time",):
         return
     yield Shape(equation, of, "spline", float(low), span / (KNOTS - 1))
@@ -231,9 +257,9 @@ def _over(
             near = np.count_nonzero(abs(z - place) < 0.5 * width * span)
             if near < FEWEST:
                 continue
-            where = (equation, of, "bump", float(place), float(width * span))
-            yield Shape(*where)
-            yield Shape(*where, well=True)
+            where = Shape(equation, of, "bump", float(place), float(width * span))
+            yield where
+            yield replace(where, well=True)
             for times, slip in moving:
-                yield Shape(*where, times)
-                yield Shape(*where, times, dry=True, slip=slip)
+                yield replace(where, times=times)
+                yield replace(where, times=times, dry=True, slip=slip)
