@@ -79,7 +79,9 @@ def generate(
         "measure": g,
         "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
     }
-    stages = [dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)]
+    stages = [
+        dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
+    ]
     first = {"deriv": stages, "jacobian": stages}
     printed = [body.function(language, name, e, first.get(name, ())) for name, e in functions.items()]
     layout = Layout(

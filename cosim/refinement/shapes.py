@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
+from cosim.kernel.interface import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
 from cosim.refinement.missing import LOGS, Filter, Missing, missing
 
@@ -42,6 +44,7 @@ class Shape:
     kind:  `bump`, `step` or `spline`; place: of its middle, a spline's first bump; width: of a bump at half its
            height, of a step from end to end, of a spline from bump to bump
     times: signals as in `of` that it is multiplied by, or none; dry: by their sign alone, which turns within `slip`
+    unit:  of place and width
     well:  it is multiplied by the distance from its place; turned: it is over an angle and comes back every turn
     """
 
@@ -55,6 +58,19 @@ class Shape:
     slip: float = 1.0
     well: bool = False
     turned: bool = False
+    unit: str = ""
+
+    @classmethod
+    def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
+        """The shape that an entry of refine.json tells."""
+        lists = {name: tuple(entry[name]) for name in ("of", "times")}
+        return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """As refine.json tells it."""
+        told = {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items()}
+        return {n: v for n, v in told.items() if n != "equation"}
 
     @property
     def signal(self) -> str:
@@ -74,7 +90,7 @@ class Shape:
         """ζ per unit of the signal, of an angle that turns per unit of 1 − cosine."""
         if self.turned:
             return float(HALF / (1.0 - np.cos(0.5 * self.width)))
-        return {"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width
+        return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
         """What sets a slot of the kernel to this shape, all but its coefficients."""
@@ -100,15 +116,20 @@ class Shape:
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
+    def over(self, signals: Signals) -> Array:
+        """The signal that it is over; an angle that turns within one turn about its place."""
+        z = _mixed(signals, self.of)
+        return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
+
     def columns(self, signals: Signals) -> Array:
         """What each coefficient multiplies, shape (rows, coefficients)."""
-        z = _mixed(signals, self.of)
+        z = self.over(signals)
         over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
-        basis = {
-            "bump": lambda: bump(over)[:, None],
-            "step": lambda: rise(over)[:, None],
-            "spline": lambda: np.stack([bump(over - k) for k in range(KNOTS)], axis=1),
-        }[self.kind]()
+        if self.kind == "step":
+            basis = rise(over)[:, None]
+        else:
+            count = KNOTS if self.kind == "spline" else 1
+            basis = np.stack([bump(over - k) for k in range(count)], axis=1)
         if self.well:
             return np.asarray(basis * (z - self.place)[:, None])
         if not self.times:
@@ -126,9 +147,9 @@ def signals_of(problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[s
     layout = problem.layout
     found: dict[str, Array] = {"time": np.concatenate([m.time for _, m in parts])}
     states = np.vstack([m.states for _, m in parts])
-    for name in _known(problem):
-        if name in layout.states:
-            found[name] = states[:, layout.states.index(name)]
+    for k, name in enumerate(layout.states):
+        if not name.startswith((DISTURBANCE, CONSTANT)):
+            found[name] = states[:, k]
     rows = []
     for index, m in parts:
         first = round((m.time[0] - problem.logs[index].start) / problem.logs[index].step)
@@ -136,24 +157,21 @@ def signals_of(problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[s
     return found | {f"command {n}": u for n, u in zip(layout.inputs, np.vstack(rows).T, strict=True)}
 
 
-def _known(problem: Problem) -> list[str]:
-    prefix = f"{LOCAL}.1.of."
-    return [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
-
-
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
     """Shapes that a regression on what the equations lack finds most promising, and how many coefficients were tried.
 
-    units: of the states; of two of one unit the difference is a signal too
+    units: of the signals; of two states of one unit the difference is a signal too
     worth: log-likelihood that a shape must promise, were each row of its own
     """
-    if not any(n.startswith(f"{LOCAL}.") for n in problem.layout.parameters):
+    prefix = f"{LOCAL}.1.of."
+    known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
+    if not known:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
         here = Filter(at.values, at.noise)
         parts = [(k, missing(problem, here, k, EVERY)) for k in range(min(LOGS, len(problem.logs)))]
     lacking, sigma = (np.vstack([getattr(m, name) for _, m in parts]) for name in ("value", "sigma"))
-    signals = signals_of(problem, parts)
+    signals = {n: z for n, z in signals_of(problem, parts).items() if n in known}
     if not np.isfinite(lacking).all() or not all(np.isfinite(z).all() for z in signals.values()):
         return [], 0
     found: list[Shape] = []
@@ -208,19 +226,21 @@ def _family(problem: Problem, equation: str, signals: Signals, units: Mapping[st
     rates = problem.layout.rates
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
-    for of in [*((n,) for n in signals), *pairs]:
+    over: list[tuple[str, ...]] = [*((n,) for n in signals), *pairs]
+    for of in over:
         z = _mixed(signals, of)
         low, high = np.percentile(z, INSIDE)
         if not high > low or np.unique(z).size < FEWEST:
             continue
-        moving = [(equation,)] if equation in signals else []
+        moving: list[tuple[str, ...]] = [(equation,)] if equation in signals else []
         if all(n in rates and rates[n] in signals for n in of):
             moving = list(dict.fromkeys(((*(rates[n] for n in of),), *moving)))
         slips = [(t, _slip(signals, t)) for t in moving if not set(t) & set(of)]
         if len(of) == 1 and units.get(of[0]) == "rad" and high - low > TURN:
-            yield from _round(equation, of, slips)
+            shapes = _round(equation, of, slips)
         else:
-            yield from _over(equation, of, z, low, high, slips)
+            shapes = _over(equation, of, z, low, high, slips)
+        yield from (replace(shape, unit=units.get(of[0], "")) for shape in shapes)
 
 
 def _round(equation: str, of: tuple[str, ...], moving: Sequence[tuple[tuple[str, ...], float]]) -> Iterator[Shape]:
@@ -240,7 +260,12 @@ def _slip(signals: Signals, names: tuple[str, ...]) -> float:
 
 
 def _over(
-    equation: str, of: tuple[str, ...], z: Array, low: float, high: float, moving: Sequence[tuple[tuple[str, ...], float]]
+    equation: str,
+    of: tuple[str, ...],
+    z: Array,
+    low: float,
+    high: float,
+    moving: Sequence[tuple[tuple[str, ...], float]],
 ) -> Iterator[Shape]:
     """The shapes over one signal."""
     span = high - low

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -68,6 +69,15 @@ class Unnamed:
         """The parameters at which it is there."""
         return self.known | dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
 
+    @property
+    def entry(self) -> dict[str, Any]:
+        """As refine.json tells it."""
+        told = {"equation": self.equation, "signal": self.signal, "gain": self.gain, "coefficient": self.coefficient}
+        if self.shape is None:
+            return told
+        local = {**self.shape.entry, "sizes": list(self.sizes)}
+        return told | {"place": self.shape.place, "width": self.shape.width, "local": local}
+
 
 @dataclass(frozen=True)
 class Leftover:
@@ -89,7 +99,7 @@ def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str
     """Terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
 
     price: score that a parameter costs where what is left is white
-    units: of the states; of two of one unit shapes may be local over the difference
+    units: of time, states and commands; of two states of one unit shapes may be local over the difference
     """
     looked = _Terms(problem, at, price)
     promising = looked.simple()

@@ -135,7 +135,8 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     trusted = search.problem.trusted
     nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise, trusted=trusted)
     nameless = replace(nameless, scatter=search.problem.scatter)
-    units = {q.name: q.unit for q in model.states}
+    units = {"time": "s", **{q.name: q.unit for q in model.states}}
+    units |= {f"command {q.name}": q.unit for q in model.inputs}
     left = left_beside(nameless, a.best.fit, search.price, units)
     if trusted and left.fit is not None and predicts(nameless, model.horizon, left.fit, a.best.fit) < BETTER:
         left = replace(left, terms=(), fit=None, gain=0.0)  # what is left follows no signal from log to log
