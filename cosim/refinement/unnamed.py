@@ -107,15 +107,15 @@ def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str
     cost = looked.cost
     distinct = [u for e in problem.layout.forced for u in _distinct([p for p in promising if p[0].equation == e])]
     distinct = looked.beside(distinct, local)
-    terms = sorted(distinct, key=_promise)
-    chosen = _placed([u for u in terms if u.most > looked.costs(u)][:FITTED])
+    terms = sorted(distinct, key=looked.net, reverse=True)
+    chosen = _placed([u for u in terms if looked.net(u) > 0.0][:FITTED])
     without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS) if chosen else at
     while chosen:
         fitted = _fitted(problem, at, chosen)
         gains = {u: _alone(fitted, u) for u in chosen}
         if all(gain > looked.costs(u) for u, gain in gains.items()):
             named = [_as_fitted(u, fitted, gains[u]) for u in chosen]
-            named.sort(key=_promise)
+            named.sort(key=looked.net, reverse=True)
             named[0] = replace(named[0], share=_share(problem, at, named[0]))
             return Leftover(tuple(named), fitted, without.objective - fitted.objective, cost)
         weakest = min(chosen, key=lambda u: gains[u] - looked.costs(u))
@@ -159,36 +159,43 @@ class _Terms:
 
         return [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
 
-    def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, Array]]:
-        """Local shapes, and what each changes at its best size."""
+    def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
+        """Local shapes, and what each of their coefficients changes."""
         shapes, self.tried = promising(self.problem, self.at, units, self.cost)
 
-        def term(shape: Shape) -> tuple[Unnamed, Array]:
+        def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
             sized = [self._sized(shape.equation, shape.settings(1), name) for name in shape.coefficients(1)]
-            gain, taken = self.test.gain([row for _, row in sized])
+            rows = [row for _, row in sized]
+            gain, taken = self.test.gain(rows)
             sizes = tuple(float(t * step) for t, (step, _) in zip(taken, sized, strict=True))
-            row = np.sum([t * row for t, (_, row) in zip(taken, sized, strict=True)], axis=0)
-            largest = max(sizes, key=abs)
-            return Unnamed(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), row
+            return Unnamed(
+                shape.equation, shape.signal, gain, max(sizes, key=abs), gain, shape=shape, sizes=sizes
+            ), rows
 
         return in_parallel(term, shapes)
 
-    def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
-        """Simple terms, and local ones that promise plainly more than any simple one of their equation."""
-        known = {u.equation: 0.0 for u, _ in local} | {
-            e: max(u.most for u in simple if u.equation == e) for e in {u.equation for u in simple}
-        }
-        worth = [(u, row) for u, row in local if self._net(u) > 0.0]
-        kept: list[tuple[Unnamed, Array]] = []
-        for u, row in sorted(worth, key=lambda term: -self._net(term[0])):
-            row = row / np.linalg.norm(row)
-            plainly = ALIKE**2 * u.gain - (self.costs(u) - self.cost) > known[u.equation]
-            if plainly and all(u.equation != k.equation or abs(row @ d) <= ALIKE for k, d in kept):
-                kept.append((u, row))
-        return [*simple, *(u for u, _ in kept)]
+    def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
+        """Simple terms, and local ones that promise plainly more than any simple one of their equation.
 
-    def _net(self, u: Unnamed) -> float:
-        return u.gain - self.costs(u)
+        Of local ones of an equation each must be worth its cost beside those that promise more.
+        """
+        most = {u.equation: 0.0 for u, _ in local}
+        for s in simple:
+            most[s.equation] = max(most.get(s.equation, 0.0), s.most)
+        kept: dict[str, list[Array]] = {}
+        found = list(simple)
+        for u, rows in sorted(local, key=lambda term: -self.net(term[0])):
+            before = kept.get(u.equation, [])
+            plainly = ALIKE**2 * u.gain - (self.costs(u) - self.cost) > most[u.equation]
+            more = self.test.gain([*before, *rows])[0] - (self.test.gain(before)[0] if before else 0.0)
+            if plainly and more > self.costs(u):
+                kept[u.equation] = [*before, *rows]
+                found.append(u)
+        return found
+
+    def net(self, u: Unnamed) -> float:
+        """What a term promises more than it costs."""
+        return u.most - self.costs(u)
 
     def _sized(self, equation: str, known: Mapping[str, float], name: str) -> tuple[float, Array]:
         """A step of a coefficient that makes a plain difference, and the difference."""
@@ -229,10 +236,6 @@ def _as_fitted(u: Unnamed, fitted: Fit, gain: float) -> Unnamed:
     """The term as a fit has it."""
     sizes = tuple(fitted.values[name] for name in u.names)
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=sizes if u.shape else ())
-
-
-def _promise(u: Unnamed) -> float:
-    return -u.most
 
 
 def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
