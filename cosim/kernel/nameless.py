@@ -1,7 +1,7 @@
 """Terms of no catalogue in the equation of a forced state: basis functions of one signal each, and local shapes.
 
 A local shape is set by numbers, so that one kernel serves every place on every signal. With z the signals,
-    to · (by·z + clip(dry·z)) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      ζ = of·z
+    to · (by.1 + f) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      f = by·z, clipped to −1 … 1 where dry is 1      ζ = of·z
 bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. All numbers 0: there is none.
 """
 
@@ -15,8 +15,8 @@ from plant.symbolic.symbols import SymbolicModel
 
 PREFIX = "unnamed"  # of their coefficients among the parameters: `unnamed.state.basis`
 LOCAL = "local"  # of the numbers of a local shape: `local.1.of.position`, and `local.1.of.1` of the constant
-SLOTS, KNOTS = 3, 8  # local shapes at a time, and bumps of each
-ROLES = ("of", "by", "dry")
+SLOTS, KNOTS = 2, 8  # local shapes at a time, and bumps of each
+ROLES = ("of", "by")
 REACH = 2.0  # of ζ, at which a bump has fallen to 0
 
 
@@ -82,28 +82,30 @@ def local_shape(
         return sympy.Symbol(f"{LOCAL}{slot}_{name}", real=True)
 
     weights = {role: {z: number(f"{LOCAL}.{slot}.{role}.{n}") for n, z in signals.items()} for role in ROLES}
-    mixed = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
 
     def slope(role: str, x: Any) -> Any:
         return sum(w * sympy.diff(z, x) for z, w in weights[role].items())
 
-    over, dry, factor, shape, bend, edge = map(symbol, ("over", "dry", "factor", "shape", "bend", "edge"))
+    over, plain, factor, shape, bend, edge = map(symbol, ("over", "plain", "factor", "shape", "bend", "edge"))
+    dry = number(f"{LOCAL}.{slot}.dry")
+    told = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clipped(plain) - plain)
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
+    mixed = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
     return LocalShape(
         factor,
         shape,
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
         (
-            {over: number(f"{LOCAL}.{slot}.of.1") + mixed["of"], dry: mixed["dry"]},
+            {over: number(f"{LOCAL}.{slot}.of.1") + mixed["of"], plain: mixed["by"]},
             {
-                factor: number(f"{LOCAL}.{slot}.by.1") + mixed["by"] + clipped(dry),
+                factor: told,
                 shape: value,
                 bend: sympy.diff(value, over),
-                edge: sympy.diff(clipped(dry), dry),
+                edge: sympy.diff(told, plain),
             },
         ),
-        {x: (slope("by", x) + edge * slope("dry", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
+        {x: (edge * slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )
 
 

@@ -108,7 +108,7 @@ class Shape:
         if self.well:
             return found | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
         if self.dry:
-            return found | mixed("dry", self.times, 1.0 / self.slip)
+            return found | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
         return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:

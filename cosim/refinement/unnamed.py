@@ -29,6 +29,7 @@ from cosim.refinement.shapes import Shape, promising
 SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
 FITTED = 3  # terms, at most, fitted beside a hypothesis
 DETECTABLE = 3.0  # standard deviations, that the difference of a term makes
+STRAIGHT = 1e-4  # of that, from which a smaller difference says the same: the filter is run once
 ALIKE = 0.95  # correlation of what two terms change, from which one stands for both
 
 
@@ -204,6 +205,8 @@ class _Terms:
         with np.errstate(over="ignore"):  # of a term that runs away: then its step is none
             size = float(np.sqrt(row @ row))
         step = first * (DETECTABLE / size if size > 0.0 else 1.0)  # whatever the size of its basis
+        if STRAIGHT * DETECTABLE < size < DETECTABLE:
+            return step, row * (step / first)
         return step, self.test.row({**known, name: step})
 
 
