@@ -39,7 +39,9 @@ AWAKE = {
     "coulomb_friction.force": 0.05, "actuator_delay.time": 0.053, "servo_backlash.width": 0.02,
     "actuator_second_order.natural_frequency": 14.0, "actuator_second_order.damping_ratio": 0.4,
     "servo_rate_limit.rate": 0.8, "gyro_bias.value": 0.01, "unnamed.vx.vx·|vx|": -0.1, "unnamed.psi_dot.1": 0.02,
-    "unnamed.vy.cos psi": 0.01,
+    "unnamed.vy.cos psi": 0.01, "local.1.to.vx": 1.0, "local.1.of.x_world": 3.0, "local.1.of.1": 0.2,
+    "local.1.by.vx": 20.0, "local.1.dry": 1.0, "local.1.0": -0.05, "local.2.to.psi_dot": 1.0, "local.2.of.time": 1.0,
+    "local.2.of.1": -1.5, "local.2.by.1": 1.0, "local.2.rise": 0.04,
 }  # fmt: skip
 LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Layout
-from cosim.kernel.nameless import PREFIX, bases
+from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
 from plant.model import Model
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.functions import Body
@@ -56,14 +57,14 @@ def generate(
     """Functions for a model and the outputs a log holds.
 
     With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
-    times a basis function of one signal: they say that something is missing where no effect fits.
+    times a basis function of one signal, and local shapes: they say that something is missing where no effect fits.
     constant: parameters that are states of derivative 0; what shapes commands takes them from `p` all the same
     """
     import sympy
 
     body, reach = Body.of(model), _reach(model, measured)
-    if unnamed:
-        _add_nameless(body, reach)
+    rates = _rates(body)
+    shapes = _add_nameless(body, reach) if unnamed else []
     _add_sensor_errors(body, model)
     body = _disturbed(body, reach)
     body, carrying = _with_constants(body, reach, measured, constant)
@@ -74,11 +75,15 @@ def generate(
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     functions = {
         "deriv": f,
-        "jacobian": [sympy.diff(f[i], xj) for i in stochastic for xj in x],
+        "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
         "measure": g,
         "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
     }
-    printed = [body.function(language, name, expressions) for name, expressions in functions.items()]
+    stages = [
+        dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
+    ]
+    first = {"deriv": stages, "jacobian": stages}
+    printed = [body.function(language, name, e, first.get(name, ())) for name, e in functions.items()]
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -90,14 +95,39 @@ def generate(
         delay=body.delay,
         driven=tuple(names.index(n) for n in reach.driven),
         carrying=tuple(names.index(n) for n in carrying),
+        rates=rates,
     )
     return Generated(layout, "\n".join((*printed, body.shaping_function(language, "shape_all"))))
 
 
-def _add_nameless(body: Body, reach: Reach) -> None:
+def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
     for name, basis in bases(body.symbols, reach.drifting).items():
         for state in reach.forced:
             body.derivative[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
+    signals = local_signals(body.symbols, reach.drifting)
+    shapes = [local_shape(slot, signals, reach.forced, body.parameter) for slot in range(1, SLOTS + 1)]
+    for shape in shapes:
+        for state, term in zip(reach.forced, shape.terms, strict=True):
+            body.derivative[state] += term
+    return shapes
+
+
+def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
+    """Derivative of an expression by a state, in the symbols of the local shapes too."""
+    import sympy
+
+    slope = sympy.diff(expression, by)
+    for s in shapes:
+        if by in s.slopes:
+            of_factor, of_shape = s.slopes[by]
+            slope += sympy.diff(expression, s.factor) * of_factor + sympy.diff(expression, s.shape) * of_shape
+    return slope
+
+
+def _rates(body: Body) -> dict[str, str]:
+    """State → the state that is its derivative."""
+    names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
+    return {name: names[e] for name, e in body.derivative.items() if e in names}
 
 
 def _add_sensor_errors(body: Body, model: Model) -> None:

@@ -6,7 +6,7 @@ A kernel need not have been generated: whoever has a `Layout` and the two calls 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -34,6 +34,7 @@ class Layout:
     delay:      place of the delay among the parameters, -1 where the model has none
     driven:     places of the states that process noise does not reach and that reach a measured output
     carrying:   places of the stochastic states that nothing random reaches but a parameter that is a constant state
+    rates:      state → the state that is its derivative, where there is one
     """
 
     parameters: tuple[str, ...]
@@ -46,6 +47,7 @@ class Layout:
     delay: int = -1
     driven: tuple[int, ...] = ()
     carrying: tuple[int, ...] = ()
+    rates: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def uncertain(self) -> tuple[str, ...]:

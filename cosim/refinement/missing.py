@@ -66,14 +66,17 @@ class Steps:
         return run.states[back + 1], run.outputs[back]
 
 
-def missing(problem: Problem, base: Filter, index: int) -> Missing:
-    """Smooth the input that the base fit lacks on a log, in the state's unit per second."""
+def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
+    """Smooth the input that the base fit lacks on a log, in the state's unit per second.
+
+    every: rows over which slopes of the equations are taken to stay
+    """
     layout, data = problem.layout, problem.logs[index]
     equations = layout.forced
     noise = loosened(problem, base.noise)
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
-    model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows)
+    model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
     kept = slice(min(unscored(data), rows - 1), rows - 1)
@@ -151,7 +154,7 @@ class _Linear:
     g: Array
 
 
-def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int) -> _Linear:
+def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
     """Differences of single steps, for the states that noise reaches."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
@@ -162,6 +165,9 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
     for k in range(rows - 1):
         ahead, g[k] = steps.step(k, states[k], memory[k])
         b[k] = ahead[reached] - states[k + 1, reached]
+        if k % every:
+            F[k], C[k] = F[k - 1], C[k - 1]
+            continue
         for j, state in enumerate(reached):
             moved = states[k].copy()
             moved[state] += size[j]

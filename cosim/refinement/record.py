@@ -119,17 +119,40 @@ class ProcessNoise(_Entry):
     )
 
 
+class LocalShape(_Entry):
+    """Where a term of no catalogue acts: coefficient · factor · shape of one signal."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Literal["bump", "step", "spline"] = Field(description="a spline is a row of bumps")
+    of: list[str] = Field(description="the signal that it is over; of two the first less the second")
+    place: Finite = Field(description="of the middle, of a spline's first bump")
+    width: Finite = Field(description="of a bump at half its height, of a step, of a spline from bump to bump")
+    unit: str = Field(description="of place and width")
+    turned: bool = Field(description="over an angle that turns: the shape comes back every turn")
+    times: list[str] = Field(description="what it is multiplied by, as `of`; empty for nothing")
+    dry: bool = Field(description="by the sign of that alone")
+    slip: Finite = Field(description="value of that within which the sign turns")
+    well: bool = Field(description="it is multiplied by the distance from its place")
+    sizes: list[Finite] = Field(description="of its bumps or its step")
+
+
 class NamelessTerm(_Entry):
     """A term of no catalogue that would explain more: coefficient · basis of one signal in one state's equation."""
 
     model_config = ConfigDict(extra="allow")
 
     equation: str = Field(description="the state")
-    signal: str = Field(description="the basis, such as `v·|v|` or `command force`; `1`: a constant")
-    gain: Finite = Field(description="log-likelihood it promises")
-    coefficient: Finite = Field(
-        description="in the state's unit per second, per unit of the basis; no estimate, only the first step of a fit"
+    signal: str = Field(
+        description="the basis, such as `v·|v|` or `command force`; `1`: a constant; of a local shape what it is over"
     )
+    gain: Finite = Field(description="log-likelihood it gains")
+    coefficient: Finite = Field(
+        description="in the state's unit per second, per unit of the basis; of a spline the largest"
+    )
+    place: Finite | None = Field(default=None, description="of a local shape: where on its signal it acts")
+    width: Finite | None = Field(default=None, description="of a local shape: how wide it is there")
+    local: LocalShape | None = Field(default=None, description="the whole of a local shape")
 
 
 class Residual(_Entry):

@@ -9,8 +9,9 @@ from cosim.estimation.candidates import Candidate, Free, kind_within
 from cosim.estimation.fit import Fit
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Hypothesis
+from cosim.refinement.shapes import Shape
 from cosim.refinement.unnamed import Unnamed
-from cosim.text import finer, joined, percent, plain, written
+from cosim.text import amount, finer, joined, percent, plain, written
 from plant.model import Model
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
@@ -66,7 +67,7 @@ def unexplained(
         share = f", and that takes away {percent(residual['share'])} of what is missing" if residual["share"] else ""
         if residual["share"] and residual["share"] < LITTLE:
             share = f", but no single term for that takes away even {percent(LITTLE)} of what is missing"
-        text = f"Something outside the catalogue acts on {where}; it {follows(residual['signals'][0])}{share}."
+        text = f"Something outside the catalogue acts on {where}; it {_goes(residual)}{share}."
     elif where:
         text = f"A disturbance acts on {where}; it depends on none of the signals tried."
     else:
@@ -77,7 +78,7 @@ def unexplained(
 def partly(sentence: str, residual: Mapping[str, Any], left: str) -> str:
     """A claim that is a part of what is missing: what is left, and where that acts."""
     where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
-    on = f" and {follows(residual['signals'][0])}" if residual["signals"] else ""
+    on = f" and {_goes(residual)}" if residual["signals"] else ""
     return f"A part of what is missing: {left}, and the rest{where}{on}. {sentence}"
 
 
@@ -130,9 +131,23 @@ def holds(names: Sequence[str], *, fitted: bool) -> str:
     return f"nearest.yaml, which predicts logs left out best, {what}."
 
 
-def follows(signal: str) -> str:
-    """How a term goes with its signal; `1` is the constant."""
-    return "is constant" if signal == "1" else f"depends on {signal}"
+def follows(signal: str, shape: Shape | None = None) -> str:
+    """How a term goes with its signal, and where; `1` is the constant."""
+    if shape is None:
+        return "is constant" if signal == "1" else f"depends on {signal}"
+    place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
+    if shape.kind == "spline":
+        return f"depends on {signal}, by no simple law"
+    how = f", changing at {place}" if shape.kind == "step" else f", most near {place} (width {width})"
+    by = f", times {'the ' if shape.well or shape.dry else ''}{shape.factor}" if shape.factor else ""
+    return f"depends on {signal}{how}{by}"
+
+
+def _goes(residual: Mapping[str, Any]) -> str:
+    """How what is left goes, by the first of its terms."""
+    first = residual["terms"][0] if residual["terms"] else {}
+    shape = Shape.of_entry(first["equation"], first["local"]) if first.get("local") else None
+    return follows(residual["signals"][0], shape)
 
 
 def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
@@ -169,7 +184,7 @@ def left_over(term: Unnamed | None, gained: float) -> str:
     if term is None:
         return ""
     more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"
-    return f" Something is left in {term.equation} that {follows(term.signal)}: {more}."
+    return f" Something is left in {term.equation} that {follows(term.signal, term.shape)}: {more}."
 
 
 def experiment_for(model: Model, names: Sequence[str]) -> str:

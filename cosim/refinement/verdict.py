@@ -141,7 +141,5 @@ def _residual(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str
         "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
         "share": terms[0].share if terms else None,
         "process_noise": noise,
-        "terms": [
-            {"equation": u.equation, "signal": u.signal, "gain": u.gain, "coefficient": u.coefficient} for u in terms
-        ],
+        "terms": [u.entry for u in terms],
     }

@@ -135,11 +135,13 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     trusted = search.problem.trusted
     nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise, trusted=trusted)
     nameless = replace(nameless, scatter=search.problem.scatter)
-    left = left_beside(nameless, a.best.fit, search.price)
+    units = {"time": "s", **{q.name: q.unit for q in model.states}}
+    units |= {f"command {q.name}": q.unit for q in model.inputs}
+    left = left_beside(nameless, a.best.fit, search.price, units)
     if trusted and left.fit is not None and predicts(nameless, model.horizon, left.fit, a.best.fit) < BETTER:
         left = replace(left, terms=(), fit=None, gain=0.0)  # what is left follows no signal from log to log
     problem = search.problem
-    moves = unknown_inputs(problem, a.best.fit, a.noisy, {q.name: q.unit for q in model.states})
+    moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)

@@ -94,9 +94,11 @@ class Body:
             command, after, before = tuple(names[: len(shaped)]), after + names[len(shaped) :], [*before, *own]
         return Shaping(tuple(stages), (*command, *after), tuple(before))
 
-    def function(self, language: Language, name: str, expressions: Sequence[Any]) -> str:
-        """`name(t, x, u, p, out)`, printed: expressions of time, state, command and parameters."""
-        return language.function(name, "t x u p", expressions, self._places)
+    def function(
+        self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
+    ) -> str:
+        """`name(t, x, u, p, out)`, printed: expressions of time, state, command, parameters and what comes `before`."""
+        return language.function(name, "t x u p", expressions, self._places, before)
 
     def shaping_function(self, language: Language, name: str) -> str:
         """`name(u, memory, p, out)`, printed: the command that acts, then the memory after it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from cosim.arrays import Array, Rows
 from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import bases
 from cosim.refinement.missing import Missing
+from cosim.refinement.shapes import Shape, signals_of
 from plant.model import Model
 from plant.symbolic.symbols import symbolic
 
@@ -113,12 +115,24 @@ def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Arr
     return known[max(names, key=lambda n: explained(values, known[n].values))]
 
 
+def local(
+    problem: Problem, parts: Sequence[tuple[int, Missing]], shape: Shape, sizes: Sequence[float]
+) -> tuple[Regressor, Array]:
+    """The signal that a local shape is over, and the term at the rows of some logs."""
+    signals = signals_of(problem, parts)
+    return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
+
+
 def nameless(
-    model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]], signal: str, coefficient: float
+    model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]], term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
-    """The signal that a term without a name depends on, and the term at the rows of some logs."""
+    """The signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
     import sympy
 
+    signal, coefficient = term["signal"], term["coefficient"]
+    if term.get("local"):
+        shape = Shape.of_entry(term["equation"], term["local"])
+        return local(problem, parts, shape, term["local"]["sizes"])
     s = symbolic(model)
     basis = bases(s).get(signal)
     if basis is None:

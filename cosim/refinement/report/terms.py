@@ -114,7 +114,7 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])
     first = next(iter(residual.get("terms", ())), None)
-    drawn = nameless(model, problem, parts, first["signal"], first["coefficient"]) if first else None
+    drawn = nameless(model, problem, parts, first) if first else None
     if first is None or drawn is None:
         against = choose(regressors(model, problem, parts), (), value[:, column])
         return _picture(model, parts, "", "nameless", column, against, value, sigma, None)

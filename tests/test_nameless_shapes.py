@@ -1,0 +1,179 @@
+"""Terms without a name that are local: a block on a rail, whose rail, clock or law of friction hides something."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.estimation.fit import fit
+from cosim.estimation.posing import build_problem
+from cosim.estimation.problem import Problem
+from cosim.kernel.nameless import KNOTS, bump, rise
+from cosim.logs.log import read_log
+from cosim.refinement.search import Search
+from cosim.refinement.sentences import follows, unexplained
+from cosim.refinement.shapes import Shape
+from cosim.refinement.unnamed import Leftover, Unnamed, _Terms, left_beside
+from plant.model import Equations, Model
+from plant.namespaces import Namespace
+from plant.quantities import Quantity, parameter
+from tests.logs import write_log
+
+STEP, ROWS, NOISE = 0.02, 900, 5e-4
+UNITS = {"time": "s", "place": "m", "speed": "m/s", "command force": "N"}
+PRICE = 4.0
+Push = Callable[[float, float, float], float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block(Model):
+    """A block on a rail, held by a spring, its place measured."""
+
+    base_states = (Quantity("place", "m", "place"), Quantity("speed", "m/s", "speed"))
+    inputs, outputs = (Quantity("force", "N", "force"),), base_states[:1]
+    sensor_variance, forced, calibrated = {"place": NOISE**2}, ("speed",), ("friction",)
+    friction: float = parameter(0.8, unit="N.s/m", bounds=(0, 10), doc="viscous friction")
+
+    def equations(self, m: Namespace) -> Equations:
+        """v̇ = u − b·v − 2·x."""
+        return Equations(
+            lambda t, x, u: (x[1], u[0] - self.friction * x[1] - 2.0 * x[0]), lambda t, x, u: (x[0],)
+        )  # fmt: skip
+
+
+def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
+    """What is left beside the block recalibrated, on two logs of a block with another push on it."""
+    logs = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        time = STEP * np.arange(ROWS)
+        force = np.repeat(rng.uniform(-2.0, 2.0, ROWS // 30 + 1), 30)[:ROWS]
+        x, v, places = 0.0, 0.0, []
+        fine = 4
+        for t, u in zip(time, force, strict=True):
+            places.append(x)
+            for k in range(fine):
+                h = STEP / fine
+                v += h * (u - 0.8 * v - 2.0 * x + push(t + k * h, x, v))
+                x += h * v
+        columns = {"time": time, "force": force, "place": np.array(places) + NOISE * rng.standard_normal(ROWS)}
+        logs.append(read_log(write_log(folder / f"{seed}.csv", columns), Block.inputs, Block.outputs))
+    problem = build_problem(Block(), logs, unnamed=True)
+    at = Search(Block(), problem, 1, lambda stage, share: None).hypothesis((), None).fit
+    problem = replace(problem, sensing=at.noise)
+    return problem, left_beside(problem, at, PRICE, UNITS)
+
+
+def test_a_tight_place_on_the_rail_is_found_where_it_is(tmp_path: Path) -> None:
+    place, half = 0.3, 0.12
+    _, found = left(tmp_path, lambda t, x, v: -2.0 * v * np.exp(-(((x - place) / half) ** 2)))
+    first = found.terms[0]
+    assert first.shape is not None
+    assert (first.equation, first.shape.kind, first.shape.of) == ("speed", "bump", ("place",))
+    assert abs(first.shape.place - place) < first.shape.width
+    assert first.shape.width < 0.6  # of 2 m that it moves over
+    assert first.coefficient < 0.0
+    assert "speed" in first.shape.factor
+    assert first.gain > found.cost
+
+
+def test_a_push_that_begins_at_a_time_is_a_step_there(tmp_path: Path) -> None:
+    _, found = left(tmp_path, lambda t, x, v: 0.15 if t > 10.0 else 0.0)
+    first = found.terms[0]
+    assert first.shape is not None
+    assert (first.shape.kind, first.signal) == ("step", "time")
+    assert first.shape.place == pytest.approx(10.0, abs=first.shape.width)
+    assert follows(first.signal, first.shape).startswith("depends on time, changing at ")
+
+
+def test_a_law_that_holds_everywhere_is_not_told_as_local(tmp_path: Path) -> None:
+    _, found = left(tmp_path, lambda t, x, v: -0.3 * v**3)
+    assert found.terms
+    assert found.terms[0].shape is None
+    assert found.terms[0].signal in {"speed³", "speed·|speed|"}
+
+
+def test_where_nothing_is_hidden_no_shape_is_found(tmp_path: Path) -> None:
+    assert left(tmp_path, lambda t, x, v: 0.0)[1].terms == ()
+
+
+def test_each_bump_of_a_spline_is_paid_for_and_every_shape_tried_is_counted(tmp_path: Path) -> None:
+    problem, _ = left(tmp_path, lambda t, x, v: 0.0)
+    looked = _Terms(problem, fit(problem, [], problem.values, problem.plain, iterations=0), PRICE)
+    looked.tried = 1000
+    single, spline = (
+        Unnamed("speed", "place", 0.0, 1.0, 0.0, shape=Shape("speed", ("place",), kind, 0.0, 0.1))
+        for kind in ("bump", "spline")
+    )
+    simple = Unnamed("speed", "1", 0.0, 1.0, 0.0)
+    assert looked.costs(spline) - looked.costs(single) == pytest.approx(PRICE * (KNOTS - 1))
+    assert looked.costs(single) - looked.costs(simple) == pytest.approx(np.log(1.0 + 1000 / len(looked.names)))
+
+
+SHAPES = [
+    Shape("speed", ("place",), "bump", 0.2, 0.1),
+    Shape("speed", ("place",), "bump", 0.2, 0.1, well=True),
+    Shape("speed", ("place",), "bump", 0.2, 0.1, ("speed",), dry=True, slip=0.3),
+    Shape("speed", ("place", "speed"), "step", 0.2, 0.3, ("speed",)),
+    Shape("speed", ("place",), "spline", -1.0, 0.3),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: f"{s.kind} {s.factor}")
+def test_the_kernel_has_the_shape_that_is_told(shape: Shape, tmp_path: Path) -> None:
+    problem = replace(left_problem(tmp_path))
+    signals = {"place": np.linspace(-1.0, 1.0, 9), "speed": np.linspace(0.7, -0.4, 9)}
+    (column, *_) = shape.columns(signals).T
+    known: Mapping[str, float] = {**problem.values, **shape.settings(2), shape.coefficients(2)[0]: 1.0}
+    data, h = problem.logs[0].rows(0, 2), 1e-6
+    data = replace(data, step=h, u=0.0 * data.u)
+    for place, speed, expected in zip(signals["place"], signals["speed"], column, strict=True):
+        state = np.zeros(len(problem.layout.states))
+        state[:2] = place, speed
+        base, there = (
+            problem.kernel.simulate(data, problem.numbers(values), state, np.zeros(0)).states[1]
+            for values in (problem.values, known)
+        )
+        assert (there - base)[1] / h == pytest.approx(expected, abs=1e-4)
+
+
+def left_problem(folder: Path) -> Problem:
+    """A problem of a few rows."""
+    time = STEP * np.arange(200)
+    columns = {"time": time, "force": np.sin(time), "place": 0.1 * np.sin(time)}
+    log = read_log(write_log(folder / "a.csv", columns), Block.inputs, Block.outputs)
+    return build_problem(Block(), [log], unnamed=True)
+
+
+def test_a_bump_is_half_as_high_at_half_its_width_and_a_step_ends_with_its_width() -> None:
+    over = Shape("speed", ("place",), "bump", 0.2, 0.1)
+    assert over.columns({"place": np.array([0.2, 0.15, 0.25, 0.4])})[:, 0] == pytest.approx([1.0, 0.5, 0.5, 0.0])
+    step = Shape("speed", ("place",), "step", 0.2, 0.1)
+    assert step.columns({"place": np.array([0.1, 0.15, 0.2, 0.25, 9.0])})[:, 0] == pytest.approx([0, 0, 0.5, 1, 1])
+    assert bump(np.array([1e30]))[0] == 0.0
+    assert rise(1e9) == pytest.approx(1.0)
+
+
+def test_an_angle_that_turns_meets_its_place_every_turn() -> None:
+    spot = Shape("speed", ("angle",), "bump", 1.0, 0.5, turned=True)
+    angles = 1.0 + 2.0 * np.pi * np.array([0.0, 3.0, -7.0])
+    assert spot.columns({"angle": angles})[:, 0] == pytest.approx(1.0)
+    assert spot.columns({"angle": angles + 0.25})[:, 0] == pytest.approx(0.5)
+
+
+def test_a_sentence_says_where_and_how_wide() -> None:
+    shape = Shape("vx", ("x_world",), "bump", 0.31, 0.1, unit="m")
+    term = Unnamed("vx", "x_world", 30.0, -0.2, 30.0, 0.42, shape=shape, sizes=(-0.2,))
+    residual = {"equation": "vx", "signals": ["x_world"], "share": 0.42, "terms": [term.entry]}
+    assert unexplained(residual, ()) == (
+        "Something outside the catalogue acts on vx; it depends on x_world, most near 0.310\u00a0m "
+        "(width 0.10\u00a0m), and that takes away 42\u00a0% of what is missing."
+    )
+    assert Shape.of_entry("vx", term.entry["local"]) == shape
+    assert follows("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"
+    rubbing = replace(shape, times=("vx",), dry=True, slip=0.1)
+    assert follows("x_world", rubbing).endswith(", times the sign of vx")
