@@ -164,6 +164,9 @@ def _left(record: Record) -> Iterator[str]:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
         elif abs(0.01 * float(found[1]) - (after[found[2]] / other[found[2]]) ** 2) > NOISE:
             yield f"{found[0]} in the sentence, {error} in the record"
+    elif record["grade"] == "part" and "beside it an unknown input of" in said:
+        if re.search(r"unknown input of [\d.]+\u00a0% of what moves \w+ is left", said) is None:
+            yield f"a part, and the sentence does not say how much is left: {said!r}"
     elif record["grade"] == "part":
         found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)
         if found is None or "the rest" not in said:

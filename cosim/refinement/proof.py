@@ -64,7 +64,8 @@ def proven(
     if doubt:
         return _withdrawn(verdict, doubt)
     left = _left(error, floor)
-    if verdict.name != "ambiguous" and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
+    whole = verdict.name != "ambiguous" and verdict.grade == "claimed"
+    if whole and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
         if weak := [n for n in verdict.claimed.names if n in support and support[n].predicted < BETTER]:
             text = f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(weak)}."
             return _withdrawn(verdict, text)

@@ -82,6 +82,12 @@ def partly(sentence: str, residual: Mapping[str, Any], left: str) -> str:
     return f"A part of what is missing: {left}, and the rest{where}{on}. {sentence}"
 
 
+def beside(sentence: str, equation: str, share: float) -> str:
+    """A claim that is a part of what is missing, by the unknown input that is left."""
+    left = f"beside it an unknown input of {percent(share)} of what moves {equation} is left"
+    return f"A part of what is missing: {left}. {sentence}"
+
+
 def misses(channel: str, times: float, base: Fit) -> str:
     """By how much the model as it stands misses a channel, and how far recalibration had to go to mend that."""
     moved = ", ".join(

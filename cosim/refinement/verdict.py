@@ -10,6 +10,7 @@ from cosim.estimation.candidates import Candidate, kind_within
 from cosim.refinement.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.sentences import (
+    beside,
     cannot_tell,
     claim,
     excites_too_little,
@@ -54,24 +55,30 @@ def judge(
     still: nothing moves in the logs
     """
     residual = _residual(a, left, forced)
-    if not a.best.candidates and (still or (a.hidden and len(a.hidden) == a.effects)):
+    large = max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default=None)
+    unseen = large is None and a.hidden and len(a.hidden) == a.effects
+    if not a.best.candidates and (still or unseen):
         return _undecided(a, model, residual, still=still)
-    large = max(moves, key=lambda name: moves[name], default=None)
     if not a.best.candidates and left.terms:
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
-    if not a.best.candidates and large is not None and moves[large] > LARGE:
+    if not a.best.candidates and large is not None:
         residual = {**residual, "equation": large}
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
     if not a.best.candidates:
         return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves))
-    if _disputed(a, left):
+    gained = a.base.score - a.best.score
+    hides = large is not None and gained < MUCH * a.noise_gain[list(forced).index(large)]
+    if _disputed(a, left) or hides:
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
     if a.rivals:
         return _ambiguous(a, model, residual)
     sentence = claim(a.best, a.best.candidates, model)
     if left.terms:
-        sentence += left_over(left.terms[0], a.base.score - a.best.score)
-    return Verdict(_name_of(a.best.candidates, model), a.best, (), "", residual, sentence, "claimed")
+        sentence += left_over(left.terms[0], gained)
+    name = _name_of(a.best.candidates, model)
+    if large is not None:
+        return Verdict(name, a.best, (), "", residual, beside(sentence, large, moves[large]), "part")
+    return Verdict(name, a.best, (), "", residual, sentence, "claimed")
 
 
 def _undecided(a: Attribution, model: Model, residual: Mapping[str, Any], *, still: bool) -> Verdict:
