@@ -80,8 +80,8 @@ TOLD_APART_BY = {
     frozenset({"table_tilt", "accelerometer_bias", "tilt_offset"}): "position, or turns through all headings",
     frozenset({"gyro_bias", "gyro_drift"}): "a longer log",
     frozenset({"accelerometer_bias", "accelerometer_drift"}): "a longer log",
-    frozenset({"accelerometer_lever_arm", "accelerometer_scale", "accelerometer_bias"}): "fast turns both ways",
-    frozenset({"camera_latency", "actuator_delay", "lag"}): "speed, and heading or acceleration logged beside position",
+    frozenset({"accelerometer_lever_arm", "accelerometer_bias"}): "turns at several rates",
+    frozenset({"camera_latency", "actuator_delay"}): "speed, and the acceleration logged beside the position",
     frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
 }
 DRAWN_AGAINST = {
