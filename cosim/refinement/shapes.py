@@ -165,7 +165,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     """
     prefix = f"{LOCAL}.1.of."
     known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
-    if not known:
+    if not known or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
         here = Filter(at.values, at.noise)
