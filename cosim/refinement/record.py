@@ -212,8 +212,9 @@ class Record(_Entry):
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
-        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error; `nearest`: nothing is "
-        "claimed for sure, and nearest.yaml is the model that predicts best"
+        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or an unknown input "
+        "of more than 2 % of what moves its equation; `nearest`: nothing is claimed for sure, and nearest.yaml is the "
+        "model that predicts best"
     )
     effects: list[EffectEntry] = Field(description="what model.yaml has more than the model, most important first")
     rivals: list[str] = Field(
