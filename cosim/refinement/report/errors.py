@@ -167,18 +167,20 @@ def second_sentence(r: Refinement) -> str:
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
     lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
-    return f"{lead}{_causes(r, said[2], above=floor > after)}"
+    return f"{lead}{_causes(r, said[1], said[2], above=floor > after)}"
 
 
 def _over(r: Refinement) -> str:
     return "" if r.problem.table else f" over {horizon(r)}"
 
 
-def _causes(r: Refinement, floor: str, *, above: bool) -> str:
+def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
     """How the sentence goes on: what the error would be without anything missing."""
     causes = "noise and disturbance make"
     if r.problem.table:
         causes = "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
+    if floor == after:
+        return f", as much as {causes}."
     return f", less than the {floor} that {causes}." if above else f"; {causes} {floor}."
 
 
@@ -198,4 +200,4 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
     if near < after:
         beside = f", and nearest.yaml by {error_size(near, units(r).get(worst, ''), after)}"
     lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}{beside}"
-    return f"{lead}{_causes(r, said[1], above=floor > after)}"
+    return f"{lead}{_causes(r, said[0], said[1], above=floor > after)}"
