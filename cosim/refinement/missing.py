@@ -24,6 +24,7 @@ from cosim.estimation.problem import Problem
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
 NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
+NONE = 1e-6  # of ln of the power of an unknown input above the least
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +101,13 @@ def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapp
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:
-    """A filter that follows what an equation lacks: in each at least what is plainly detected, as short as usual."""
-    return replace(problem.plain, sensors=noise.sensors, power=np.maximum(noise.power, problem.noise.plain))
+    """A filter that follows what an equation lacks: in each at least what is plainly detected, as short as usual.
+
+    A fit without any unknown input takes for noise of sensors what equations lack: then sensors are as stated.
+    """
+    bare = bool(np.all(noise.power <= problem.noise.smallest + NONE))
+    sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
+    return replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
 
 
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
