@@ -186,11 +186,13 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
 
 
 def halved(problem: Problem) -> Problem:
-    """One log as two; the second starts where the filter is then."""
+    """One log as two; the second starts where a filter is then that follows what is measured."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
-    reached = problem.run(problem.values, problem.plain, 0, states=True).states[half].copy()
+    following = replace(problem, trusted=False, sensing=None)
+    run = following.run(problem.values, following.plain, 0, states=True)
+    reached = problem.undisturbed(run.states[half])
     readings = [readings_of(d.y, unscored(d)) for d in halves]
     begins = list(problem.origins) * 2
     for origin in problem.origins:
