@@ -21,6 +21,7 @@ ITERATIONS = 30
 CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks
 DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
 NOISE_DIFFERENCE = 0.05
+LONGER = 3  # times as many iterations, for a fit that is above what its parts are known to reach
 FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
 PROMISE = 3.0  # times the improvement the quadratic model promises, before a fit is given up
 
@@ -138,16 +139,17 @@ class _Scoring:
     def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
-        done, converged, pace = 0, False, 0.0
+        done, converged, pace, limit = 0, False, 0.0, iterations
         information = np.zeros((len(self.theta),) * 2)
         if not np.isfinite(self.scored.nll):
-            iterations = 0  # the filter diverges where the fit would start
-        while done < iterations and not converged:
+            limit = 0  # the filter diverges where the fit would start
+        while done < limit and not converged:
             gradient, information = self.derivatives(*self.sensitivities())
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
+            limit = iterations * (LONGER if before > reached else 1)  # it is far from where it will end
             if before > reached:
-                hope = max(hope, pace * (iterations - done))
+                hope = max(hope, pace * (limit - done))
             if done >= fair and before - hope > goal:
                 break
             pace = self._move(gradient, information)

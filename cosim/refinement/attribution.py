@@ -246,15 +246,16 @@ class Attributor:
             likely = sorted((n for n, p in promises.items() if p.within), key=lambda n: -promises[n].gain)[:REPLACING]
             for c in (c for c in others if c.name in likely):
                 sets[key_of((*left, c))] = (*left, c), {**without.fit.values, **promises[c.name].values}
+        ended: list[Hypothesis] = []
         if any(c.kind == "parameter" for c in best.candidates):
             # along what it shares with a base parameter a fit is slow: one that was left halfway goes on
             base = search.tried[()].score
             halfway = [h for k in sets if (h := search.tried.get(k)) and not h.ended]
-            search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
+            ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
         fitted = search.fit_all(
             [s for k, s in sets.items() if k not in search.tried], best, "replacing each part", NEAR
         )
-        if not (nearer := [h for h in fitted if h.score < best.score]):
+        if not (nearer := [h for h in (*ended, *fitted) if h.score < best.score]):
             return best
         return min((best, *search.fit_again([min(nearer, key=lambda h: h.score)])), key=lambda h: h.score)
 

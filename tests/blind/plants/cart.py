@@ -230,7 +230,7 @@ class Cart(Model):
     base_states = (
         Quantity("position", "m", "position of the cart"),
         Quantity("velocity", "m/s", "its velocity"),
-        Quantity("angle", "rad", "angle of the bob from hanging straight, forward positive", bounds=(-1.5, 1.5)),
+        Quantity("angle", "rad", "angle of the bob from hanging straight, forward positive", bounds=(-3.0, 3.0)),
         Quantity("rate", "rad/s", "its rate"),
     )
     inputs = (Quantity("force", "N", "force of the motor commanded"),)
