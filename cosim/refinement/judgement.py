@@ -21,6 +21,7 @@ UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is
 SMALL, SMALL_UNSURE = 3.0, 3.0  # the same of a part that gains less than so many times what it costs
 NEAR = 8.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
+LITTLE = "gains little"
 HELD = 0.7  # of what a part gains, that it gains on logs left out too
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
 WORSE, BETTER = -3.0, 3.0  # times its scatter, by which predictions on logs left out refuse a part, or bear it out
@@ -32,6 +33,7 @@ def decided(found: Found) -> Attribution:
     search, best = found.search, found.best
     support: dict[str, Support] = {}
     dropped: dict[str, str] = {}
+    whole: tuple[Hypothesis, dict[str, Hypothesis]] | None = None  # before the first of parts that are merely small
     while best.candidates:
         without = _without_each(search, best)
         support = {}
@@ -39,10 +41,14 @@ def decided(found: Found) -> Attribution:
             support[c.name] = _support(search, best, without[c.name])
             if doubt := _doubt(search, best, c, support[c.name]):
                 dropped[c.name] = doubt
+                whole = (whole or (best, without)) if doubt.startswith(LITTLE) else None
                 best = without[c.name]
                 break
         else:
             break
+    if whole is not None and (every := _together(search, whole[0], best)):
+        best, support = every, {c.name: _support(search, every, whole[1][c.name]) for c in every.candidates}
+        dropped = {n: doubt for n, doubt in dropped.items() if n not in every.names}
     base = search.tried[()]
     if best.candidates:
         best = replace(best, fit=scattered(search.problem, best.fit))
@@ -53,6 +59,15 @@ def decided(found: Found) -> Attribution:
     noise = noise_gain(search.problem, best.fit)
     given = as_given(search.problem, base.fit)
     return Attribution(base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
+
+
+def _together(search: Search, every: Hypothesis, left: Hypothesis) -> Hypothesis | None:
+    """The hypothesis with all of several parts that are merely small, where together they are not."""
+    small = [c for c in every.candidates if c.name not in left.names]
+    gain = left.fit.objective - every.fit.objective
+    if len(small) < 2 or gain < search.cost(small):
+        return None
+    return every if steadiness(search.problem, every.fit, left.fit) > SMALL_UNSURE else None
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
@@ -85,7 +100,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
     if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
         return "" if outside(search, h, c) else "is within its tolerance"
     if s.steady < SMALL_UNSURE and s.gain < SMALL * search.cost([c]):
-        return f"gains little, and that is {s.steady:.1f} times its own scatter over time"
+        return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # what acts seldom gains in few blocks, but in each log
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
