@@ -37,7 +37,7 @@ SETTLING = 15  # iterations
 MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis that are replaced in turn, and candidates in place of each
 SILENT = 0.1  # of ln of a variance above the least that a sensor's can be
 USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
-MOST_ENLARGED = 4
+MOST_ENLARGED = 2
 FINALISTS = 4  # hypotheses beside the best that are fitted to the end
 
 
