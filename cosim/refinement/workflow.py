@@ -70,11 +70,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
     between = between_rows(found.search.problem, attribution.base)
     study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
-    verdict = _in_full(study, verdict, near)
     left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
-    if left_out:
-        said = on_rows_left_out(left_out, verdict, study.loaded.model)
-        verdict = replace(verdict, sentence=f"{verdict.sentence} {said}")
+    verdict = _in_full(study, verdict, near, left_out)
     refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
     with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
@@ -133,8 +130,8 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     progress("looking for what has no name", 0.0)
     bare = build_problem(model, study.logs, True, study.content.noise, loaded.values, study.settings)
     trusted = search.problem.trusted
-    nameless = replace(coarsened(bare, a.best.fit.values), sensing=a.best.fit.noise, trusted=trusted)
-    nameless = replace(nameless, scatter=search.problem.scatter)
+    coarse, scatter = coarsened(bare, a.best.fit.values), search.problem.scatter
+    nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
     units = {"time": "s", **{q.name: q.unit for q in model.states}}
     units |= {f"command {q.name}": q.unit for q in model.inputs}
     left = left_beside(nameless, a.best.fit, search.price, units)
@@ -145,8 +142,7 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, search, problem)
-    verdict = with_leftover(verdict, a, problem, model) if model.static else verdict
-    return verdict
+    return with_leftover(verdict, a, problem, model) if model.static else verdict
 
 
 def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | None:
@@ -157,13 +153,17 @@ def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | Non
     return nearest(found.search, a, list(close.values()))
 
 
-def _in_full(study: Study, verdict: Verdict, near: Hypothesis | None) -> Verdict:
-    """The verdict, its sentence followed by what the nearest model holds, and by what was tried."""
+def _in_full(
+    study: Study, verdict: Verdict, near: Hypothesis | None, left_out: Mapping[str, dict[str, float]] | None
+) -> Verdict:
+    """The verdict, its sentence followed by what the nearest model holds, what was tried, errors on rows left out."""
     said = [verdict.sentence]
     if verdict.grade != "claimed":
         said.append(holds(near.names if near else (), fitted=near is not None))
     if study.content.candidates is not None:
         said.append("(Tried: only what the study names as candidates.)")
+    if left_out:
+        said.append(on_rows_left_out(left_out, verdict, study.loaded.model))
     return replace(verdict, sentence=" ".join(said))
 
 

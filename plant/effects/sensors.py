@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from plant.model import Number, Values
 from plant.namespaces import Namespace
 from plant.quantities import parameter
-from plant.sensors import Drift, Latency, LeverArm, SensorError
+from plant.sensors import Bias, Drift, Latency, LeverArm, Scale
 
 
 @dataclass(frozen=True, kw_only=True)
-class AccelerometerBias(SensorError):
+class AccelerometerBias(Bias):
     """The accelerometer reads a_x + b."""
 
     name = "accelerometer_bias"
@@ -20,12 +20,9 @@ class AccelerometerBias(SensorError):
 
     value: float = parameter(0.0, unit="m/s2", bounds=(-2, 2), neutral=0.0, typical=0.05, doc="bias b")
 
-    def measure(self, value: Number) -> Number:
-        return value + self.value
-
 
 @dataclass(frozen=True, kw_only=True)
-class AccelerometerScale(SensorError):
+class AccelerometerScale(Scale):
     """The accelerometer reads s·a_x."""
 
     name = "accelerometer_scale"
@@ -34,12 +31,9 @@ class AccelerometerScale(SensorError):
 
     value: float = parameter(1.0, unit="1", bounds=(0.3, 3), neutral=1.0, typical=0.1, doc="scale s")
 
-    def measure(self, value: Number) -> Number:
-        return value * self.value
-
 
 @dataclass(frozen=True, kw_only=True)
-class GyroBias(SensorError):
+class GyroBias(Bias):
     """The gyroscope reads ψ̇ + b."""
 
     name = "gyro_bias"
@@ -47,9 +41,6 @@ class GyroBias(SensorError):
     output = "psi_dot"
 
     value: float = parameter(0.0, unit="rad/s", bounds=(-0.5, 0.5), neutral=0.0, typical=0.01, doc="bias b")
-
-    def measure(self, value: Number) -> Number:
-        return value + self.value
 
 
 @dataclass(frozen=True, kw_only=True)
