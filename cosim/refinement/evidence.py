@@ -129,6 +129,16 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
     return in_scatter(_nearer(in_parallel(one, list(logs))))
 
 
+def best_of(scatters: float, tried: int) -> float:
+    """How many times its scatter the best of several must gain, to be as unlikely by chance as one that gains so much.
+
+    Of n that gain nothing the best passes z with a probability of at most n·(1 − Φ(z)) (Bonferroni).
+    """
+    from scipy.special import ndtr, ndtri
+
+    return float(-ndtri(ndtr(-scatters) / max(1, tried)))
+
+
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
     """A hypothesis as all logs but one have it."""
     key = (h.names, left_out)

@@ -88,12 +88,14 @@ class Leftover:
     fit:   the hypothesis with these terms; None where none counts
     gain:  of log-likelihood, by all of them together
     cost:  what a term must gain to count
+    among: how many terms were tried
     """
 
     terms: tuple[Unnamed, ...]
     fit: Fit | None
     gain: float
     cost: float
+    among: int = 1
 
 
 def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] | None = None) -> Leftover:
@@ -118,7 +120,8 @@ def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str
             named = [_as_fitted(u, fitted, gains[u]) for u in chosen]
             named.sort(key=looked.net, reverse=True)
             named[0] = replace(named[0], share=_share(problem, at, named[0]))
-            return Leftover(tuple(named), fitted, without.objective - fitted.objective, cost)
+            tried = len(looked.names) + (looked.tried if any(u.shape for u in named) else 0)
+            return Leftover(tuple(named), fitted, without.objective - fitted.objective, cost, tried)
         weakest = min(chosen, key=lambda u: gains[u] - looked.costs(u))
         chosen = [u for u in chosen if u is not weakest]
     return Leftover((), None, 0.0, cost)

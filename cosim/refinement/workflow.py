@@ -25,7 +25,7 @@ from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement.between import between_rows
-from cosim.refinement.evidence import predicts
+from cosim.refinement.evidence import best_of, predicts
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
 from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays, rmse
@@ -135,8 +135,10 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     units = {"time": "s", **{q.name: q.unit for q in model.states}}
     units |= {f"command {q.name}": q.unit for q in model.inputs}
     left = left_beside(nameless, a.best.fit, search.price, units)
-    if trusted and left.fit is not None and predicts(nameless, model.horizon, left.fit, a.best.fit) < BETTER:
-        left = replace(left, terms=(), fit=None, gain=0.0)  # what is left follows no signal from log to log
+    if trusted and left.fit is not None:
+        better = predicts(nameless, model.horizon, left.fit, a.best.fit)
+        if better < best_of(BETTER, left.among):  # what is left follows no signal from log to log
+            left = replace(left, terms=(), fit=None, gain=0.0)
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
