@@ -82,18 +82,24 @@ class NoiseLimits:
         return float(0.5 * np.sum(((vector[held] - self.mean[held]) / self.sigma[held]) ** 2))
 
 
-def noise_range(variances: Callable[[Array], Array], count: int) -> NoiseRange:
-    """The range; `variances` gives those of the innovations at the ln of the power of the `count` unknown inputs."""
+def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
+    """The range; `variances` gives those of the innovations at the ln of the power of the `count` unknown inputs.
+
+    Its second argument: whether they last as long as they may, else as long as usual. The least is none, however long
+    it lasts: else a fit that takes it to last longer would have an unknown input for nothing.
+    """
     nothing = np.full(count, GRID[0])
-    least = np.log(variances(nothing))
     levels = np.empty((4, count))
-    for k in range(count):
-        rises = []
-        for level in GRID:
-            power = nothing.copy()
-            power[k] = level
-            rise = float(np.mean(np.log(np.abs(variances(power))) - least))
-            rises.append(max(1e-12, rise) if np.isfinite(rise) else 1e3)
-        rising = np.log(np.maximum.accumulate(rises)) + 1e-9 * np.arange(len(GRID))
-        levels[:, k] = np.interp(np.log([SMALLEST, QUIET, PLAIN, LARGEST]), rising, GRID)
+    for rows, marks, longest in (([0], [SMALLEST], True), ([1, 2, 3], [QUIET, PLAIN, LARGEST], False)):
+        least = np.log(variances(nothing, longest))
+        for k in range(count):
+            rises = []
+            for level in GRID:
+                power = nothing.copy()
+                power[k] = level
+                rise = float(np.mean(np.log(np.abs(variances(power, longest))) - least))
+                rises.append(max(1e-12, rise) if np.isfinite(rise) else 1e3)
+            rising = np.log(np.maximum.accumulate(rises)) + 1e-9 * np.arange(len(GRID))
+            levels[rows, k] = np.interp(np.log(marks), rising, GRID)
+    levels[0] = np.minimum(levels[0], levels[1])
     return NoiseRange(*levels)

@@ -138,7 +138,20 @@ class Problem:
             origins=[self.origins[k] for k in taken if self.origins],
             sensing=None,  # limits do not move with what was fitted
         )
-        return noise_range(lambda power: short.scored(self.values, short.at(power)).variances, len(self.layout.noisy))
+        lasting = float(np.log(self.longest_memory)) if self.layout.coloured else None
+
+        def variances(power: Array, longest: bool) -> Array:
+            noise = short.at(power)
+            noise = replace(noise, memory=lasting) if longest and lasting is not None else noise
+            return short.scored(self.values, noise).variances
+
+        return noise_range(variances, len(self.layout.noisy))
+
+    @property
+    def longest_memory(self) -> float:
+        """[s] that an unknown input lasts at most."""
+        longest = max(len(d.u) * d.step for d in self.logs)
+        return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
         """Unknown inputs of this power; memory and sensors as they are known so far."""
@@ -155,7 +168,7 @@ class Problem:
     def limits(self) -> NoiseLimits:
         """Limits of what is random, and what is said of the sensors as a weak prior."""
         ny, now = len(self.r), self.at(self.noise.plain)
-        steps, longest = [d.step for d in self.logs], max(len(d.u) * d.step for d in self.logs)
+        steps = [d.step for d in self.logs]
         finest = np.max([r.resolution for r in self.readings], axis=0)
         spread = np.max([r.spread for r in self.readings], axis=0)
         stated = np.log(self.r)
@@ -167,7 +180,7 @@ class Problem:
         in_time = np.full(ny, 2.0 * np.log(1e-3 * min(steps))), np.full(ny, 2.0 * np.log(4.0 * max(steps)))
         wide = np.full(ny, np.inf)
         power = len(self.layout.noisy)
-        memory = np.log([2.0 * min(steps), max(LONGEST_MEMORY * longest, 4.0 * min(steps))])
+        memory = np.log([2.0 * min(steps), self.longest_memory])
         if not self.layout.coloured or self.trusted:
             memory = np.full(2, now.memory)
         return NoiseLimits(
