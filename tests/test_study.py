@@ -94,3 +94,15 @@ def test_names_that_no_file_can_have_are_told(tmp_path: Path, flown: bytes) -> N
     assert pipe.endswith("v.csv: is no file")
     assert fault.startswith(":3:16: ")
     assert "NUL" in fault
+
+
+def test_what_a_study_leaves_out_is_told_once(tmp_path: Path, flown: bytes) -> None:
+    header, *rows = flown.decode().splitlines()
+    place = header.split(",").index("psi")
+    cells = rows[300].split(",")
+    cells[place] = str(float(cells[place]) + 2.0)
+    rows[300] = ",".join(cells)
+    (tmp_path / "e.csv").write_text("\n".join([header, *rows]) + "\n")
+    (tmp_path / "v.csv").write_bytes(flown)
+    told = [text for text in read_study(study(tmp_path)).warnings if "psi " in text]
+    assert told == ["e.csv: 1 reading of psi left out, far off all neighbours"]

@@ -174,7 +174,8 @@ def read_study(path: Path) -> Study:
         warnings += [_left_out(name, channel, count) for channel, count in lost.items()]
         whole = judged(log, model.horizon)
         faults += [] if whole else [_too_short(log, model.horizon)]
-        warnings += [f"{name}: {f.whole}" for f in findings if f.severity == "warning"]
+        told = [f for f in findings if f.severity == "warning" and not (f.kind == "outliers" and f.channel in lost)]
+        warnings += [f"{name}: {f.whole}" for f in told]
         if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
