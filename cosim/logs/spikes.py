@@ -14,6 +14,9 @@ JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an o
 ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
 SCALE = (70 / 36) ** 0.5  # of what four equal neighbours do not say, to the noise
 WILD = 12.0  # times the noise, from which a value out of line is left out
+MOST, ADJACENT = 3, 2  # of a few that stand close together, and one after the other: more are motion
+REACH, SIDE = 12, 3  # readings that these may lead astray; on each side, that say what there should be
+ASTRAY = 0.4  # of what is wild, from which a reading belongs to such a stretch: two in a row hide each other in part
 
 
 def out_of_line(log: Log, values: Array, least: float, *, answers: bool = True) -> tuple[Rows, Array]:
@@ -43,13 +46,54 @@ def cleaned(log: Log) -> tuple[Log, dict[str, int]]:
         level = noise_level(values) * SCALE
         if not level > 0.0:
             continue
-        rows, _ = out_of_line(log, values, WILD * level, answers=False)
-        alone = [k for k in rows.tolist() if _neighbours_agree(values, k, WILD * level)]
-        if alone:
-            kept = values.copy()
-            kept[alone] = np.nan
-            outputs[name], lost[name] = kept, len(alone)
+        kept = values.copy()
+        kept[_close_together(values, WILD * level)] = np.nan
+        rows, _ = out_of_line(log, kept, WILD * level, answers=False)
+        kept[[k for k in rows.tolist() if _neighbours_agree(kept, k, WILD * level)]] = np.nan
+        if gone := int(np.sum(np.isfinite(values) & np.isnan(kept))):
+            outputs[name], lost[name] = kept, gone
     return (replace(log, outputs=outputs), lost) if lost else (log, {})
+
+
+def _close_together(values: Array, apart: float) -> list[int]:
+    """Rows of wild readings beside a missing one or another that is wild, where those around agree without them.
+
+    Of a stretch whose readings are all out of line with their neighbours, the readings that are off the cubic through
+    three on each side of it.
+    """
+    rows = np.flatnonzero(np.isfinite(values))
+    off_line = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
+    astray = off_line > ASTRAY * apart
+    astray[1:-1] |= astray[:-2] & astray[2:]
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], astray, [False])).astype(int)))
+    usual = float(np.median(np.diff(rows))) if rows.size > 1 else 1.0
+    found: list[int] = []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if off_line[first:last].max() < apart or last - first > REACH or not SIDE <= first < last <= rows.size - SIDE:
+            continue
+        stretch = rows[first - SIDE : last + SIDE]
+        if np.diff(stretch).max() > 3.0 * usual:  # what stands on the far side of a pause is no neighbour
+            continue
+        wild = _off_the_others(values[stretch], stretch, apart)
+        runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
+        if 0 < wild.size <= MOST and max(run.size for run in runs) <= ADJACENT:
+            found += wild.tolist()
+    return found
+
+
+def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
+    """Rows of a stretch that are off the cubic through SIDE readings on each side; none where the sides disagree."""
+    time = (rows - rows[0]).astype(np.float64)
+    sides = [slice(None, SIDE), slice(-SIDE, None)]
+    around = np.concatenate([np.arange(y.size)[s] for s in sides])
+    inside = np.arange(SIDE, y.size - SIDE)
+    cubic = np.polyfit(time[around], y[around], 3)
+    off = np.abs(y[inside] - np.polyval(cubic, time[inside]))
+    (t0, t1), (y0, y1) = ([float(v[s].mean()) for s in sides] for v in (time, y))
+    slope = np.mean([np.polyfit(time[s], y[s], 1)[0] for s in sides])
+    if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * off.max():  # a step, not a reading
+        return rows[:0]
+    return rows[inside[(off > apart) & (off > 0.5 * off.max())]]
 
 
 def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
