@@ -138,7 +138,10 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
         and not set(h.names) <= set(best.names)
         and not set(h.names) >= set(best.names)
     ]
-    return tuple(h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h))
+    rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
+    # one with more than another, and no better for it, is no rival of its own
+    simplest = [h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k])]
+    return tuple(simplest)
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
