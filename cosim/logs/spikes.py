@@ -93,7 +93,7 @@ def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
     slope = np.mean([np.polyfit(time[s], y[s], 1)[0] for s in sides])
     if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * off.max():  # a step, not a reading
         return rows[:0]
-    return rows[inside[(off > apart) & (off > 0.5 * off.max())]]
+    return np.asarray(rows[inside[(off > apart) & (off > 0.5 * off.max())]])
 
 
 def _neighbours_agree(values: Array, k: int, apart: float) -> bool:

@@ -211,7 +211,7 @@ class Attributor:
         shown = self.identifiable
         effects = [c.name for c in self.candidates if c.kind == "effect"]
         hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
-        return Found(search, best, tuple(hidden), len(effects))
+        return Found(search, best, tuple(hidden), tuple(self.candidates))
 
     def _enlarged(self, best: Hypothesis) -> Hypothesis:
         """The best, or one that has more.

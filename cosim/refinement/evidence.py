@@ -197,13 +197,16 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
 
 
 def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
-    """The model as it was given, for a fit of the base; of its parameters per log what all logs say, or all but one."""
-    given = replace(base, values=problem.values)
+    """The model as it was given, unknown inputs free; of its parameters per log what all logs say, or all but one.
+
+    A filter that takes the given model for as good as the recalibrated one would not follow what is measured.
+    """
+    given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:
         return given
     others = [k for k in range(len(problem.logs)) if k != left_out]
     known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
-    learnt = fit(problem, problem.own, known, base.noise, others, SCREEN_ITERATIONS, sensing=False)
+    learnt = fit(problem, problem.own, known, given.noise, others, SCREEN_ITERATIONS, sensing=False)
     return learnt if left_out is None else unseen(problem, learnt, left_out)
 
 

@@ -393,9 +393,11 @@ def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
         return a.reasons[h.names]
     if verdict.name == "unexplained":
         return "nearest, but disputed"
-    return (
-        "nothing more is missing" if verdict.name == "no_effect" else "nothing can be said: the logs excite too little"
-    )
+    if verdict.name == "no_effect":
+        return "nothing more is missing"
+    if verdict.claimed is not None:
+        return "only with its numbers beyond their tolerances"
+    return "nothing can be said: the logs excite too little"
 
 
 def residual(verdict: Verdict) -> Residual:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate, Free, base_parameters
 from cosim.estimation.fit import FAIR, Fit, fit
 from cosim.estimation.parallel import in_parallel
@@ -36,12 +37,23 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size."""
+    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size.
+
+    candidates: all that were on trial
+    heard:      where equations were trusted, ln of the variances of sensor noise beside unknown inputs that are free:
+                without these, what the model misses counts as noise too
+    """
 
     search: Search
     best: Hypothesis
     hidden: tuple[str, ...]
-    effects: int  # how many were on trial
+    candidates: tuple[Candidate, ...]
+    heard: Array | None = None
+
+    @property
+    def effects(self) -> int:
+        """How many effects were on trial."""
+        return sum(c.kind == "effect" for c in self.candidates)
 
 
 class Search:

@@ -15,7 +15,7 @@ from cosim.text import amount, finer, joined, percent, plain, written
 from plant.model import Model
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
-NOTHING = "Nothing is missing: the model explains these logs down to the sensors' noise."
+NOTHING = "Nothing is missing: the model, within its tolerances, explains these logs down to the sensors' noise."
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
@@ -51,8 +51,8 @@ def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
 def cannot_tell(names: Sequence[str], experiment: str, certain: str, model: Model) -> str:
     """What rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
-    designed = "" if model.static else ", and `cosim excite` designs it"
-    return f"{opening} cannot tell {' from '.join(names)}; this would{designed}: {experiment}."
+    designed = "" if model.static else "; `cosim excite` designs it, and says whether any would"
+    return f"{opening} cannot tell {' from '.join(names)}. This may: {experiment}{designed}."
 
 
 def unexplained(
@@ -99,6 +99,18 @@ def misses(channel: str, times: float, base: Fit) -> str:
     return (
         f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
         "No candidate accounts for that."
+    )
+
+
+def further(base: Fit, names: Sequence[str]) -> str:
+    """That other numbers come out beyond their tolerances beside a claim."""
+    moved = [
+        f"{f.name} {plain(f.prior[0])} → {plain(base.values[f.name])}" for f in base.free if f.prior and f.name in names
+    ]
+    return (
+        f" Beside it, {' and '.join(moved)} {'is' if len(moved) == 1 else 'are'} further off than stated."
+        if moved
+        else ""
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +44,9 @@ def attributed(model: Model, problem: Problem, candidates: Sequence[Candidate], 
         if missed(search.problem, model, likewise.fit) > free - CLEARLY:
             return found
     other = Attributor(model, trusted, candidates, progress).run()
-    return other if missed(other.search.problem, model, other.best.fit) < free - CLEARLY else found
+    if missed(other.search.problem, model, other.best.fit) > free - CLEARLY:
+        return found
+    return replace(other, heard=found.best.fit.noise.sensors)
 
 
 def missed(problem: Problem, model: Model, f: Fit) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cosim.arrays import Array
 from cosim.estimation.candidates import neutral_values
 from cosim.estimation.expected import means, of_every_log
 from cosim.estimation.fit import Fit
@@ -64,7 +65,7 @@ def variants_of(
     recalibrated = {f.name: float(base.values[f.name]) for f in base.free if not f.group}
     changed = given.model.with_values(recalibrated)
     groups = list(study.settings.groups.values())
-    before = after = Variant(given.model, nominal | of_every_log(a.given, groups), base.noise, given_fmu, {})
+    before = after = Variant(given.model, nominal | of_every_log(a.given, groups), a.given.noise, given_fmu, {})
     if claimed:
         values = _values(refined) | of_every_log(claimed.fit, groups)
         after = Variant(refined.model, values, claimed.fit.noise, refined_fmu, {})
@@ -75,6 +76,15 @@ def variants_of(
         "after": after,
     }
     return found if near is None else {**found, "nearest": near}
+
+
+def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
+    """The refined model with the noise that is in the logs: what a model misses that is far off is none.
+
+    heard: ln of the variances of sensor noise, where those of a fit hold what its model misses too
+    """
+    noise = (claimed or a.base).fit.noise
+    return replace(after, noise=noise if heard is None else replace(noise, sensors=heard))
 
 
 def variant_of(study: Study, loaded: LoadedModel, f: Fit, fmu: Path) -> Variant:

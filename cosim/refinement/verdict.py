@@ -75,7 +75,7 @@ def judge(
     sentence = claim(a.best, a.best.candidates, model)
     if left.terms:
         sentence += left_over(left.terms[0], gained)
-    name = _name_of(a.best.candidates, model)
+    name = name_of(a.best.candidates, model)
     if large is not None:
         return Verdict(name, a.best, (), "", residual, beside(sentence, large, moves[large]), "part")
     return Verdict(name, a.best, (), "", residual, sentence, "claimed")
@@ -103,7 +103,7 @@ def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Ver
     return Verdict("ambiguous", a.best, rivals, experiment, residual, sentence)
 
 
-def _name_of(candidates: Sequence[Candidate], model: Model) -> Name:
+def name_of(candidates: Sequence[Candidate], model: Model) -> Name:
     """The verdict that claims these candidates, by their kind."""
     kinds = {kind_within(c, model) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"

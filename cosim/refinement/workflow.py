@@ -41,7 +41,7 @@ from cosim.refinement.study import Study, read_study
 from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
 from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
-from cosim.refinement.variants import Variant, refined_model, variant_of, variants_of
+from cosim.refinement.variants import Variant, of_noise, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
 from fmus.build import build
 from plant.model import Model
@@ -88,7 +88,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
         replayed = _replayed(variants, problem, sets)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
-        floors = {part: noise_floor(variants["after"], problem, logs, rng) for part, logs in sets.items()}
+        quiet = of_noise(variants["after"], attribution, verdict.claimed, found.heard)
+        floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         study = replace(study, warnings=(*study.warnings, *_too_calm(floors, replayed, study.loaded.model)))
         verdict = _opened(verdict, replayed, study)
         ends = followed(variants["after"], problem, sets.get("validation", ()))
@@ -143,7 +144,7 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
-    verdict = held_against_replays(study, a, verdict, search, problem)
+    verdict = held_against_replays(study, a, verdict, found, problem)
     return with_leftover(verdict, a, problem, model) if model.static else verdict
 
 
