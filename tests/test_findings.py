@@ -42,6 +42,17 @@ from tests.studies import holds, named, proven
 
 OFF = {"mass": 2.16, "viscous": 3.0, "spring": 47.0}  # 8, −25 and −6 %
 TOLERANCE = "tolerance: {mass: 0.1, viscous: 0.3, spring: 0.1}\n"
+PUSH = '''
+
+class Push(Gain, RailEffect):
+    """The motor pushes with another force than commanded."""
+
+    name = "push"
+    input = "force"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rail('''
 FEW = "candidates: [coulomb, drag, slope, mass, camera_late]\n"
 DRY = {"coulomb": 0.5}
 
@@ -123,6 +134,27 @@ def test_a_number_is_wrong_where_its_interval_is_wholly_outside_the_tolerance(
 ) -> None:
     mass = Free("mass", 0.0, 10.0, 0.05, (1.0, 0.05))  # 10 % hold 95 %
     assert beyond(made((mass,), {"mass": value}, np.array([[sigma**-2]])), "mass", (1.0, 0.05)) == is_off
+
+
+def test_a_number_a_little_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: Path) -> None:
+    study = rail_study(tmp_path / "study", {"mass": 1.14 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
+    r = proven(study, tmp_path / "out")
+    assert (r.record["verdict"], named(r)) == ("parameter_error", {"mass"})
+    assert holds(r, "mass", "value", 1.14 * SHEET["mass"])
+
+
+def test_a_gain_is_found_where_every_number_comes_out_too_large_together(tmp_path: Path) -> None:
+    """A force 15 % less than commanded moves a rail as if mass, damper and spring were 1/0.85 as large."""
+    all_larger = {name: value / 0.85 for name, value in SHEET.items() if name in OFF}
+    study = rail_study(tmp_path / "study", all_larger, TOLERANCE + "candidates: [push, mass, spring, coulomb]\n")
+    text = (study.parent / "rail.py").read_text().replace("catalogue = (", "catalogue = (Push, ")
+    text = text.replace("class Rail(", PUSH, 1).replace(
+        "from plant.delay", "from plant.gain import Gain\nfrom plant.delay"
+    )
+    (study.parent / "rail.py").write_text(text)
+    r = proven(study, tmp_path / "out")
+    assert (r.record["verdict"], named(r)) == ("effect_found", {"push"})
+    assert holds(r, "push", "gain", 0.85)
 
 
 def made(free: tuple[Free, ...], values: dict[str, float], information: Rows, nll: float = 0.0) -> Fit:

@@ -65,19 +65,27 @@ def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
 def test_a_tolerance_that_is_none_is_told_wherever_it_stands(tmp_path: Path, tanks: dict[str, str]) -> None:
     study = "model: tank.py:Tank\ntolerance: {area: -0.1, aera: 0.1}\nlogs: {estimation: [a.csv]}\ncandidates: [leek]\n"
     assert told(tmp_path, tanks, study) == [
-        "study.yaml:2:19: tolerance.area is -0.1: a tolerance is a share of the parameter, above 0 and at most 2: "
-        "0.1 for 10 %",
+        "study.yaml:2:19: tolerance.area is -0.1: a tolerance is a share of the parameter, "
+        "at least 1e-06 and at most 2: 0.1 for 10 %",
         'study.yaml:2:25: no base parameter "aera"; did you mean "area"?',
         'study.yaml:4:14: no candidate "leek"; did you mean "leak"?',
     ]
 
 
-@pytest.mark.parametrize("value", ["0", "30", ".nan", ".inf", "true", "ten", "[0.1]"])
+@pytest.mark.parametrize("value", ["0", "30", "1e-300", ".nan", ".inf", "true", "ten", "[0.1]"])
 def test_a_tolerance_that_is_absurd_is_told_in_one_line(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
     study = f"model: tank.py:Tank\ntolerance: {value}\nlogs: {{estimation: [a.csv]}}\n"
     (line,) = told(tmp_path, tanks, study)
     assert line.startswith("study.yaml:2:12: tolerance is ")
-    assert line.endswith("a tolerance is a share of the parameter, above 0 and at most 2: 0.1 for 10 %")
+    assert line.endswith("a tolerance is a share of the parameter, at least 1e-06 and at most 2: 0.1 for 10 %")
+
+
+@pytest.mark.parametrize("value", ["1e-300", "1e300"])
+def test_noise_that_no_sensor_has_is_told(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
+    study = f"model: tank.py:Tank\nnoise: {{level: {value}}}\nlogs: {{estimation: [a.csv]}}\n"
+    (line,) = told(tmp_path, tanks, study)
+    assert line.startswith("study.yaml:2:16: noise.level: 1.00e")
+    assert line.endswith("; state it in their unit")
 
 
 def test_a_way_of_an_input_that_is_none_is_told(tmp_path: Path, tanks: dict[str, str]) -> None:

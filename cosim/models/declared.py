@@ -143,7 +143,8 @@ def _values(owner: Any) -> Found:
         ):
             if (word == "default" or value is not None) and (fault := p.fault(value)):
                 yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
-        if p.tolerance is not None and not 0.0 < p.tolerance <= WIDEST:
+        share: Any = p.tolerance
+        if share is not None and not (isinstance(share, (int, float)) and 0.0 < share <= WIDEST):
             text = f"the tolerance of {prefix}{p.name} is {p.tolerance!r}; it is a share of the value, as 0.1 for 10 %"
             yield owner, p.name, text
         if p.typical is not None and not 0.0 < p.typical < math.inf:

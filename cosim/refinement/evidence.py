@@ -22,6 +22,7 @@ from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import halved
 from cosim.estimation.problem import Problem, Scored
+from cosim.logs.noise import NORMAL_95
 from cosim.refinement.hypotheses import Hypothesis
 from cosim.refinement.search import SCREEN_ITERATIONS, Search
 
@@ -218,6 +219,14 @@ def scatter(problem: Problem, f: Fit) -> float:
     return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
+def _of_few(covariance: Array, rows: int, free: int) -> Array:
+    """A covariance for few rows: what is left is less than the noise, and normal intervals are too narrow (Student)."""
+    from scipy.special import stdtrit
+
+    left = max(1, rows - free)
+    return np.asarray(covariance * (float(stdtrit(left, 0.975)) / NORMAL_95) ** 2 * rows / left)
+
+
 def scattered(problem: Problem, f: Fit) -> Fit:
     """The fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
     each, information = scores(problem, f)
@@ -227,4 +236,6 @@ def scattered(problem: Problem, f: Fit) -> Fit:
     inside = inverse(information)
     covariance = inside @ (sums @ sums.T) @ inside
     count = len(f.free)
+    if problem.table:
+        covariance = _of_few(covariance, problem.samples, sum(x.prior is None for x in f.free))
     return replace(f, scattered=np.asarray(covariance[:count, :count]))

@@ -29,15 +29,17 @@ from plant.model import Model
 from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
+FINEST, COARSEST = 1e-12, 1e3  # of the largest reading, beyond which a standard deviation is no sensor's
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Between = Literal["held", "interpolated"]
-WIDEST = 2.0  # of a parameter, beyond which a tolerance says nothing of it
+NARROWEST, WIDEST = 1e-6, 2.0  # of a parameter: a tolerance closer than any data sheet; one that says nothing of it
 
 
 def _share(value: Any) -> Any:
     """A tolerance: one message, with its cure, whatever is wrong with it."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= WIDEST:
-        raise ValueError(f"a tolerance is a share of the parameter, above 0 and at most {WIDEST:g}: 0.1 for 10 %")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not NARROWEST <= value <= WIDEST:
+        text = f"a tolerance is a share of the parameter, at least {NARROWEST:g} and at most {WIDEST:g}: 0.1 for 10 %"
+        raise ValueError(text)
     return value
 
 
@@ -179,6 +181,7 @@ def read_study(path: Path) -> Study:
         if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
+    faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
     faults += _listed_twice(yaml, content.logs, digests)
     faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
@@ -266,6 +269,17 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
                 f"{name} is {plain(seconds)} s, and {which}: too little is left to be judged; correct it, or log longer"
             )
             yield YamlFile(model_file).fault(("sensors", name), text)
+
+
+def _noise_of_no_sensor(yaml: YamlFile, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
+    """Stated noise that is out of all proportion to what was measured: a unit mistaken, or a slip of the keyboard."""
+    for name, level in noise.items():
+        read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
+        read = read[np.isfinite(read)]
+        size = float(np.max(np.abs(read))) if read.size else 0.0
+        if size > 0.0 and not FINEST * size < level < COARSEST * size:
+            text = f"{plain(level)} is no noise of readings of up to {plain(size)}; state it in their unit"
+            yield yaml.fault(("noise", name), f"noise.{name}: {text}")
 
 
 def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> list[Fault]:
