@@ -49,6 +49,11 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     return np.concatenate(numbers)
 
 
+def number_of_blocks(problem: Problem, f: Fit) -> int:
+    """How many blocks of time the scored measurements of a fit fall into."""
+    return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
+
+
 def correlated(scored: Scored) -> float:
     """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
     parts = np.split(scored.errors / np.sqrt(scored.variances), np.cumsum(scored.counts)[:-1])

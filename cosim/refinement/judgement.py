@@ -12,13 +12,13 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.evidence import as_given, held_out, scattered, steadiness
+from cosim.refinement.evidence import as_given, held_out, number_of_blocks, scattered, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search import Found, Search, key_of
 
 RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
-SMALL, SMALL_UNSURE = 3.0, 3.0  # the same of a part that gains less than so many times what it costs
+SMALL, BY_CHANCE = 3.0, 0.01  # a part gains little, below so many times its cost: then chance must be less likely
 NEAR = 8.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
 LITTLE = "gains little"
@@ -67,7 +67,19 @@ def _together(search: Search, every: Hypothesis, left: Hypothesis) -> Hypothesis
     gain = left.fit.objective - every.fit.objective
     if len(small) < 2 or gain < search.cost(small):
         return None
-    return every if steadiness(search.problem, every.fit, left.fit) > SMALL_UNSURE else None
+    return every if steadiness(search.problem, every.fit, left.fit) > surely(search, every.fit) else None
+
+
+def surely(search: Search, f: Fit) -> float:
+    """How many times its scatter a gain must be for chance to be unlikely, with so many candidates and blocks of time.
+
+    What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
+    blocks, and any of the candidates could have come by it (Bonferroni).
+    """
+    from scipy.special import stdtrit
+
+    blocks = number_of_blocks(search.problem, f)
+    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / search.on_trial))
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
@@ -99,7 +111,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
         return "" if outside(search, h, c) else "is within its tolerance"
-    if s.steady < SMALL_UNSURE and s.gain < SMALL * search.cost([c]):
+    if s.gain < SMALL * search.cost([c]) and s.steady < surely(search, h.fit):
         return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # what acts seldom gains in few blocks, but in each log
         return f"what it gains is {s.steady:.1f} times its own scatter over time"

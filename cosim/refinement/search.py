@@ -67,7 +67,8 @@ class Search:
     def __init__(self, model: Model, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.model, self.problem, self.progress = model, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
-        self.entry = ENTRY + float(np.log(max(1, on_trial)))
+        self.on_trial = max(1, on_trial)
+        self.entry = ENTRY + float(np.log(self.on_trial))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # names, log left out → fit of the others
         self.reached = np.inf
