@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, InputError
+from cosim.errors import CosimError, CriterionMissed, InputError, Terminated
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -62,6 +62,9 @@ def run(
     ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
+    ] = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
     from cosim.simulation.criteria import sentence
@@ -70,8 +73,9 @@ def run(
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
         outcome = run_scenario(
-            scenario, out, overrides, nearest=nearest, report=report, figures=figures, progress=progress
-        )
+            scenario, out, overrides, nearest=nearest, report=report, figures=figures, in_process=in_process,
+            progress=progress,
+        )  # fmt: skip
     for warning in outcome.manifest["warnings"]:
         typer.echo(f"warning: {warning}", err=True)
     for criterion in outcome.manifest["criteria"]:
@@ -271,6 +275,9 @@ def entry() -> None:
     except CosimError as error:
         typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         sys.exit(error.exit_code)
+    except Terminated as ended:
+        typer.echo(f"error: {ended}", err=True)
+        sys.exit(ended.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
@@ -280,7 +287,7 @@ def entry() -> None:
 
 def _terminated(number: int, frame: object) -> None:
     """Asked to end: what is half done is taken away on the way out."""
-    sys.exit(128 + number)
+    raise Terminated
 
 
 if __name__ == "__main__":

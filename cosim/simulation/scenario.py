@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from cosim.blocks.profile import Profile
+from cosim.isolation.limits import Limits
 from cosim.yaml_file import NotNegative, Number, Part, Positive
 
 LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
@@ -136,6 +137,7 @@ class Scenario(Part):
     components: dict[Name, Component] = Field(min_length=1)
     connections: list[Connection] = Field(default_factory=list)
     criteria: Criteria = Field(default_factory=dict)
+    limits: Limits | None = None
 
     @property
     def steps(self) -> int:

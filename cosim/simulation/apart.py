@@ -1,0 +1,164 @@
+"""The steps of a run in a worker process: what is asked of it there, and what its caller makes of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import FmuError, SimulationError, Terminated
+from cosim.files import is_full
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Watch, Worker
+from cosim.isolation.rows import GET, Rows, allocate, mapped_table, read_table
+from cosim.isolation.scratch import Held, scratch
+from cosim.results import Results
+from cosim.simulation.master import StoppedRun, simulate, why
+from cosim.simulation.nearest import take_nearest
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import System, build_system
+
+MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
+PREFIX = ".rows-"
+CALLS = {
+    "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a worker puts the same system together from."""
+
+    scenario: Path
+    overrides: tuple[str, ...]
+    nearest: bool
+    designed: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """What came of the steps: results, what the FMUs said, and why it ended where that was before its end."""
+
+    results: Results
+    said: Sequence[str]
+    failure: SimulationError | None = None
+
+
+def said_of(system: System) -> list[str]:
+    """What its FMUs said, a line each."""
+    return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
+
+
+def simulate_here(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Stepped:
+    """The steps of a run in this process. Raises FmuError."""
+    try:
+        return Stepped(simulate(system, steps, h, progress), said_of(system))
+    except StoppedRun as stopped:
+        return Stepped(stopped.results, said_of(system), stopped.error)
+
+
+# -- in the worker ------------------------------------------------------------------------------
+
+
+class _Said(deque[str]):
+    """Messages of an FMU, the last of which the caller sees even where the worker crashes."""
+
+    def append(self, text: str) -> None:
+        here.progress.words = " ".join(text.split()).encode()[:511]
+        super().append(text)
+
+
+def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str], SimulationError | None]:
+    """Simulate into the table in a file; what the FMUs said, and why it ended early."""
+    here.left.append(table.parent)
+    file = ScenarioFile(recipe.scenario, recipe.overrides)
+    if recipe.nearest:
+        take_nearest(file)
+    system = build_system(file, recipe.designed)
+    for stage in system.stages:
+        component: Any = stage.component
+        if isinstance(getattr(component, "log", None), deque):
+            component.log = _Said(component.log, component.log.maxlen)
+    progress = here.progress
+    rows = Rows(mapped_table(table, steps + 1, len(system.columns)), progress.made, progress.doing)
+    try:
+        simulate(system, steps, file.scenario.step, rows=rows)
+    except StoppedRun as stopped:
+        return said_of(system), stopped.error
+    except FmuError as error:
+        if is_full(error.__context__):
+            return said_of(system), SimulationError("the run", system.start, f"no room to unpack an FMU: {error}")
+        raise
+    return said_of(system), None
+
+
+# -- its caller -----------------------------------------------------------------------------------
+
+
+def simulate_apart(
+    worker: Worker,
+    recipe: Recipe,
+    system: System,
+    steps: int,
+    h: float,
+    folder: Path,
+    limits: Limits | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Stepped:
+    """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
+    columns = len(system.columns)
+    watch = Watch(
+        [stage.component.name for stage in system.stages],
+        [_calls(stage.component) for stage in system.stages],
+        lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
+        limits or Limits(),
+        8 * columns,
+        progress,
+    )
+    said: Sequence[str] = ()
+    failure: SimulationError | None = None
+    with ExitStack() as stack:
+        worker.start()
+        counters = worker.progress  # they stay where the worker ends
+        held = _room(folder, worker.folder, 8 * (steps + 1) * columns)
+        stack.callback(held.remove)
+        table = held.path / "rows"
+        try:
+            said, failure = worker.call(simulate_rows, recipe, steps, table, watch=watch)
+        except SimulationError as error:
+            failure = error
+        except (KeyboardInterrupt, Terminated) as stop:
+            failure = why(stop, system.start + h * max(0, counters.made[0] - 1))
+        done = counters.made[0]
+        values = read_table(table, done, columns)
+    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    return Stepped(Results(time[:done], system.columns, values, system.units), said, failure)
+
+
+def _calls(component: Any) -> Sequence[str]:
+    """Names of what the master asks of a component, as its version of FMI has them."""
+    version = str(getattr(getattr(component, "description", None), "fmiVersion", ""))[:1]
+    return CALLS.get(version, ("setting its inputs", "stepping", "reading its outputs"))
+
+
+def _room(folder: Path, other: Path, size: int) -> Held:
+    """A folder with the file `rows` of a size, beside the results, or in the other where there is no room for it."""
+    for beside in (folder, other):
+        held = scratch(PREFIX, beside)
+        try:
+            allocate(held.path / "rows", size)
+        except OSError as error:
+            held.remove()
+            if not is_full(error):
+                raise
+        else:
+            return held
+    needed = f"the rows of this run need {size / 1e6:.4g} MB while it lasts; record less often or free room"
+    raise SimulationError("the run", 0.0, f"the disk is full: {needed}")
