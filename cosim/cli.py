@@ -14,7 +14,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, InputError, Terminated
+from cosim.errors import CosimError, CriterionMissed, InputError, SimulationError, Terminated
+from cosim.files import is_full
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -280,7 +281,7 @@ def entry() -> None:
         sys.exit(ended.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+        sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 

@@ -68,6 +68,10 @@ class Crashed(SimulationError):
     """A call of an FMU ended the process in which it was made."""
 
 
+class DiskFull(SimulationError):
+    """There is no room left for the rows of a run."""
+
+
 class TimedOut(SimulationError):
     """A limit of time that the user set is exceeded."""
 

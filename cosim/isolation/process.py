@@ -20,7 +20,7 @@ from cosim.errors import Crashed, SimulationError, TimedOut
 from cosim.files import uninterrupted
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
-from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, Progress, mapped_progress
+from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, Progress, mapped_progress
 from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.worker import PROGRESS, Begin, receive, send
 
@@ -95,8 +95,12 @@ class Worker:
         with uninterrupted():
             self.end()
             self._held: Held = scratch(PREFIX)
-            self.progress: Progress = mapped_progress(self._held.path / PROGRESS)
-            self._process, self._finishing = _spawn(), False
+            try:
+                self.progress: Progress = mapped_progress(self._held.path / PROGRESS)
+                self._process, self._finishing = _spawn(), False
+            except BaseException:
+                self._held.remove()
+                raise
             self.starts += 1
             self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
             self._printed = _Printed(self._process.stderr)
@@ -116,7 +120,7 @@ class Worker:
         it shares with the caller are as it left them, and the next call has another process.
         """
         self.start()
-        self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, OTHER, 0
+        self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, NOTHING, 0
         self.progress.words = b""
         clock = _Clock(watch or Watch(), self.progress)
         self._ask(pickle.dumps((function, arguments)))
@@ -197,7 +201,9 @@ class Worker:
         self._printed.join()
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._printed.last_line()
         component, at, call = clock.place()
-        return Crashed(component, at, f"{call} {how_ended(code)}" + (f": {words[:WORDS]}" if words else ""))
+        return Crashed(
+            component, at, f"{call} {how_ended(code)}" + (f"; it said last: {words[:WORDS]}" if words else "")
+        )
 
 
 def how_ended(code: int | None) -> str:
@@ -229,7 +235,7 @@ class _Clock:
             self.told = made
             self.watch.progress(made)
         loading, key = self._loading(), self._key()
-        if key != self.key:
+        if key != self.key or self.progress.doing[0] == NOTHING:
             self.key, self.since = key, now
         self.spent += 0.0 if loading else now - self.last
         self.last = now
@@ -264,10 +270,9 @@ class _Clock:
         return watch.components[number], at, "loading" if not self.progress.made[0] else "unloading"
 
     def _loading(self) -> bool:
-        named = self.progress.named[0]
-        return not self.progress.made[0] and self.progress.doing[0] % CALLS == OTHER and (
-            not named or b"Instantiate" in self.progress.call
-        )  # fmt: skip
+        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING too is an OTHER
+            return False
+        return not self.progress.named[0] or b"Instantiate" in self.progress.call
 
     def _key(self) -> tuple[Any, ...]:
         """What stays as it is for as long as one thing takes: a step, or a call where none is made."""

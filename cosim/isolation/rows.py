@@ -17,6 +17,7 @@ from cosim.arrays import Array
 # What is called of a component: its number times CALLS, plus one of these.
 CALLS = 4
 PUT, ADVANCE, GET, OTHER = range(CALLS)
+NOTHING = -1  # is called yet
 BLOCK = 1 << 20  # bytes written at a time where a disk cannot be asked for room
 
 
@@ -30,7 +31,7 @@ class Rows:
 
     table: Array
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
-    doing: MutableSequence[int] = field(default_factory=lambda: array("q", [OTHER]))
+    doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
 
     @classmethod
     def in_memory(cls, rows: int, columns: int) -> Rows:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import FmuError, SimulationError, Terminated
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -25,7 +25,8 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
-PREFIX = ".rows-"
+PREFIX, ROWS = ".rows-", "rows"
+SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
 CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
@@ -94,7 +95,7 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str
         return said_of(system), stopped.error
     except FmuError as error:
         if is_full(error.__context__):
-            return said_of(system), SimulationError("the run", system.start, f"no room to unpack an FMU: {error}")
+            return said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}")
         raise
     return said_of(system), None
 
@@ -127,11 +128,11 @@ def simulate_apart(
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress  # they stay where the worker ends
-        held = _room(folder, worker.folder, 8 * (steps + 1) * columns)
+        held, count = _room((folder, worker.folder), steps + 1, 8 * columns)
         stack.callback(held.remove)
-        table = held.path / "rows"
+        table = held.path / ROWS
         try:
-            said, failure = worker.call(simulate_rows, recipe, steps, table, watch=watch)
+            said, failure = worker.call(simulate_rows, recipe, count - 1, table, watch=watch)
         except SimulationError as error:
             failure = error
         except (KeyboardInterrupt, Terminated) as stop:
@@ -139,7 +140,13 @@ def simulate_apart(
         done = counters.made[0]
         values = read_table(table, done, columns)
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    if failure is None and count <= steps:
+        failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
     return Stepped(Results(time[:done], system.columns, values, system.units), said, failure)
+
+
+def _too_few(count: int, rows: int) -> str:
+    return f"it has room for {count} of {rows} rows while the run lasts"
 
 
 def _calls(component: Any) -> Sequence[str]:
@@ -148,17 +155,22 @@ def _calls(component: Any) -> Sequence[str]:
     return CALLS.get(version, ("setting its inputs", "stepping", "reading its outputs"))
 
 
-def _room(folder: Path, other: Path, size: int) -> Held:
-    """A folder with the file `rows` of a size, beside the results, or in the other where there is no room for it."""
-    for beside in (folder, other):
-        held = scratch(PREFIX, beside)
-        try:
-            allocate(held.path / "rows", size)
-        except OSError as error:
-            held.remove()
-            if not is_full(error):
-                raise
-        else:
-            return held
-    needed = f"the rows of this run need {size / 1e6:.4g} MB while it lasts; record less often or free room"
-    raise SimulationError("the run", 0.0, f"the disk is full: {needed}")
+def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+    """A folder with the file of the rows, beside the results or, where there is no room, elsewhere; and for how many.
+
+    For all of them, or as many as a full disk takes. DiskFull where that is none.
+    """
+    count = rows
+    while count:
+        for beside in folders:
+            held = scratch(PREFIX, beside)
+            try:
+                allocate(held.path / ROWS, count * width)
+            except OSError as error:
+                held.remove()
+                if not is_full(error):
+                    raise
+            else:
+                return held, count
+        count = int(SMALLER * count)
+    raise DiskFull("the run", 0.0, f"the disk is full: {_too_few(0, rows)}")

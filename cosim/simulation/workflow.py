@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import SimulationError
+from cosim.errors import DiskFull, SimulationError
 from cosim.files import FilePath, check_writable, is_full
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
@@ -99,7 +99,7 @@ def run(
         except OSError as error:
             if not is_full(error):
                 raise
-            failure = _write_what_fits(folder, results, record, failure)
+            failure = _write_what_fits(folder, results, record, steps + 1, failure)
     if failure is not None:
         raise failure
     return Outcome(results, record, folder)
@@ -126,7 +126,7 @@ def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bo
 
 
 def _write_what_fits(
-    folder: Path, results: Results, record: dict[str, Any], failure: SimulationError | None
+    folder: Path, results: Results, record: dict[str, Any], rows: int, failure: SimulationError | None
 ) -> SimulationError:
     """The rows and the manifest of a run that a full disk has no room for as a whole; what to tell of it."""
     (folder / "report.html").unlink(missing_ok=True)
@@ -138,11 +138,11 @@ def _write_what_fits(
         count = 0
     finally:
         spare.unlink(missing_ok=True)
-    total = len(results.time)
-    rows = f"all {total} rows are" if count == total else f"{count} of {total} rows are"
-    told = f"the disk is full: {rows} in results.csv" + (", there is no report" if count == total else "")
-    last = results.time[max(0, count - 1)].item() if total else 0.0
-    failure = SimulationError("the run", last, told if failure is None else f"{told}; before that {failure}")
+    total = rows if isinstance(failure, DiskFull) else len(results.time)
+    told = f"the disk is full: {count} of {total} rows are in results.csv"
+    told += ", there is no report" if count == total else ""
+    told += "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
+    failure = DiskFull("the run", results.time[max(0, count - 1)].item() if len(results.time) else 0.0, told)
     record["status"] = f"failed: {failure}"
     try:
         write_manifest(folder / "manifest.json", record)
