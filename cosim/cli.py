@@ -25,6 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")]
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
+]
 LONG_RUN = 2000  # steps from which a progress bar is shown
 
 
@@ -63,9 +66,7 @@ def run(
     ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
-    in_process: Annotated[
-        bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
-    ] = False,
+    in_process: InProcess = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
     from cosim.simulation.criteria import sentence
@@ -131,13 +132,14 @@ def replay(
     ] = None,
     out: Out = Path("replayed"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     with progress_bar("replaying") as progress:
-        comparison = replay_log(log, out, plant, report=report, progress=progress)
+        comparison = replay_log(log, out, plant, report=report, in_process=in_process, progress=progress)
     for finding in comparison.findings:
         if finding.severity == "warning":
             typer.echo(finding.line, err=True)

@@ -93,6 +93,15 @@ class Terminated(BaseException):
         super().__init__("ended by SIGTERM")
 
 
+def stopped(stop: BaseException, now: float, what: str = "the run") -> SimulationError:
+    """What ended a run at a time [s], a signal perhaps, as an error that says so."""
+    if isinstance(stop, SimulationError):
+        return stop
+    if isinstance(stop, KeyboardInterrupt):
+        return Interrupted(what, now, "interrupted from the keyboard")
+    return SimulationError(what, now, str(stop))
+
+
 class CriterionMissed(CosimError):
     """The run is complete, but a criterion of the scenario is not met."""
 

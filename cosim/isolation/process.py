@@ -20,7 +20,7 @@ from cosim.errors import Crashed, SimulationError, TimedOut
 from cosim.files import uninterrupted
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
-from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, Progress, mapped_progress
+from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, mapped_progress
 from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.worker import PROGRESS, Begin, receive, send
 
@@ -46,7 +46,11 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
-CALLED = {PUT: "setting its inputs", ADVANCE: "stepping", GET: "reading its outputs"}
+CALLED = ("setting its inputs", "stepping", "reading its outputs")  # of what is no FMU
+FMI_CALLS = {
+    "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,8 @@ class Worker:
                 self.finish()
             self.end()
 
+    progress: Progress  # also of a process that has ended
+
     def start(self) -> None:
         """Start the process, where none runs, so that it is ready when it is asked."""
         if self._process is not None and self._process.poll() is None:
@@ -96,7 +102,7 @@ class Worker:
             self.end()
             self._held: Held = scratch(PREFIX)
             try:
-                self.progress: Progress = mapped_progress(self._held.path / PROGRESS)
+                self.progress = mapped_progress(self._held.path / PROGRESS)
                 self._process, self._finishing = _spawn(), False
             except BaseException:
                 self._held.remove()
@@ -156,7 +162,6 @@ class Worker:
         self._printed.join()
         for stream in (process.stdin, process.stdout, process.stderr):
             _close(stream)
-        del self.progress
         self._held.remove()
 
     # -- within -------------------------------------------------------------------------------
@@ -204,6 +209,11 @@ class Worker:
         return Crashed(
             component, at, f"{call} {how_ended(code)}" + (f"; it said last: {words[:WORDS]}" if words else "")
         )
+
+
+def fmi_calls(description: Any) -> Sequence[str]:
+    """Names of putting, advancing and getting in FMI, by a model description; of None, of what is no FMU."""
+    return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], CALLED)
 
 
 def how_ended(code: int | None) -> str:
@@ -326,7 +336,7 @@ def _spawn() -> subprocess.Popen[bytes]:
     windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "cosim.isolation.worker"], env=environment,
+        [sys.executable, "-P", "-m", "cosim.isolation"], env=environment,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **apart,
     )  # fmt: skip
 

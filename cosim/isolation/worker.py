@@ -1,4 +1,4 @@
-"""The process that works for another: `python -m cosim.isolation.worker`, requests on stdin, answers on stdout.
+"""The process that works for another: `python -m cosim.isolation`, requests on stdin, answers on stdout.
 
 What FMUs print goes to stderr. It ends when its stdin does: whoever asked has ended, however that was.
 """
@@ -149,18 +149,17 @@ def _name_calls() -> None:
 
 
 def _answer(content: bytes) -> bytes:
-    """Do a job: (answer, None), or (None, the error); of one that is no error of ours, where it came from too."""
+    """Do a job: (answer, None), or (None, the error), which says where it came from where it is none of ours."""
     try:
         function, arguments = pickle.loads(content)
         return pickle.dumps((function(*arguments), None))
     except CosimError as error:
         return pickle.dumps((None, error))
-    except Exception as error:  # a fault of this package: told in full where the caller is
-        return pickle.dumps((None, RuntimeError(f"{error!r} in a worker:\n{traceback.format_exc()}")))
-
-
-if __name__ == "__main__":
-    # pickled functions name this module as it is imported, not as it was run
-    from cosim.isolation import worker
-
-    worker.main()
+    except Exception as error:
+        error.add_note(f"in a worker:\n{traceback.format_exc()}")
+        try:
+            told = pickle.dumps((None, error))
+            pickle.loads(told)
+        except Exception:  # not every error can be sent
+            told = pickle.dumps((None, RuntimeError(f"in a worker:\n{traceback.format_exc()}")))
+        return told

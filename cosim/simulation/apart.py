@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated, stopped
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker
+from cosim.isolation.process import Watch, Worker, fmi_calls
 from cosim.isolation.rows import GET, Rows, allocate, mapped_table, read_table
 from cosim.isolation.scratch import Held, scratch
 from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate, why
+from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
@@ -27,10 +27,6 @@ from cosim.simulation.system import System, build_system
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS = ".rows-", "rows"
 SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
-CALLS = {
-    "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
-    "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
-}
 
 
 @dataclass(frozen=True)
@@ -61,8 +57,8 @@ def simulate_here(system: System, steps: int, h: float, progress: Callable[[int]
     """The steps of a run in this process. Raises FmuError."""
     try:
         return Stepped(simulate(system, steps, h, progress), said_of(system))
-    except StoppedRun as stopped:
-        return Stepped(stopped.results, said_of(system), stopped.error)
+    except StoppedRun as run:
+        return Stepped(run.results, said_of(system), run.error)
 
 
 # -- in the worker ------------------------------------------------------------------------------
@@ -91,8 +87,8 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str
     rows = Rows(mapped_table(table, steps + 1, len(system.columns)), progress.made, progress.doing)
     try:
         simulate(system, steps, file.scenario.step, rows=rows)
-    except StoppedRun as stopped:
-        return said_of(system), stopped.error
+    except StoppedRun as run:
+        return said_of(system), run.error
     except FmuError as error:
         if is_full(error.__context__):
             return said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}")
@@ -117,7 +113,7 @@ def simulate_apart(
     columns = len(system.columns)
     watch = Watch(
         [stage.component.name for stage in system.stages],
-        [_calls(stage.component) for stage in system.stages],
+        [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
         lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
         limits or Limits(),
         8 * columns,
@@ -127,7 +123,7 @@ def simulate_apart(
     failure: SimulationError | None = None
     with ExitStack() as stack:
         worker.start()
-        counters = worker.progress  # they stay where the worker ends
+        counters = worker.progress
         held, count = _room((folder, worker.folder), steps + 1, 8 * columns)
         stack.callback(held.remove)
         table = held.path / ROWS
@@ -136,7 +132,7 @@ def simulate_apart(
         except SimulationError as error:
             failure = error
         except (KeyboardInterrupt, Terminated) as stop:
-            failure = why(stop, system.start + h * max(0, counters.made[0] - 1))
+            failure = stopped(stop, system.start + h * max(0, counters.made[0] - 1))
         done = counters.made[0]
         values = read_table(table, done, columns)
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
@@ -147,12 +143,6 @@ def simulate_apart(
 
 def _too_few(count: int, rows: int) -> str:
     return f"it has room for {count} of {rows} rows while the run lasts"
-
-
-def _calls(component: Any) -> Sequence[str]:
-    """Names of what the master asks of a component, as its version of FMI has them."""
-    version = str(getattr(getattr(component, "description", None), "fmiVersion", ""))[:1]
-    return CALLS.get(version, ("setting its inputs", "stepping", "reading its outputs"))
 
 
 def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:

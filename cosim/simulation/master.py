@@ -11,7 +11,7 @@ from collections.abc import Callable, MutableSequence
 
 import numpy as np
 
-from cosim.errors import Interrupted, SimulationError, Terminated
+from cosim.errors import SimulationError, Terminated, stopped
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, Rows
 from cosim.results import Results
 from cosim.simulation.system import System
@@ -85,7 +85,7 @@ def simulate(
             if progress is not None and k % PROGRESS_EVERY == 0:
                 progress(k)
     except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-        error = why(stop, float(time[max(0, done - 1)]))
+        error = stopped(stop, float(time[max(0, done - 1)]))
         raise StoppedRun(error, Results(time[:done], system.columns, table[:done], system.units)) from None
     finally:
         for k, component in enumerate(components):
@@ -102,15 +102,6 @@ def _copies(transfers: tuple[Transfer, ...], seed: int, count: int) -> Copies:
         tuple((t.source, t.target) for t in transfers if t.name not in names),
         tuple((t.source, t.target, samples) for t, samples in noisy),
     )
-
-
-def why(stop: SimulationError | KeyboardInterrupt | Terminated, now: float) -> SimulationError:
-    """What stopped a run, as an error that says when."""
-    if isinstance(stop, SimulationError):
-        return stop
-    if isinstance(stop, Terminated):
-        return SimulationError("the run", now, str(stop))
-    return Interrupted("the run", now, "interrupted from the keyboard")
 
 
 def _calls(number: int) -> tuple[int, int, int]:
