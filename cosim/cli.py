@@ -152,6 +152,7 @@ def refine(
     study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
     out: Out = Path("refined"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
@@ -160,7 +161,7 @@ def refine(
     from cosim.refinement.workflow import refine as refine_study
 
     with stages() as progress:
-        result = refine_study(study, out, progress, report=report)
+        result = refine_study(study, out, progress, report=report, in_process=in_process)
     for warning in result.study.warnings:
         typer.echo(f"warning: {warning}", err=True)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
