@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, InputError, SimulationError, Terminated
+from cosim.errors import CosimError, CriterionMissed, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
 from cosim.version import __version__
 
@@ -115,11 +115,18 @@ def check(
     model: Annotated[
         str, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
     ] = "base",
+    load: Annotated[
+        bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
+    ] = True,
 ) -> None:
     """Say what is wrong with files, all faults at once."""
     from cosim.checks import check_files
 
-    for line in check_files(files, model):
+    try:
+        lines = check_files(files, model, load=load)
+    except Terminated as ended:
+        raise FmuError(str(ended)) from None
+    for line in lines:
         say(line)
     say(f"no fault in {', '.join(map(str, files))}")
 

@@ -23,7 +23,9 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
   </ModelVariables>
   <ModelStructure><Outputs>
 {outputs}
-  </Outputs></ModelStructure>
+  </Outputs><InitialUnknowns>
+{outputs}
+  </InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
 

@@ -12,16 +12,22 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from cosim.checks import check_files
 from cosim.errors import Crashed, FmuError, InputError, SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.scratch import LOCK, scratch, sweep
+from cosim.residuals.apart import DriveApart
+from cosim.residuals.drive import StoppedReplay, log_of_fmu
+from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
 from cosim.table import read_columns
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
+from tests.logs import write_log
 
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
@@ -243,6 +249,70 @@ def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, k
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
+# -- replay, refine and check ---------------------------------------------------------------------
+
+
+def measured_log(folder: Path) -> Path:
+    time_, path = 0.1 * np.arange(200), folder / "log.csv"
+    return write_log(path, {"time": time_, "u0": 0.0 * time_, "u1": np.sin(time_), "y1": np.cos(time_)})
+
+
+def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault", 100)
+    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
+        replay(log, tmp_path / "out", fmu)
+    assert stopped.value.exit_code == 4
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["results.csv"]
+    assert rows_in(tmp_path / "out") == 100
+    assert not list(Path(tempfile.gettempdir()).glob("cosim-replay-rows-*"))
+
+
+def test_a_replay_whose_fmu_crashes_as_it_is_freed_is_written_whole(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "FreeInstance", "exit")
+    with pytest.raises(Crashed, match="fmi2FreeInstance ended the process, exit code 0"):
+        replay(log, tmp_path / "out", fmu)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "residual.csv", "results.csv"]
+
+
+def test_a_replay_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "good.fmu")
+    for k in range(2):
+        replay(log, tmp_path / str(k), fmu, in_process=bool(k))
+    for name in ("results.csv", "residual.csv", "report.html"):
+        assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes()
+
+
+def test_one_worker_drives_fmu_after_fmu_and_is_there_again_after_a_crash(tmp_path: Path) -> None:
+    log = log_of_fmu(measured_log(tmp_path), good := deeds_fmu(tmp_path / "good.fmu"))
+    bad, tables = deeds_fmu(tmp_path / "bad.fmu", "DoStep", "abort", 150), []
+    with Worker() as worker:
+        for fmu in (good, bad, good):
+            try:
+                with DriveApart(worker, log, fmu) as drive:
+                    tables.append(drive.run(0, log.rows - 1, {}))
+            except StoppedReplay as stopped:
+                tables.append(stopped.done)
+        assert worker.starts == 2
+    assert (tables[0] == tables[2]).all()
+    assert (tables[1] == tables[0][:150]).all()
+
+
+def test_check_loads_an_fmu_and_steps_it_once_in_a_process_of_its_own(tmp_path: Path) -> None:
+    assert check_files(deeds_fmu(tmp_path / "good.fmu")) == []
+    bad = deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault")
+    with pytest.raises(InputError, match=r"bad.fmu: does not run: fmu at t = 0 s: fmi2DoStep crashed") as refused:
+        check_files(bad)
+    assert refused.value.exit_code == 3
+    assert check_files(bad, load=False) == []
+
+
+def test_check_of_a_scenario_ends_at_its_limits(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "ExitInitializationMode", "sleep", limits=LIMITS)
+    with pytest.raises(InputError, match=r"fmi2ExitInitializationMode takes longer than 0.3 s") as refused:
+        check_files(path)
+    assert refused.value.exit_code == 124
+
+
 # -- limits as they are written -------------------------------------------------------------------
 
 
@@ -267,8 +337,9 @@ def test_a_limit_that_is_none_is_refused_at_its_place(tmp_path: Path, value: str
 def test_a_worker_answers_fails_as_the_function_does_and_is_there_again_after_a_crash() -> None:
     with Worker() as worker:
         assert worker.call(divmod, 7, 2) == (3, 1)
-        with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        with pytest.raises(ZeroDivisionError) as failed:
             worker.call(divmod, 7, 0)
+        assert "in a worker:" in failed.value.__notes__[0]
         with pytest.raises(Crashed, match="exit code 3"):
             worker.call(os._exit, 3)
         assert worker.call(divmod, 9, 2) == (4, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -124,7 +125,7 @@ def simulate_apart(
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
-        held, count = _room((folder, worker.folder), steps + 1, 8 * columns)
+        held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(held.remove)
         table = held.path / ROWS
         try:
