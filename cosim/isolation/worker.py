@@ -5,6 +5,7 @@ What FMUs print goes to stderr. It ends when its stdin does: whoever asked has e
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import pickle
@@ -79,9 +80,19 @@ def main() -> None:
     _name_calls()
     while content := jobs.get():
         send(answers, _answer(content))
-    if os.name == "posix" and os.getpgid(0) == os.getpid():  # what an FMU has started ends with it
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        os.killpg(0, signal.SIGTERM)
+    _end()
+
+
+def _end() -> None:
+    """End at once, as to take all modules apart takes longer than to load them; what an FMU has started ends too."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)  # files that FMUs have written to
+        if os.getpgid(0) == os.getpid():
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            os.killpg(0, signal.SIGTERM)
+    os._exit(0)
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:
@@ -120,8 +131,6 @@ def _end_with_caller() -> None:
     """Linux: an FMU that hangs and holds the interpreter keeps no thread of ours from ending the process."""
     if not sys.platform.startswith("linux"):
         return
-    import ctypes
-
     # when the caller ends: SIGUSR1, whose handler is alarm(SIGUSR1) of the C library, 10 s to the default end
     libc = ctypes.CDLL(None)
     libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
