@@ -143,6 +143,44 @@ def test_a_library_that_is_missing_is_told_as_in_process(tmp_path: Path) -> None
         run(path, tmp_path / "out", report=False)
 
 
+# -- a process of its own --------------------------------------------------------------------------
+
+
+def own_process(path: Path) -> Path:
+    path.write_text(path.read_text().replace("{fmu: bad.fmu}", "{fmu: bad.fmu, process: own}"))
+    return path
+
+
+def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats_them(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "Instantiate", "folder")
+    shared = run(path, tmp_path / "shared", report=False)
+    own = run(own_process(path), tmp_path / "own", report=False)
+    again = run(tmp_path / "own" / "manifest.json", tmp_path / "again", report=False)
+    assert (own.results.values == shared.results.values).all()
+    assert (again.results.values == shared.results.values).all()
+    assert again.manifest["scenario"]["components"]["bad"]["process"] == "own"
+    assert own.manifest["warnings"] == shared.manifest["warnings"]
+
+
+@pytest.mark.parametrize(
+    ("deed", "error", "words"),
+    [
+        ("segfault", Crashed, r"bad at t = 0.4 s: fmi2DoStep crashed: segmentation fault"),
+        ("hang", TimedOut, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s"),
+        ("memory", SimulationError, r"bad at t = 0.4 s: fmi2DoStep: the process holds .* more than 300 MB"),
+    ],
+)
+@pytest.mark.skipif(not LINUX, reason="its crashes go by other names")
+def test_what_happens_in_a_process_of_its_own_is_told_as_elsewhere(
+    tmp_path: Path, deed: str, error: type[SimulationError], words: str
+) -> None:
+    limits = "{memory: 300 MB}" if deed == "memory" else LIMITS
+    path = own_process(deeds_scenario(tmp_path, "DoStep", deed, 5, limits=limits))
+    with pytest.raises(error, match=words):
+        run(path, tmp_path / "out", report=False)
+    assert rows_in(tmp_path / "out") == 5
+
+
 # -- a run that is stopped ------------------------------------------------------------------------
 
 

@@ -96,7 +96,7 @@ class Worker:
 
     def start(self) -> None:
         """Start the process, where none runs, so that it is ready when it is asked."""
-        if self._process is not None and self._process.poll() is None:
+        if self.running:
             return
         with uninterrupted():
             self.end()
@@ -119,14 +119,22 @@ class Worker:
         """A folder that goes with the process."""
         return self._held.path
 
-    def call(self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None) -> Any:
+    @property
+    def running(self) -> bool:
+        """Whether there is a process."""
+        return self._process is not None and self._process.poll() is None
+
+    def call(
+        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
+    ) -> Any:
         """What a function of a module gives in the worker; errors of ours are raised here.
 
+        doing: what is being called, for one that does not say so itself
         Crashed where the process ends, TimedOut or SimulationError where a limit is exceeded: rows and counters that
         it shares with the caller are as it left them, and the next call has another process.
         """
         self.start()
-        self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, NOTHING, 0
+        self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
         self.progress.words = b""
         clock = _Clock(watch or Watch(), self.progress)
         self._ask(pickle.dumps((function, arguments)))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
 from typing import IO
 
 LOCK = "in-use"
+RETRIES, MOMENT = 10, 0.1  # [s]
 
 
 class Held:
@@ -41,8 +43,12 @@ def sweep(folder: Path, prefix: str) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Take away a folder, as far as that goes."""
-    shutil.rmtree(folder, ignore_errors=True)
+    """Take away a folder, as far as that goes; a process that ends just now may still write there."""
+    for _ in range(RETRIES):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(MOMENT)
 
 
 def _locked(path: Path) -> IO[bytes] | None:

@@ -22,6 +22,7 @@ from cosim.isolation.scratch import Held, scratch
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.nearest import take_nearest
+from cosim.simulation.own_process import in_own_processes
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 
@@ -73,13 +74,24 @@ class _Said(deque[str]):
         super().append(text)
 
 
-def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str], SimulationError | None]:
-    """Simulate into the table in a file; what the FMUs said, and why it ended early."""
-    here.left.append(table.parent)
+def _read(recipe: Recipe) -> ScenarioFile:
     file = ScenarioFile(recipe.scenario, recipe.overrides)
     if recipe.nearest:
         take_nearest(file)
-    system = build_system(file, recipe.designed)
+    return file
+
+
+def _build(recipe: Recipe) -> System:
+    return build_system(_read(recipe), recipe.designed)
+
+
+def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str], SimulationError | None]:
+    """Simulate into the table in a file; what the FMUs said, and why it ended early."""
+    here.left.append(table.parent)
+    file = _read(recipe)
+    whole = build_system(file, recipe.designed)
+    own = {name: getattr(c, "process", None) == "own" for name, c in file.scenario.components.items()}
+    system = in_own_processes(whole, own, (_build, (recipe,)), file.scenario.limits)
     for stage in system.stages:
         component: Any = stage.component
         if isinstance(getattr(component, "log", None), deque):

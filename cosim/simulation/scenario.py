@@ -59,9 +59,13 @@ class Connection(Part):
 
 
 class FmuComponent(Part):
-    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`."""
+    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`.
+
+    process: `own` for one that shares its process with no other FMU
+    """
 
     fmu: str
+    process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
     sha256: str | None = None
 
