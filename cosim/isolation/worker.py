@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import traceback
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -46,6 +47,22 @@ class Begin:
 
 
 progress: Progress  # how far this worker is, for the one that watches
+
+
+class Said(deque[str]):
+    """Messages of an FMU, the last of which the caller sees even where the worker crashes."""
+
+    def append(self, text: str) -> None:
+        """As of a deque."""
+        progress.words = " ".join(text.split()).encode()[:511]
+        super().append(text)
+
+
+def overheard(component: Any) -> None:
+    """Let the caller see what a component logs."""
+    log = getattr(component, "log", None)
+    if isinstance(log, deque):
+        component.log = Said(log, log.maxlen)
 
 
 def send(stream: Any, content: bytes) -> None:

@@ -42,6 +42,7 @@ def load(asked: Loaded) -> None:
     """Have a drive ready; its FMU is loaded at the first run."""
     here.left.append(asked.table.parent)
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated)
+    here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
     _drives[asked.number] = drive
 

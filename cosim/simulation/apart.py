@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -66,14 +65,6 @@ def simulate_here(system: System, steps: int, h: float, progress: Callable[[int]
 # -- in the worker ------------------------------------------------------------------------------
 
 
-class _Said(deque[str]):
-    """Messages of an FMU, the last of which the caller sees even where the worker crashes."""
-
-    def append(self, text: str) -> None:
-        here.progress.words = " ".join(text.split()).encode()[:511]
-        super().append(text)
-
-
 def _read(recipe: Recipe) -> ScenarioFile:
     file = ScenarioFile(recipe.scenario, recipe.overrides)
     if recipe.nearest:
@@ -93,9 +84,7 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str
     own = {name: getattr(c, "process", None) == "own" for name, c in file.scenario.components.items()}
     system = in_own_processes(whole, own, (_build, (recipe,)), file.scenario.limits)
     for stage in system.stages:
-        component: Any = stage.component
-        if isinstance(getattr(component, "log", None), deque):
-            component.log = _Said(component.log, component.log.maxlen)
+        here.overheard(stage.component)
     progress = here.progress
     rows = Rows(mapped_table(table, steps + 1, len(system.columns)), progress.made, progress.doing)
     try:

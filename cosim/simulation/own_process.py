@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from cosim.blocks.interface import Component, Row, Signal
+from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Watch, Worker, fmi_calls
 from cosim.isolation.rows import ADVANCE, OTHER
@@ -27,6 +28,7 @@ def load(build: Build, name: str, start: float, stop: float) -> list[float]:
     component = next(s.component for s in function(*arguments).stages if s.component.name == name)
     row = (ctypes.c_double * (len(component.inputs) + len(component.outputs)))()
     _held[name] = component, row
+    here.overheard(component)
     component.bind(row, 0)
     component.open(start, stop)
     return list(row)
