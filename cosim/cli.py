@@ -140,13 +140,16 @@ def replay(
     out: Out = Path("replayed"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     in_process: InProcess = False,
+    limits: Annotated[
+        str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
+    ] = "",
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     with progress_bar("replaying") as progress:
-        comparison = replay_log(log, out, plant, report=report, in_process=in_process, progress=progress)
+        comparison = replay_log(log, out, plant, report=report, in_process=in_process, limits=limits, progress=progress)
     for finding in comparison.findings:
         if finding.severity == "warning":
             typer.echo(finding.line, err=True)

@@ -142,7 +142,8 @@ class Trial:
         time.sleep(1.5)
         if case.to_worker:
             children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-            os.kill(int(children[0]), case.number)
+            for child in children:
+                os.kill(int(child), case.number)
         else:
             process.send_signal(case.number)
 

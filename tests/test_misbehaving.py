@@ -305,6 +305,16 @@ def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path) -> None:
     assert not list(Path(tempfile.gettempdir()).glob("cosim-replay-rows-*"))
 
 
+def test_a_replay_ends_at_its_limits_with_the_rows_before(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "hang", 100)
+    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep takes longer than 0.3 s") as stopped:
+        replay(log, tmp_path / "out", fmu, limits="{step: 300 ms}")
+    assert stopped.value.exit_code == 124
+    assert rows_in(tmp_path / "out") == 100
+    with pytest.raises(InputError, match=r"--limits: stp: no such limit \(known: step, total, load, memory\)"):
+        replay(log, tmp_path / "out", fmu, limits="stp: 1 s")
+
+
 def test_a_replay_whose_fmu_crashes_as_it_is_freed_is_written_whole(tmp_path: Path) -> None:
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "FreeInstance", "exit")
     with pytest.raises(Crashed, match="fmi2FreeInstance ended the process, exit code 0"):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, ValidationError
 
+from cosim.errors import Fault, InputError
 from cosim.yaml_file import Part
 
 SECONDS = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -57,3 +59,18 @@ class Limits(Part):
         """Longest that loading may take [s]."""
         timed = self.step is not None or self.total is not None
         return self.load if self.load is not None or not timed else LOADING
+
+
+def read_limits(text: str) -> Limits:
+    """Limits as a command takes them, `step: 10 s, memory: 2 GB`; InputError."""
+    pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
+    try:
+        return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
+    except ValidationError as error:
+        known = ", ".join(Limits.model_fields)
+        faults = []
+        for e in error.errors():
+            name = ".".join(map(str, e["loc"]))
+            why = f"no such limit (known: {known})" if e["type"] == "extra_forbidden" else str(e["msg"])
+            faults.append(Fault(Path("--limits"), 0, 0, f"{name}: {why.removeprefix('Value error, ')}"))
+        raise InputError(faults) from None

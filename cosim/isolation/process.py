@@ -61,6 +61,7 @@ class Watch:
     calls:      of each, FMI's names of put, advance and get
     time:       rows made and what is being called → simulated time [s]
     width:      bytes of a row, which count for no limit of memory
+    spent:      [time that has gone by [s]], all but loading, to which that of this job is added
     progress:   told how many rows there are
     """
 
@@ -69,6 +70,7 @@ class Watch:
     time: Callable[[int, int], float] = lambda made, call: 0.0
     limits: Limits = field(default_factory=Limits)
     width: int = 0
+    spent: list[float] = field(default_factory=lambda: [0.0])
     progress: Callable[[int], None] | None = None
 
 
@@ -81,6 +83,7 @@ class Worker:
     def __init__(self, *modules: str) -> None:
         self._modules = modules
         self._process: subprocess.Popen[bytes] | None = None
+        self.spent = [0.0]  # [s] of those jobs whose caller counts them together
         self.starts = 0  # how often it was started: what an earlier process knew is gone
 
     def __enter__(self) -> Self:
@@ -241,7 +244,6 @@ class _Clock:
 
     def __init__(self, watch: Watch, progress: Progress) -> None:
         self.watch, self.progress = watch, progress
-        self.spent = 0.0  # all but loading [s]
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.told = 0
@@ -255,7 +257,7 @@ class _Clock:
         loading, key = self._loading(), self._key()
         if key != self.key or self.progress.doing[0] == NOTHING:
             self.key, self.since = key, now
-        self.spent += 0.0 if loading else now - self.last
+        self.watch.spent[0] += 0.0 if loading else now - self.last
         self.last = now
         self._check(loading, now - self.since, pid)
 
@@ -265,7 +267,7 @@ class _Clock:
         component, at, call = self.place()
         if most is not None and taken > most:
             raise TimedOut(component, at, f"{call} takes longer than {most:g} s (limits: {name})")
-        if limits.total is not None and self.spent > limits.total:
+        if limits.total is not None and self.watch.spent[0] > limits.total:
             said = f"{call} is being called after {limits.total:g} s in all (limits: total)"
             raise TimedOut(component, at, said)
         if limits.memory is not None:

@@ -198,6 +198,7 @@ class DriveApart(Drive):
             lambda made, call: times[min(max(0, made - 1), len(times) - 1)] if times else begin,
             self._limits,
             8 * len(self.outputs),
+            self._worker.spent,
             None if progress is None else lambda made: progress(driven + made),
         )
 

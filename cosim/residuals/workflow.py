@@ -13,6 +13,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import DiskFull, Terminated, stopped
 from cosim.files import FilePath, atomic_write, check_writable, is_full
+from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
@@ -40,13 +41,16 @@ def replay(
     *,
     report: bool = True,
     in_process: bool = False,
+    limits: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
 
     Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
     in_process: the FMU is loaded into this process, for a debugger.
+    limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
+    most = read_limits(limits)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -55,7 +59,14 @@ def replay(
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
         read = log_of_fmu(Path(log), driven)
         return write_replay(
-            Path(folder), read, driven, report=report, passing=fmu is None, worker=worker, progress=progress
+            Path(folder),
+            read,
+            driven,
+            report=report,
+            passing=fmu is None,
+            worker=worker,
+            limits=most,
+            progress=progress,
         )
 
 
@@ -69,13 +80,14 @@ def write_replay(
     report: bool = True,
     passing: bool = False,
     worker: Worker | None = None,
+    limits: Limits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
-    worker: where the FMU runs; in this process without.
+    worker: where the FMU runs, within limits; in this process without.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
@@ -85,7 +97,7 @@ def write_replay(
             progress(min(done, total), total)
 
     told = None if progress is None else tell
-    with Drive(log, fmu, told) if worker is None else DriveApart(worker, log, fmu, told) as drive:
+    with Drive(log, fmu, told) if worker is None else DriveApart(worker, log, fmu, told, limits=limits) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))

@@ -119,7 +119,7 @@ def simulate_apart(
         lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
         limits or Limits(),
         8 * columns,
-        progress,
+        progress=progress,
     )
     said: Sequence[str] = ()
     failure: SimulationError | None = None
