@@ -283,7 +283,11 @@ def entry() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
-    before = signal.signal(signal.SIGTERM, _terminated)
+    ends = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
+    before = {number: signal.getsignal(number) for number in ends}
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:  # nohup
+            signal.signal(number, _terminated)
     try:
         app(standalone_mode=True)
     except CosimError as error:
@@ -296,12 +300,13 @@ def entry() -> None:
         typer.echo(f"error: {error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _terminated(number: int, frame: object) -> None:
     """Asked to end: what is half done is taken away on the way out."""
-    raise Terminated
+    raise Terminated(signal.Signals(number).name)
 
 
 if __name__ == "__main__":

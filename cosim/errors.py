@@ -85,12 +85,12 @@ class Interrupted(SimulationError):
 
 
 class Terminated(BaseException):
-    """Asked to end by SIGTERM; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
+    """Asked to end by a signal; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
 
     exit_code = 4
 
-    def __init__(self) -> None:
-        super().__init__("ended by SIGTERM")
+    def __init__(self, signal: str = "SIGTERM") -> None:
+        super().__init__(f"ended by {signal}")
 
 
 def stopped(stop: BaseException, now: float, what: str = "the run") -> SimulationError:

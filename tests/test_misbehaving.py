@@ -220,6 +220,7 @@ def runs(pid: int) -> bool:
     [
         (signal.SIGINT, "slow", 130, "interrupted from the keyboard"),
         (signal.SIGTERM, "hang", 4, "ended by SIGTERM"),
+        (signal.SIGHUP, "slow", 4, "ended by SIGHUP"),
     ],
 )
 def test_a_run_that_is_stopped_leaves_its_rows_and_no_process(

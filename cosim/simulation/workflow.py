@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import DiskFull, SimulationError
-from cosim.files import FilePath, check_writable, is_full
+from cosim.files import FilePath, check_writable, is_full, uninterrupted
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.results import Results
@@ -113,8 +113,9 @@ def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
 def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
     """What a run leaves, whether or not it came to its end."""
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
-    results.write_csv(folder / "results.csv")
-    write_manifest(folder / "manifest.json", record)
+    with uninterrupted():  # or what was stopped once could be lost by stopping it again
+        results.write_csv(folder / "results.csv")
+        write_manifest(folder / "manifest.json", record)
     if report:
         from cosim.simulation.report import write_report
 
