@@ -259,7 +259,8 @@ def isolated_over_inprocess(place: Path) -> float:
 def worker_seconds(scenario: Path, table: Path) -> float:
     """Called in the worker: seconds for the steps, rows and counters mapped as those of a run are."""
     system = build_system(ScenarioFile(scenario))
-    rows = Rows(mapped_table(table, MANY + 1, len(system.columns)), worker.progress.made, worker.progress.doing)
+    mapped, progress = mapped_table(table, MANY + 1, len(system.columns)), worker.progress
+    rows = Rows(mapped, made=progress.made, doing=progress.doing)
     return loop_seconds(system, MANY, rows)
 
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import pickle
 from array import array
 from collections.abc import MutableSequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,15 +24,49 @@ NOTHING = -1  # is called yet
 BLOCK = 1 << 20  # bytes written at a time where a disk cannot be asked for room
 
 
+class Beside(Protocol):
+    """What a list can do with what stands beside the rows."""
+
+    def append(self, row: tuple[Any, ...], /) -> None:
+        """Keep one more."""
+
+
+class BesideFile:
+    """What stands beside the rows, in a file: another process can read it where this one has ended."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("ab", buffering=0)
+
+    def append(self, row: tuple[Any, ...]) -> None:
+        """Keep one more; OSError where there is no room."""
+        self._stream.write(pickle.dumps(row))
+
+    def close(self) -> None:
+        """No more is kept."""
+        self._stream.close()
+
+
+def read_beside(path: Path, rows: int) -> list[tuple[Any, ...]]:
+    """The first rows of such a file, as many as there are whole."""
+    kept: list[tuple[Any, ...]] = []
+    if path.exists():
+        with path.open("rb") as stream, suppress(EOFError, pickle.UnpicklingError):
+            while len(kept) < rows:
+                kept.append(pickle.load(stream))
+    return kept
+
+
 @dataclass(frozen=True)
 class Rows:
     """A table to be filled, and how far it is.
 
-    made:  [rows that are whole], written after the row
-    doing: [what is being called], written before the call
+    beside: one for each row, appended before it counts: what no double holds
+    made:   [rows that are whole], written after the row
+    doing:  [what is being called], written before the call
     """
 
     table: Array
+    beside: Beside = field(default_factory=list[tuple[Any, ...]])
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
 

@@ -48,7 +48,7 @@ def load(asked: Loaded) -> None:
 
 
 def _mapped(path: Path, rows: int, columns: int) -> Rows:
-    return Rows(mapped_table(path, rows, columns), here.progress.made, here.progress.doing)
+    return Rows(mapped_table(path, rows, columns), made=here.progress.made, doing=here.progress.doing)
 
 
 def ask(number: int, method: str, *arguments: Any) -> Any:

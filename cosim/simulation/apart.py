@@ -16,7 +16,7 @@ from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Watch, Worker, fmi_calls
-from cosim.isolation.rows import GET, Rows, allocate, mapped_table, read_table
+from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_table
 from cosim.isolation.scratch import Held, scratch
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, simulate
@@ -26,7 +26,7 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
-PREFIX, ROWS = ".rows-", "rows"
+PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
 SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
 
 
@@ -76,8 +76,20 @@ def _build(recipe: Recipe) -> System:
     return build_system(_read(recipe), recipe.designed)
 
 
-def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str], SimulationError | None]:
-    """Simulate into the table in a file; what the FMUs said, and why it ended early."""
+@dataclass(frozen=True)
+class Ended:
+    """How the steps ended in a worker; the rows themselves stand in the files.
+
+    last: time of the last row [s], where there is one
+    """
+
+    said: Sequence[str] = ()
+    failure: SimulationError | None = None
+    last: float | None = None
+
+
+def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
+    """Simulate into the table in a file."""
     here.left.append(table.parent)
     file = _read(recipe)
     whole = build_system(file, recipe.designed)
@@ -86,16 +98,19 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> tuple[Sequence[str
     for stage in system.stages:
         here.overheard(stage.component)
     progress = here.progress
-    rows = Rows(mapped_table(table, steps + 1, len(system.columns)), progress.made, progress.doing)
+    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
+    failure: SimulationError | None = None
     try:
-        simulate(system, steps, file.scenario.step, rows=rows)
+        made = simulate(system, steps, file.scenario.step, rows=Rows(mapped, beside, progress.made, progress.doing))
     except StoppedRun as run:
-        return said_of(system), run.error
+        made, failure = run.results, run.error
     except FmuError as error:
-        if is_full(error.__context__):
-            return said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}")
-        raise
-    return said_of(system), None
+        if not is_full(error.__context__):
+            raise
+        return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
+    finally:
+        beside.close()
+    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None)
 
 
 # -- its caller -----------------------------------------------------------------------------------
@@ -121,8 +136,7 @@ def simulate_apart(
         8 * columns,
         progress=progress,
     )
-    said: Sequence[str] = ()
-    failure: SimulationError | None = None
+    ended = Ended()
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
@@ -130,17 +144,19 @@ def simulate_apart(
         stack.callback(held.remove)
         table = held.path / ROWS
         try:
-            said, failure = worker.call(simulate_rows, recipe, count - 1, table, watch=watch)
+            ended = worker.call(simulate_rows, recipe, count - 1, table, watch=watch)
         except SimulationError as error:
-            failure = error
+            ended = Ended(failure=error)
         except (KeyboardInterrupt, Terminated) as stop:
-            failure = stopped(stop, system.start + h * max(0, counters.made[0] - 1))
-        done = counters.made[0]
+            ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
+        done, failure = counters.made[0], ended.failure
         values = read_table(table, done, columns)
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    if failure is None and count <= steps:
+    if done and ended.last is not None:
+        time[done - 1] = ended.last
+    if failure is None and count <= steps and done == count:
         failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
-    return Stepped(Results(time[:done], system.columns, values, system.units), said, failure)
+    return Stepped(Results(time[:done], system.columns, values, system.units), ended.said, failure)
 
 
 def _too_few(count: int, rows: int) -> str:
