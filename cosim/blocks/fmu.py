@@ -1,190 +1,185 @@
-"""An FMI 2.0 co-simulation FMU, loaded by FMPy and stepped without copies.
+"""An FMU, loaded by FMPy and stepped without copies.
 
 FMPy reads, checks, loads and instantiates; in the loop its wrappers give way to the bare functions of
-the library, called on buffers laid out once.
+the library. Reals are moved between the FMU and the row as they are, all other types by way of a buffer.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
+import os
 import shutil
+import sys
 import tempfile
-import zipfile
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.interface import Row, Signal
+from cosim.blocks.description import (
+    Way,
+    library_of,
+    read_description,
+    slips_of,
+    unit_definition,
+    unit_of,
+    ways,
+)
+from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
+from cosim.blocks.interface import EndedEarly, Row, Signal
+from cosim.blocks.kinds import Exchange, element_names, kinds_of
+from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.errors import FmuError, SimulationError
 from fmus.lifetime import let_go_at_exit
 
+__all__ = ["FmuBlock", "read_description", "unit_definition", "unit_of"]
+
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-FATAL = 4
-KEPT_MESSAGES = 50  # of a talkative FMU, the last ones
-TERMINATED = 3  # fmi2StatusKind
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-EXCHANGE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
-STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
-SETTERS: dict[str, tuple[str, Any]] = {
-    "Real": ("Real", ctypes.c_double),
-    "Integer": ("Integer", ctypes.c_int),
-    "Enumeration": ("Integer", ctypes.c_int),
-    "Boolean": ("Boolean", ctypes.c_int),
-    "String": ("String", ctypes.c_char_p),
+WARNING, DISCARD, FATAL = 1, 2, 4
+KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # of a talkative FMU, the last ones; characters
+FOUND: dict[tuple[str, Way], type[Calls]] = {
+    ("1", "co-simulation"): CoSimulation1,
+    ("2", "co-simulation"): CoSimulation2,
+    ("3", "co-simulation"): CoSimulation3,
+    ("2", "model-exchange"): ModelExchange2,
+    ("3", "model-exchange"): ModelExchange3,
 }
 
 
-def read_description(path: Path) -> Any:
-    """FMPy's model description of an FMU that can be co-simulated; FmuError where it cannot."""
-    import fmpy
-
-    try:
-        description = fmpy.read_model_description(str(path))
-    except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: it is not a zip archive") from None
-    except KeyError:
-        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml") from None
-    except Exception as error:  # FMPy raises bare Exceptions, lxml its own
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
-        raise FmuError(f"{path} is FMI {description.fmiVersion}; FMI 2.0 for co-simulation is needed")
-    return description
-
-
-def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """SI exponents, factor and offset of a unit the FMU defines."""
-    for definition in description.unitDefinitions:
-        if definition.name == unit and definition.baseUnit is not None:
-            base = definition.baseUnit
-            return (*(float(getattr(base, name) or 0) for name in BASE_UNITS), base.factor, base.offset)
-    return None
-
-
-def unit_of(variable: Any) -> str:
-    """Unit of a variable, its own or its type's."""
-    unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
-    return unit or ""
-
-
 class FmuBlock:
-    """One FMU instance."""
+    """One FMU instance.
+
+    connected: names of the inputs that are fed; the others keep their start values
+    way:       co-simulation or model exchange; None takes what the FMU offers, co-simulation first
+    tolerance: relative, for its solver; None takes that of its default experiment
+    recorded:  names of further variables that are read at every communication point
+    logging:   its debug messages are asked for
+    """
 
     def __init__(
-        self, name: str, path: Path, description: Any, start: Mapping[str, Any], connected: frozenset[str]
+        self,
+        name: str,
+        path: Path,
+        description: Any,
+        start: Mapping[str, Any],
+        connected: frozenset[str],
+        *,
+        way: Way | None = None,
+        tolerance: float | None = None,
+        recorded: frozenset[str] = frozenset(),
+        logging: bool = False,
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
-        reals = [v for v in description.modelVariables if v.type == "Real"]
-        inputs = [v for v in reals if v.causality == "input"]
-        inputs.sort(key=lambda v: v.name not in connected)  # connected ones first, so that one call sets them
-        outputs = [v for v in reals if v.causality == "output"]
-        self.inputs = tuple(self._signal(v) for v in inputs)
-        self.outputs = tuple(self._signal(v) for v in outputs)
-        self._connected = sum(v.name in connected for v in inputs)
-        self._input_vrs = (ctypes.c_uint * len(inputs))(*(v.valueReference for v in inputs))
-        self._output_vrs = (ctypes.c_uint * len(outputs))(*(v.valueReference for v in outputs))
+        self._logging = logging
+        self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
+        self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
+        self._fmi3 = description.fmiVersion.startswith("3")
+        self._kinds = kinds_of(description.fmiVersion)
+        self._variables = {v.name: v for v in description.modelVariables}
+        self._lay_out(connected, recorded)
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
         self._initialized = False
         self._time = 0.0
 
-    def _signal(self, variable: Any) -> Signal:
-        unit = unit_of(variable)
-        return Signal(variable.name, unit, unit_definition(self.description, unit))
-
     def depends_on(self, name: str) -> bool | None:
+        variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
         declared = True
         for unknown in self.description.outputs:
             if unknown.dependencies is None:
                 declared = False
-            elif any(variable.name == name for variable in unknown.dependencies):
+            elif any(other is variable for other in unknown.dependencies):
                 return True
-        return False if declared else None
+        return False if declared and self.description.fmiVersion != "1.0" else None
 
-    def bind(self, row: Row, first: int) -> None:
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._row = row
-        self._out = slice(first + len(self.inputs), first + len(self.inputs) + len(self.outputs))
-        here = ctypes.addressof(row) + 8 * first
-        self._put_arguments = (ctypes.addressof(self._input_vrs), self._connected, here)
-        self._get_arguments = (ctypes.addressof(self._output_vrs), len(self.outputs), here + 8 * len(self.inputs))
-        self._all_inputs = (ctypes.addressof(self._input_vrs), len(self.inputs), here)
+        self._beside = [None] * len(self.exact_inputs + self.exact_outputs) if beside is None else beside
+        place, exact_place = first, first_beside
+        for exchange in (*self._fed, *self._unfed, *self._read):
+            here = exact_place if exchange.kind.beside else place
+            exchange.places = slice(here, here + exchange.count)
+            if exchange.kind.beside:
+                exact_place += exchange.count
+            else:
+                place += exchange.count
+        address = ctypes.addressof(row)
+
+        def split(exchanges: Sequence[Exchange]) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
+            """Reals that go straight to the row, and all other variables."""
+            reals = next((e for e in exchanges if e.kind.ctype is ctypes.c_double), None)
+            straight = None if reals is None else reals.arguments(self._fmi3, address + 8 * reals.places.start)
+            return straight, tuple(e for e in exchanges if e is not reals)
+
+        self._put_arguments, self._other_puts = split(self._fed)
+        self._get_arguments, self._other_gets = split(self._read)
+        reals = next((e for e in self._read if e.kind.ctype is ctypes.c_double), None)
+        finite = 0 if reals is None else sum(n in self._outputs for n in reals.names)
+        self._out = slice(0, 0) if reals is None else slice(reals.places.start, reals.places.start + finite)
+        self._finite = () if reals is None else reals.names[:finite]
 
     def open(self, start: float, stop: float) -> None:
-        import fmpy
-        from fmpy.fmi1 import FMICallException
-        from fmpy.fmi2 import FMU2Slave
-
-        self._time = start
-        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
-        try:
-            fmpy.extract(str(self.path), str(self._folder))
-            identifier = self.description.coSimulation.modelIdentifier
-            self._fmu = FMU2Slave(
-                guid=self.description.guid,
-                modelIdentifier=identifier,
-                unzipDirectory=str(self._folder),
-                instanceName=self.name,
-            )
-            self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)  # or it gives no reasons
-        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
-            self._fmu = None
-            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
-        let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
-        self._component = self._fmu.component
-        self._bare_functions()
-        try:
-            self._check(self._fmu.setupExperiment(startTime=start, stopTime=stop), "fmi2SetupExperiment")
-            self._set_start_values()
-            self._check(self._fmu.enterInitializationMode(), "fmi2EnterInitializationMode")
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-        self._check(self._get_real(self._component, *self._all_inputs), "fmi2GetReal")
+        self._unpack()
+        self._load()
+        self._begin(start, stop)
 
     def start(self) -> None:
-        from fmpy.fmi1 import FMICallException
-
-        try:
-            self._check(self._fmu.exitInitializationMode(), "fmi2ExitInitializationMode")
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-        self._initialized = True
+        with self._failing():
+            self._calls.leave()
+        self._initialized = self._readable = True
+        self._do_step = self._calls.stepping()
 
     def put(self) -> None:
-        if self._connected:
-            status = self._set_real(self._component, *self._put_arguments)
+        arguments = self._put_arguments
+        if self._watched is not None:
+            self._put_if_changed()
+            return
+        if arguments is not None:
+            status = self._set_real(self._component, *arguments)
             if status:
-                self._fail("fmi2SetReal", status)
+                self._judge(self._real_setter, status)
+        for exchange in self._other_puts:
+            self._write(exchange)
 
     def get(self) -> None:
-        status = self._get_real(self._component, *self._get_arguments)
-        if status:
-            self._fail("fmi2GetReal", status)
-        values = self._row[self._out]
-        if not math.isfinite(sum(values)):
-            for signal, value in zip(self.outputs, values, strict=True):
-                if not math.isfinite(value):
-                    raise SimulationError(f"{self.name}.{signal.name}", self._time, f"the value is {value}")
+        if not self._readable:
+            return
+        arguments = self._get_arguments
+        if arguments is not None:
+            status = self._get_real(self._component, *arguments)
+            if status:
+                self._judge(self._real_getter, status)
+            values = self._row[self._out]
+            if not math.isfinite(sum(values)):
+                for name, value in zip(self._finite, values, strict=True):
+                    if not math.isfinite(value):
+                        raise SimulationError(f"{self.name}.{name}", self._time, f"the value is {value}")
+        for exchange in self._other_gets:
+            self._read_in(exchange)
 
     def advance(self, t: float, h: float) -> None:
         status = self._do_step(self._component, t, h, 1)
         self._time = t + h
         if status:
             self._time = t
-            self._fail("fmi2DoStep", status)
+            self._judge(self._step_name, status)
+            self._time = t + h
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """Set tunable parameters and inputs while it runs."""
+        with self._failing():
+            self._calls.inputs_changed(lambda: self._set(values))
+        for exchange in self._unfed:
+            self._read_in(exchange)
 
     def close(self) -> None:
-        fmu, self._fmu = self._fmu, None
-        if fmu is not None:
-            try:
-                if self._initialized:
-                    fmu.terminate()
-            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
-                self.log.append(str(error))
-            fmu.freeInstance()
+        self._unload()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
@@ -193,67 +188,298 @@ class FmuBlock:
         """The FMU's last log message, on one line."""
         return " ".join(self.log[-1].split()) if self.log else ""
 
-    # -- within -------------------------------------------------------------------------------
+    # -- layout -------------------------------------------------------------------------------
+
+    def _lay_out(self, connected: frozenset[str], recorded: frozenset[str]) -> None:
+        """Exchanges of inputs that are fed, of the others, and of what is read: outputs before what is recorded."""
+        supported = [v for v in self.description.modelVariables if v.type in self._kinds]
+        inputs = [v for v in supported if v.causality == "input"]
+        fed = [v for v in inputs if not connected.isdisjoint({v.name, *element_names(v)})]
+        outputs = [v for v in supported if v.causality == "output"]
+        others = [v for v in supported if v.name in recorded and v.causality not in {"input", "output"}]
+        self._outputs = frozenset(n for v in outputs for n in element_names(v))
+        self._fed = self._exchanges(fed)
+        self._unfed = self._exchanges([v for v in inputs if all(v is not f for f in fed)])
+        self._read = self._exchanges([*outputs, *others])
+        row = [e for e in (*self._fed, *self._unfed) if not e.kind.beside]
+        beside = [e for e in (*self._fed, *self._unfed) if e.kind.beside]
+        self.inputs, self.exact_inputs = self._signals(row), self._signals(beside)
+        self.outputs = self._signals([e for e in self._read if not e.kind.beside])
+        self.exact_outputs = self._signals([e for e in self._read if e.kind.beside])
+
+    def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
+        """One for each type, that of the row's doubles first."""
+        groups: dict[Any, list[Any]] = {}
+        for variable in variables:
+            groups.setdefault(self._kinds[variable.type], []).append(variable)
+        kinds = sorted(groups, key=lambda kind: kind.ctype is not ctypes.c_double)
+        return tuple(Exchange(kind, groups[kind]) for kind in kinds)
+
+    def _signals(self, exchanges: Iterable[Exchange]) -> tuple[Signal, ...]:
+        return tuple(self._signal(v, name) for e in exchanges for v in e.variables for name in element_names(v))
+
+    def _signal(self, variable: Any, name: str) -> Signal:
+        unit, declared = unit_of(variable), variable.declaredType
+        items = {i.name: int(i.value) for i in declared.items} if variable.type == "Enumeration" and declared else None
+        relative = variable.relativeQuantity
+        if relative is None:
+            relative = bool(declared is not None and declared.relativeQuantity)
+        local = variable.causality not in {"input", "output"}
+        array = variable.name if variable.shape else ""
+        meaning = unit_definition(self.description, unit)
+        return Signal(name, unit, meaning, variable.type, items, array, local, relative)
+
+    # -- life ---------------------------------------------------------------------------------
+
+    def _unpack(self) -> None:
+        import fmpy
+
+        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+        try:
+            fmpy.extract(str(self.path), str(self._folder))
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+            raise FmuError(f"{self.path} does not load: {error}") from None
+
+    def _load(self) -> None:
+        assert self._folder is not None
+        here = os.getcwd()
+        try:
+            library, warning = library_of(self._folder, self.description, self._calls.identifier)
+            if warning:
+                self._remember(warning)
+            try:
+                self._calls.load(self._folder, library)
+            except Exception as error:
+                if "undefined symbol" not in str(error) or not offer_libm():
+                    raise
+                self._calls.load(self._folder, library)
+            # pythonfmu gives its reasons to who asks for debugging, and to nobody else
+            talks = self._logging or "pythonfmu" in (self.description.generationTool or "").lower()
+            self._calls.instantiate(self._listen, talks)
+            if talks and not self._logging:
+                self._calls.limit_logging()
+        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
+            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+        finally:
+            os.chdir(here)  # FMPy loads from within the FMU's folder
+        self._fmu, self._component = self._calls.fmu, self._calls.fmu.component
+        let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
+        self._bare_functions()
+
+    def _begin(self, start: float, stop: float) -> None:
+        """Enter initialization at `start`."""
+        self._time, self._initialized = start, False
+        self._calls.start_time, self._calls.stop_time = start, stop
+        self._readable = self._calls.readable_before_start
+        with self._failing():
+            self._calls.prepare()
+            self._set(self.start_values)
+            self._calls.enter()
+            # again, for some FMUs (20-sim) forget what they were given before
+            self._set({n: v for n, v in self.start_values.items() if self._given_again(n)})
+        if self._readable:
+            for exchange in (*self._fed, *self._unfed):
+                self._read_in(exchange)
+        else:
+            self._show_start_values()
+        model_exchange = isinstance(self._calls, ModelExchange2)
+        self._watched: list[Any] | None = [] if model_exchange and self._fed else None
+
+    def _given_again(self, name: str) -> bool:
+        variable = self._variables.get(name)
+        return (
+            self._readable
+            and variable is not None
+            and (variable.causality == "input" or variable.initial == "exact")
+            and variable.causality != "structuralParameter"
+        )
+
+    def _unload(self) -> None:
+        fmu, self._fmu = self._fmu, None
+        if fmu is not None:
+            try:
+                if self._initialized:
+                    fmu.terminate()
+            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
+                self.log.append(str(error))
+            fmu.freeInstance()
+        self._initialized = False
 
     def _bare_functions(self) -> None:
-        library = self._fmu.dll
+        calls = self._calls
+        real = "Float64" if self._fmi3 else "Real"
+        self._real_setter, self._real_getter = f"{calls.prefix}Set{real}", f"{calls.prefix}Get{real}"
+        self._step_name = f"{calls.prefix}DoStep"
+        self._set_real, self._get_real = (
+            calls.bare(calls.exchange, f"Set{real}"),
+            calls.bare(calls.exchange, f"Get{real}"),
+        )
+        self._setters: dict[str, Any] = {}
+        self._getters: dict[str, Any] = {}
+        for exchange in (*self._fed, *self._unfed, *self._read):
+            kind = exchange.kind.function
+            if exchange.buffer is not None and kind not in self._getters:
+                self._getters[kind] = calls.bare(calls.exchange, f"Get{kind}")
+                self._setters[kind] = calls.bare(calls.exchange, f"Set{kind}")
 
-        def bare(prototype: Any, name: str) -> Any:
-            return prototype(ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
+    # -- values -------------------------------------------------------------------------------
 
-        self._set_real = bare(EXCHANGE, "fmi2SetReal")
-        self._get_real = bare(EXCHANGE, "fmi2GetReal")
-        self._do_step = bare(STEP, "fmi2DoStep")
+    def _target(self, exchange: Exchange) -> Any:
+        return self._beside if exchange.kind.beside else self._row
 
-    def _callbacks(self) -> Any:
-        from fmpy import calloc, fmi2, free
-
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._listen)
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        try:
-            from fmpy.logging import addLoggerProxy  # formats the variadic arguments of C
-        except ImportError:
-            return callbacks
-        addLoggerProxy(ctypes.byref(callbacks))
-        return callbacks
-
-    def _listen(self, _: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-        self.log.append((message or b"").decode("utf-8", "replace"))
-
-    def _set_start_values(self) -> None:
-        by_name = {v.name: v for v in self.description.modelVariables}
-        for name, value in self.start_values.items():
-            variable = by_name[name]
-            kind, ctype = SETTERS[variable.type]
-            given = value.encode() if isinstance(value, str) else value
-            function = f"fmi2Set{kind}"
-            # FMPy's own setters do not hand the status on, and a Warning is no OK
-            status = getattr(self._fmu, function)(
-                self._component, (ctypes.c_uint * 1)(variable.valueReference), 1, (ctype * 1)(given)
-            )
-            self._check(status, f"{function} of {name}")
-
-    def _check(self, status: int, function: str) -> None:
+    def _read_in(self, exchange: Exchange) -> None:
+        """Values of the FMU to where they stand."""
+        function = exchange.kind.function
+        if exchange.buffer is None:
+            with self._failing():
+                self._target(exchange)[exchange.places] = self._fmu.getBinary(exchange.vrs, exchange.count)
+            return
+        status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
-            self._fail(function, status)
+            self._judge(f"{self._calls.prefix}Get{function}", status)
+        self._target(exchange)[exchange.places] = exchange.decoded()
+
+    def _write(self, exchange: Exchange) -> None:
+        """Values from where they stand to the FMU."""
+        function, values = exchange.kind.function, self._target(exchange)[exchange.places]
+        if exchange.buffer is None:
+            with self._failing():
+                self._fmu.setBinary(exchange.vrs, values)
+            return
+        try:
+            exchange.encode(values)
+        except ValueError as error:
+            name, _, why = str(error).partition(": ")
+            raise SimulationError(f"{self.name}.{name}", self._time, f"the input {why} of its type") from None
+        status = self._setters[function](self._component, *exchange.arguments(self._fmi3))
+        if status:
+            self._judge(f"{self._calls.prefix}Set{function}", status)
+
+    def _put_if_changed(self) -> None:
+        """Of model exchange: inputs that are what they were are no event."""
+        values = [self._target(e)[e.places] for e in self._fed]
+        if values == self._watched:
+            return
+        self._watched = values
+        with self._failing():
+            self._calls.inputs_changed(self._put_all)
+
+    def _put_all(self) -> None:
+        if self._put_arguments is not None:
+            status = self._set_real(self._component, *self._put_arguments)
+            if status:
+                self._judge(self._real_setter, status)
+        for exchange in self._other_puts:
+            self._write(exchange)
+
+    def _set(self, values: Mapping[str, Any]) -> None:
+        """Give variables values, arrays as lists of theirs."""
+        for name, value in values.items():
+            variable = self._variables[name]
+            exchange = Exchange(self._kinds[variable.type], [variable])
+            given = value if isinstance(value, (list, tuple)) else [value] * exchange.count
+            function = f"{self._calls.prefix}Set{exchange.kind.function}"
+            if exchange.buffer is None:
+                self._fmu.setBinary(exchange.vrs, [bytes.fromhex(v) if isinstance(v, str) else v for v in given])
+                continue
+            exchange.encode(given)
+            # FMPy's own setters do not hand the status on
+            setter = self._calls.bare(self._calls.exchange, f"Set{exchange.kind.function}")
+            if status := setter(self._component, *exchange.arguments(self._fmi3)):
+                self._judge(f"{function} of {name}", status)
+
+    def _show_start_values(self) -> None:
+        """Of FMI 1.0, whose inputs cannot be read yet: what they start from."""
+        for exchange in (*self._fed, *self._unfed):
+            text = exchange.kind.function == "String"
+            shown: list[Any] = []
+            for variable in exchange.variables:
+                value = self.start_values.get(variable.name, variable.start)
+                if exchange.kind.function == "Boolean" and isinstance(value, str):
+                    value = value.strip() in {"true", "1"}
+                shown.append(str(value or "") if text else float(value or 0.0))
+            self._target(exchange)[exchange.places] = shown
+
+    # -- what goes wrong ----------------------------------------------------------------------
+
+    def _listen(self, status: int, message: bytes | None) -> None:
+        """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
+        if status >= WARNING or self._logging:
+            self._remember((message or b"").decode("utf-8", "replace"))
+
+    def _remember(self, text: str) -> None:
+        text = text[:LONGEST_MESSAGE]
+        if text in self.log:  # a warning at every step is one
+            self.log.remove(text)
+        self.log.append(text)
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Tell which of FMPy's calls failed."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            yield
+        except FMICallException as error:
+            self._judge(error.function, error.status)
+
+    def _judge(self, function: str, status: int) -> None:
+        """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed."""
+        if status == WARNING:
+            self._remember(f"{function} returned Warning")
+            return
+        if status == DISCARD and function == self._step_name and (reached := self._calls.ended(self._time)) is not None:
+            reason = f"{function} returned Discard: the FMU ended the simulation early"
+            words = self.last_words()
+            raise EndedEarly(self.name, reached, f"{reason}: {words}" if words else reason, readable=True)
+        self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
         """Tell which call failed and why. After Fatal the instance is not touched again, as FMI demands."""
         reason = f"{function} returned {STATUS[status] if 0 <= status < len(STATUS) else status}"
         if status == FATAL:
             self._fmu = None
-        elif function == "fmi2DoStep" and self._ended():
-            reason += ": the FMU ended the simulation early"
         if "KeyboardInterrupt" in self.last_words():  # it came while the FMU's Python ran
             raise KeyboardInterrupt
         if words := self.last_words():
             reason += f": {words}"
         raise SimulationError(self.name, self._time, reason)
 
-    def _ended(self) -> bool:
-        try:
-            return bool(self._fmu.getBooleanStatus(TERMINATED))
-        except Exception:  # the function is optional
-            return False
+    def names_any(self, pattern: str) -> bool:
+        """A pattern such as `plant.*` names a variable of it."""
+        return any(named(pattern, self.name, name) for name in self._variables)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be known of the FMU before it runs."""
+        slips = slips_of(self.description)
+        found = []
+        if slips:
+            more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
+            found.append(f"{self.name}: {self.path.name} breaks FMI's rules, which is passed over: {slips[0]}{more}")
+        kinds = {v.type for v in self.description.modelVariables} - self._kinds.keys()
+        if kinds:
+            found.append(f"{self.name}: variables of type {', '.join(sorted(kinds))} are not supported and left alone")
+        return tuple(found)
+
+
+def named(pattern: str, component: str, variable: str) -> bool:
+    """A pattern with * in it names a variable; brackets stand for themselves, as in names of arrays."""
+    return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
+
+
+def default_tolerance(description: Any) -> float | None:
+    """The relative tolerance that an FMU's default experiment asks for."""
+    experiment = description.defaultExperiment
+    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
+
+
+def offer_libm() -> bool:
+    """Let libraries see libm that use its functions without saying so; false where there is none of its own."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        ctypes.CDLL("libm.so.6", mode=ctypes.RTLD_GLOBAL)
+    except OSError:
+        return False
+    return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cosim.blocks.interface import Row, Signal
 from cosim.blocks.profile import Profile, profile_function
@@ -18,6 +19,8 @@ class Source:
     def __init__(self, name: str, signals: Mapping[str, tuple[str, Callable[[float], float]]]) -> None:
         self.name = name
         self.inputs: tuple[Signal, ...] = ()
+        self.exact_inputs: tuple[Signal, ...] = ()
+        self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
         self._functions = tuple(function for _, function in signals.values())
         self._t = 0.0
@@ -25,7 +28,7 @@ class Source:
     def depends_on(self, name: str) -> bool | None:
         return False
 
-    def bind(self, row: Row, first: int) -> None:
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._row, self._first = row, first
 
     def open(self, start: float, stop: float) -> None:

@@ -47,14 +47,16 @@ def stages(
             return _sorted(components, edges, immediate), immediate, tuple(notes)
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
-            undeclared = sorted(
-                {
-                    target
+            undeclared = [
+                component
+                for component in components  # in the order of the file
+                if component in cycle
+                and any(
+                    target == component and source in cycle and components[target].depends_on(name) is None
                     for source, target, name in edges
-                    if target in cycle and source in cycle and components[target].depends_on(name) is None
-                }
-            )
-            if len(undeclared) != 1:
+                )
+            ]
+            if not undeclared or undeclared[0] in held:
                 raise AlgebraicLoop(cycle) from None
             held.add(undeclared[0])
             notes.append(

@@ -75,6 +75,7 @@ def run(
         record["criteria"] = evaluate(file.scenario, results)
     else:
         record["status"] = f"failed: {failure}"
+    record["warnings"] += results.notes
     record["warnings"] += [
         f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())
     ]
