@@ -67,9 +67,9 @@ class Calls(ABC):
 
     def limit_logging(self) -> None:
         """Of the FMU's debug categories keep those that tell what went wrong."""
-        wanted = ("warning", "error", "fatal", "discard", "logall")
+        wanted = ("warning", "error", "fatal", "discard", "logall")  # the last for pythonfmu, silent without it
         names = [c.name for c in self.description.logCategories]
-        kept = [name for name in names if any(word in name.lower() for word in wanted[:4])]
+        kept = [name for name in names if any(word in name.lower() for word in wanted)]
         if kept and len(kept) < len(names):
             self.fmu.setDebugLogging(True, kept)
 

@@ -143,8 +143,10 @@ class _Run:
         cycle = self._cycle()
         period, done = len(cycle), self.done
         try:
+            next_t = begin
             for k in range(1, self.steps + 1):
-                t = begin + (k - 1) * h
+                t, next_t = next_t, begin + k * h
+                length = next_t - t  # h but for its rounding, so that each step begins where the one before ended
                 active, (held, held_noisy, held_through) = cycle[k % period]
                 for component, every, plain, noisy, through in active:
                     for source, target in plain:
@@ -155,9 +157,9 @@ class _Run:
                         goal[target] = function(k, origin[source])
                     component.put()
                     if every == 1:
-                        component.advance(t, h)
+                        component.advance(t, length)
                     else:
-                        component.advance(begin + (k - every) * h, every * h)
+                        component.advance(since := begin + (k - every) * h, next_t - since)
                     component.get()
                 for source, target in held:
                     row[target] = row[source]
