@@ -13,7 +13,7 @@ import shutil
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -74,6 +74,8 @@ class FmuBlock:
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
+        # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
+        self.nominal_step = "pythonfmu" in (description.generationTool or "").lower()
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
         self._logging = logging
         self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
@@ -118,7 +120,7 @@ class FmuBlock:
             return straight, tuple(e for e in exchanges if e is not reals)
 
         self._put_arguments, self._other_puts = split(self._fed)
-        self._get_arguments, self._other_gets = split(self._read)
+        self._reading = split(self._read)
         reals = next((e for e in self._read if e.kind.ctype is ctypes.c_double), None)
         finite = 0 if reals is None else sum(n in self._outputs for n in reals.names)
         self._out = slice(0, 0) if reals is None else slice(reals.places.start, reals.places.start + finite)
@@ -132,24 +134,17 @@ class FmuBlock:
     def start(self) -> None:
         with self._failing():
             self._calls.leave()
-        self._initialized = self._readable = True
+        self._initialized = True
+        self._get_arguments, self._other_gets = self._reading
         self._do_step = self._calls.stepping()
 
     def put(self) -> None:
-        arguments = self._put_arguments
         if self._watched is not None:
             self._put_if_changed()
-            return
-        if arguments is not None:
-            status = self._set_real(self._component, *arguments)
-            if status:
-                self._judge(self._real_setter, status)
-        for exchange in self._other_puts:
-            self._write(exchange)
+        elif self._fed:
+            self._put_all()
 
     def get(self) -> None:
-        if not self._readable:
-            return
         arguments = self._get_arguments
         if arguments is not None:
             status = self._get_real(self._component, *arguments)
@@ -157,19 +152,42 @@ class FmuBlock:
                 self._judge(self._real_getter, status)
             values = self._row[self._out]
             if not math.isfinite(sum(values)):
-                for name, value in zip(self._finite, values, strict=True):
-                    if not math.isfinite(value):
-                        raise SimulationError(f"{self.name}.{name}", self._time, f"the value is {value}")
-        for exchange in self._other_gets:
-            self._read_in(exchange)
+                self._not_finite(values)
+        if self._other_gets:
+            for exchange in self._other_gets:
+                self._read_in(exchange)
 
     def advance(self, t: float, h: float) -> None:
         status = self._do_step(self._component, t, h, 1)
-        self._time = t + h
         if status:
             self._time = t
             self._judge(self._step_name, status)
+        self._time = t + h
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        put = self.put if self._fed else None
+        if self._get_arguments is None or self._other_gets:
+            return put, self.advance, self.get
+        # the same as `advance` and `get`, with everything looked up beforehand
+        do_step, get_real, instance = self._do_step, self._get_real, self._component
+        arguments, row, out, isfinite = self._get_arguments, self._row, self._out, math.isfinite
+
+        def advance(t: float, h: float) -> None:
+            status = do_step(instance, t, h, 1)
+            if status:
+                self._time = t
+                self._judge(self._step_name, status)
             self._time = t + h
+
+        def get() -> None:
+            status = get_real(instance, *arguments)
+            if status:
+                self._judge(self._real_getter, status)
+            values = row[out]
+            if not isfinite(sum(values)):
+                self._not_finite(values)
+
+        return put, advance, get
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs while it runs."""
@@ -254,7 +272,7 @@ class FmuBlock:
                     raise
                 self._calls.load(self._folder, library)
             # pythonfmu gives its reasons to who asks for debugging, and to nobody else
-            talks = self._logging or "pythonfmu" in (self.description.generationTool or "").lower()
+            talks = self._logging or self.nominal_step
             self._calls.instantiate(self._listen, talks)
             if talks and not self._logging:
                 self._calls.limit_logging()
@@ -270,14 +288,15 @@ class FmuBlock:
         """Enter initialization at `start`."""
         self._time, self._initialized = start, False
         self._calls.start_time, self._calls.stop_time = start, stop
-        self._readable = self._calls.readable_before_start
+        readable = self._calls.readable_before_start
+        self._get_arguments, self._other_gets = self._reading if readable else (None, ())
         with self._failing():
             self._calls.prepare()
             self._set(self.start_values)
             self._calls.enter()
             # again, for some FMUs (20-sim) forget what they were given before
             self._set({n: v for n, v in self.start_values.items() if self._given_again(n)})
-        if self._readable:
+        if readable:
             for exchange in (*self._fed, *self._unfed):
                 self._read_in(exchange)
         else:
@@ -288,7 +307,7 @@ class FmuBlock:
     def _given_again(self, name: str) -> bool:
         variable = self._variables.get(name)
         return (
-            self._readable
+            self._calls.readable_before_start
             and variable is not None
             and (variable.causality == "input" or variable.initial == "exact")
             and variable.causality != "structuralParameter"
@@ -399,6 +418,11 @@ class FmuBlock:
                     value = value.strip() in {"true", "1"}
                 shown.append(str(value or "") if text else float(value or 0.0))
             self._target(exchange)[exchange.places] = shown
+
+    def _not_finite(self, values: Sequence[float]) -> None:
+        for name, value in zip(self._finite, values, strict=True):
+            if not math.isfinite(value):
+                raise SimulationError(f"{self.name}.{name}", self._time, f"the value is {value}")
 
     # -- what goes wrong ----------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -80,6 +80,7 @@ class Component(Protocol):
     outputs: tuple[Signal, ...]
     exact_inputs: tuple[Signal, ...]
     exact_outputs: tuple[Signal, ...]
+    nominal_step: bool  # its steps are of one length; else each ends at the very number at which the next begins
 
     def depends_on(self, name: str) -> bool | None:
         """Does an output at a time depend on this input at the same time? None: not declared."""
@@ -101,6 +102,9 @@ class Component(Protocol):
 
     def advance(self, t: float, h: float) -> None:
         """Step from `t` to `t + h` [s]; EndedEarly where the component ends the simulation."""
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        """What does as put, advance and get once it has started, faster; no put where no input is connected."""
 
     def close(self) -> None:
         """Free everything; may be called at any time, more than once."""

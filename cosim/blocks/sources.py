@@ -16,6 +16,8 @@ from fmus.units import computed_in
 class Source:
     """Signals that are functions of time."""
 
+    nominal_step = True
+
     def __init__(self, name: str, signals: Mapping[str, tuple[str, Callable[[float], float]]]) -> None:
         self.name = name
         self.inputs: tuple[Signal, ...] = ()
@@ -46,6 +48,9 @@ class Source:
 
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        return None, self.advance, self.get
 
     def close(self) -> None:
         pass

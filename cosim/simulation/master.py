@@ -8,13 +8,14 @@ A component with a longer step of its own makes it at the end of that step; unti
 from __future__ import annotations
 
 import ctypes
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from cosim.blocks.interface import Component, EndedEarly
+from cosim.blocks.interface import EndedEarly
 from cosim.errors import SimulationError
 from cosim.results import Results
 from cosim.simulation.schedule import Stage
@@ -27,8 +28,12 @@ Noisy = tuple[tuple[int, int, list[float]], ...]
 Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
 Copies = tuple[Plain, Noisy, Through]
 Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
-Active = tuple[Component, int, Plain, Noisy, Through]  # with the number of steps that are one of its own
-Round = tuple[tuple[Active, ...], Copies]
+# put, advance and get of a component; the number of steps that are one of its own, and the length of that, 0.0 of one
+# from communication point to communication point
+Active = tuple[
+    Callable[[], None], Callable[[float, float], None], Callable[[], None], int, float, Plain, Noisy, Through
+]
+Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
 EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
 MOST_SWEEPS = 1000  # after which initial values that still change are called an error
 SETTLED = 1e-12  # relative change of a sweep
@@ -138,38 +143,39 @@ class _Run:
 
     def _step_on(self) -> None:
         """All steps. What is called in here decides the time that a run takes."""
-        row, h, begin, after = self.row, self.h, self.system.start, self.after
+        row, h, begin, after, memmove = self.row, self.h, self.system.start, self.after, ctypes.memmove
         here, there, size = ctypes.addressof(row), self.table.ctypes.data, ctypes.sizeof(row)
-        cycle = self._cycle()
-        period, done = len(cycle), self.done
+        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
+        done, next_t = self.done, begin
         try:
-            next_t = begin
-            for k in range(1, self.steps + 1):
+            for k, (active, held, held_noisy, held_through) in zip(range(1, self.steps + 1), rounds, strict=False):
                 t, next_t = next_t, begin + k * h
-                length = next_t - t  # h but for its rounding, so that each step begins where the one before ended
-                active, (held, held_noisy, held_through) = cycle[k % period]
-                for component, every, plain, noisy, through in active:
+                for put, advance, get, every, length, plain, noisy, through in active:
                     for source, target in plain:
                         row[target] = row[source]
                     for source, target, samples in noisy:
                         row[target] = row[source] + samples[k]
-                    for origin, source, goal, target, function in through:
-                        goal[target] = function(k, origin[source])
-                    component.put()
+                    if through:
+                        for origin, source, goal, target, function in through:
+                            goal[target] = function(k, origin[source])
+                    if put is not None:
+                        put()
                     if every == 1:
-                        component.advance(t, length)
+                        advance(t, length or next_t - t)
                     else:
-                        component.advance(since := begin + (k - every) * h, next_t - since)
-                    component.get()
+                        advance(since := begin + (k - every) * h, length or next_t - since)
+                    get()
                 for source, target in held:
                     row[target] = row[source]
                 for source, target, samples in held_noisy:
                     row[target] = row[source] + samples[k]
-                for origin, source, goal, target, function in held_through:
-                    goal[target] = function(k, origin[source])
-                for call in after:
-                    call(k)
-                ctypes.memmove(there + k * size, here, size)
+                if held_through:
+                    for origin, source, goal, target, function in held_through:
+                        goal[target] = function(k, origin[source])
+                if after:
+                    for call in after:
+                        call(k)
+                memmove(there + k * size, here, size)
                 done = k + 1
         finally:
             self.done = done
@@ -227,7 +233,7 @@ class _Run:
             if key not in made:
                 made[key] = (
                     tuple(self._active(stage) for stage in stepping),
-                    self._copies(t for t in held if k % every[t.name.partition(".")[0]] == 0),
+                    *self._copies(t for t in held if k % every[t.name.partition(".")[0]] == 0),
                 )
             return made[key]
 
@@ -235,7 +241,8 @@ class _Run:
 
     def _active(self, stage: Stage) -> Active:
         component = stage.component
-        return component, stage.every, *self.pulls[component.name]
+        length = stage.every * self.h if component.nominal_step else 0.0
+        return *component.calls(), stage.every, length, *self.pulls[component.name]
 
     def _copies(self, transfers: Iterable[Transfer]) -> Copies:
         """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
