@@ -31,7 +31,7 @@ Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
 # put, advance and get of a component; the number of steps that are one of its own, and the length of that, 0.0 of one
 # from communication point to communication point
 Active = tuple[
-    Callable[[], None], Callable[[float, float], None], Callable[[], None], int, float, Plain, Noisy, Through
+    Callable[[], None] | None, Callable[[float, float], None], Callable[[], None], int, float, Plain, Noisy, Through
 ]
 Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
 EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
