@@ -185,8 +185,9 @@ def height(t: float) -> float:
     return speed * (t - since) - 9.81 / 2 * (t - since) ** 2
 
 
-def test_model_exchange_locates_the_bounces_of_a_ball(tmp_path: Path) -> None:
-    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange"}
+@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
+def test_model_exchange_locates_the_bounces_of_a_ball(tmp_path: Path, solver: str) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange", "solver": solver}
     results = results_of(scenario(tmp_path, {"a": a}, duration=2, step=0.05, tolerance=1e-8))
     # 1e-8 a step, some hundred steps of the solver
     assert results["a.h"] == pytest.approx([height(t) for t in results.time], abs=2e-6)

@@ -32,6 +32,7 @@ from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
 from cosim.blocks.interface import EndedEarly, Row, Signal
 from cosim.blocks.kinds import Exchange, element_names, kinds_of
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
+from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.lifetime import let_go_at_exit
 
@@ -57,6 +58,7 @@ class FmuBlock:
     tolerance: relative, for its solver; None takes that of its default experiment
     recorded:  names of further variables that are read at every communication point
     logging:   its debug messages are asked for
+    solver:    of model exchange
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class FmuBlock:
         tolerance: float | None = None,
         recorded: frozenset[str] = frozenset(),
         logging: bool = False,
+        solver: Solver | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
@@ -80,6 +83,8 @@ class FmuBlock:
         self._logging = logging
         self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
+        if isinstance(self._calls, ModelExchange2):
+            self._calls.solver_name = solver
         self._fmi3 = description.fmiVersion.startswith("3")
         self._kinds = kinds_of(description.fmiVersion)
         self._variables = {v.name: v for v in description.modelVariables}

@@ -1,12 +1,11 @@
-"""Model exchange: the FMU gives derivatives, CVODE integrates them between events, as in FMPy.
+"""Model exchange: the FMU gives derivatives, a solver integrates them between events, CVODE as in FMPy.
 
-Events are of state (an event indicator crosses zero, located by CVODE), of time (the FMU names the next one) and
+Events are of state (an event indicator crosses zero, located by the solver), of time (the FMU names the next one) and
 of step (the FMU asks for one after a step of the solver); inputs that change are one too.
 """
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from math import isclose
 from typing import Any
@@ -14,12 +13,12 @@ from typing import Any
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step
 from cosim.blocks.interface import EndedEarly
+from cosim.blocks.solvers import Solver, solver
 from cosim.errors import SimulationError
 
 TOLERANCE = 1e-5  # relative, where nobody says another; FMPy's
 LONGEST = 50  # the solver's steps are at most this part of the whole time, as FMPy's
 MOST_EVENTS = 1000  # updates of discrete states at one time
-DISCARD = 2
 
 
 class ModelExchange2(Calls):
@@ -31,6 +30,7 @@ class ModelExchange2(Calls):
         super().__init__(name, description)
         self.time, self.next_event = 0.0, None
         self.solver: Any = None
+        self.solver_name: Solver | None = None
         self._started = False
 
     next_event: float | None
@@ -68,11 +68,11 @@ class ModelExchange2(Calls):
     # -- within -------------------------------------------------------------------------------
 
     def _solver(self) -> Any:
-        return cvode(
+        return solver(
+            self.solver_name,
             self.fmu,
             states=self.description.numberOfContinuousStates,
             indicators=self.description.numberOfEventIndicators,
-            derivatives=getattr(self.fmu, "getContinuousStateDerivatives", None) or self.fmu.getDerivatives,
             start=self.start_time,
             longest=(self.stop_time - self.start_time) / LONGEST,
             tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
@@ -151,65 +151,3 @@ class ModelExchange3(ModelExchange2):
 
     def _updated(self) -> Any:
         return self.fmu.updateDiscreteStates()
-
-
-class Held:
-    """Inputs as FMPy's solver asks for them: they are held over a communication step."""
-
-    def apply(self, time: float) -> None:
-        """Nothing changes."""
-
-
-def cvode(
-    fmu: Any,
-    *,
-    states: int,
-    indicators: int,
-    derivatives: Any,
-    start: float,
-    longest: float,
-    tolerance: float,
-) -> Any:
-    """FMPy's CVODE on an FMU, whose failing calls are kept as `failed`: no exception passes through C."""
-    from fmpy.fmi1 import FMICallException
-    from fmpy.sundials import CVodeSolver
-
-    class Solver(CVodeSolver):  # type: ignore[misc]
-        failed: Exception | None = None
-
-        def f(self, *arguments: Any) -> int:
-            return self._caught(super().f, arguments)
-
-        def g(self, *arguments: Any) -> int:
-            return self._caught(super().g, arguments)
-
-        def _caught(self, function: Any, arguments: Any) -> int:
-            try:
-                return int(function(*arguments))
-            except FMICallException as error:
-                if error.status == DISCARD:
-                    return 1  # CVODE tries a shorter step
-                self.failed = error
-            return -1
-
-    def nominals(where: Any, count: int) -> None:
-        fmu.getNominalsOfContinuousStates(where, count)
-        values = ctypes.cast(where, ctypes.POINTER(ctypes.c_double))
-        for k in range(count):
-            if values[k] == 0.0:  # the FMU knows none; CVODE needs some
-                values[k] = 1.0
-
-    return Solver(
-        nx=states,
-        nz=indicators,
-        get_x=fmu.getContinuousStates,
-        set_x=fmu.setContinuousStates,
-        get_dx=derivatives,
-        get_z=fmu.getEventIndicators,
-        get_nominals=nominals,
-        set_time=fmu.setTime,
-        input=Held(),
-        startTime=start,
-        maxStep=longest,
-        relativeTolerance=tolerance,
-    )

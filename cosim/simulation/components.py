@@ -80,6 +80,7 @@ def _fmu(
         tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
         recorded=recorded(scenario.record, name, description),
         logging=component.logging,
+        solver=component.solver,
     )
 
 

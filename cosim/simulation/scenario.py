@@ -94,6 +94,7 @@ class FmuComponent(Part):
     step:      its communication step [s], a whole multiple of the scenario's
     tolerance: relative, of its solver
     logging:   its debug messages are asked for
+    solver:    of model exchange
     """
 
     fmu: str
@@ -102,6 +103,7 @@ class FmuComponent(Part):
     step: Positive | None = None
     tolerance: Positive | None = None
     logging: bool = False
+    solver: Literal["cvode", "solve_ivp"] | None = None
     sha256: str | None = None
 
 
