@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import zipfile
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -92,6 +95,28 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
         held = ", ".join(p.name for p in libraries)
         raise FmuError(f"none of its libraries is {named.name}, as its modelIdentifier says: {held}")
     raise FmuError(f"it has no library for {within.name}; it has some for {', '.join(platforms) or 'no platform'}")
+
+
+def named(pattern: str, component: str, variable: str) -> bool:
+    """A pattern with * in it names a variable; brackets stand for themselves, as in names of arrays."""
+    return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
+
+
+def default_tolerance(description: Any) -> float | None:
+    """The relative tolerance that an FMU's default experiment asks for."""
+    experiment = description.defaultExperiment
+    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
+
+
+def offer_libm() -> bool:
+    """Let libraries see libm that use its functions without saying so; false where there is none of its own."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        ctypes.CDLL("libm.so.6", mode=ctypes.RTLD_GLOBAL)
+    except OSError:
+        return False
+    return True
 
 
 # -- units ----------------------------------------------------------------------------------------

@@ -10,18 +10,19 @@ import ctypes
 import math
 import os
 import shutil
-import sys
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from cosim.blocks.description import (
     Way,
+    default_tolerance,
     library_of,
+    named,
+    offer_libm,
     read_description,
     slips_of,
     unit_definition,
@@ -29,14 +30,15 @@ from cosim.blocks.description import (
     ways,
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
-from cosim.blocks.interface import EndedEarly, Row, Signal
-from cosim.blocks.kinds import Exchange, element_names, kinds_of
+from cosim.blocks.interface import EndedEarly, Row
+from cosim.blocks.kinds import Exchange
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
+from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.lifetime import let_go_at_exit
 
-__all__ = ["FmuBlock", "read_description", "unit_definition", "unit_of"]
+__all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
@@ -85,10 +87,11 @@ class FmuBlock:
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
-        self._fmi3 = description.fmiVersion.startswith("3")
-        self._kinds = kinds_of(description.fmiVersion)
+        self._ports = ports = Ports(description, connected, recorded)
+        self._fmi3, self._kinds = ports.fmi3, ports.kinds
         self._variables = {v.name: v for v in description.modelVariables}
-        self._lay_out(connected, recorded)
+        self.inputs, self.outputs = ports.inputs, ports.outputs
+        self.exact_inputs, self.exact_outputs = ports.exact_inputs, ports.exact_outputs
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
@@ -106,30 +109,14 @@ class FmuBlock:
         return False if declared and self.description.fmiVersion != "1.0" else None
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        self._row = row
-        self._beside = [None] * len(self.exact_inputs + self.exact_outputs) if beside is None else beside
-        place, exact_place = first, first_beside
-        for exchange in (*self._fed, *self._unfed, *self._read):
-            here = exact_place if exchange.kind.beside else place
-            exchange.places = slice(here, here + exchange.count)
-            if exchange.kind.beside:
-                exact_place += exchange.count
-            else:
-                place += exchange.count
+        exact = len(self.exact_inputs) + len(self.exact_outputs)
+        self._row, self._beside = row, [None] * exact if beside is None else beside
+        ports = self._ports
+        ports.place(first, first_beside)
         address = ctypes.addressof(row)
-
-        def split(exchanges: Sequence[Exchange]) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
-            """Reals that go straight to the row, and all other variables."""
-            reals = next((e for e in exchanges if e.kind.ctype is ctypes.c_double), None)
-            straight = None if reals is None else reals.arguments(self._fmi3, address + 8 * reals.places.start)
-            return straight, tuple(e for e in exchanges if e is not reals)
-
-        self._put_arguments, self._other_puts = split(self._fed)
-        self._reading = split(self._read)
-        reals = next((e for e in self._read if e.kind.ctype is ctypes.c_double), None)
-        finite = 0 if reals is None else sum(n in self._outputs for n in reals.names)
-        self._out = slice(0, 0) if reals is None else slice(reals.places.start, reals.places.start + finite)
-        self._finite = () if reals is None else reals.names[:finite]
+        self._put_arguments, self._other_puts = ports.split(ports.fed, address)
+        self._reading = ports.split(ports.read, address)
+        self._out, self._finite = ports.real_outputs()
 
     def open(self, start: float, stop: float) -> None:
         self._unpack()
@@ -146,7 +133,7 @@ class FmuBlock:
     def put(self) -> None:
         if self._watched is not None:
             self._put_if_changed()
-        elif self._fed:
+        elif self._ports.fed:
             self._put_all()
 
     def get(self) -> None:
@@ -170,7 +157,7 @@ class FmuBlock:
         self._time = t + h
 
     def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        put = self.put if self._fed else None
+        put = self.put if self._ports.fed else None
         if self._get_arguments is None or self._other_gets:
             return put, self.advance, self.get
         # the same as `advance` and `get`, with everything looked up beforehand
@@ -198,7 +185,7 @@ class FmuBlock:
         """Set tunable parameters and inputs while it runs."""
         with self._failing():
             self._calls.inputs_changed(lambda: self._set(values))
-        for exchange in self._unfed:
+        for exchange in self._ports.unfed:
             self._read_in(exchange)
 
     def close(self) -> None:
@@ -210,47 +197,6 @@ class FmuBlock:
     def last_words(self) -> str:
         """The FMU's last log message, on one line."""
         return " ".join(self.log[-1].split()) if self.log else ""
-
-    # -- layout -------------------------------------------------------------------------------
-
-    def _lay_out(self, connected: frozenset[str], recorded: frozenset[str]) -> None:
-        """Exchanges of inputs that are fed, of the others, and of what is read: outputs before what is recorded."""
-        supported = [v for v in self.description.modelVariables if v.type in self._kinds]
-        inputs = [v for v in supported if v.causality == "input"]
-        fed = [v for v in inputs if not connected.isdisjoint({v.name, *element_names(v)})]
-        outputs = [v for v in supported if v.causality == "output"]
-        others = [v for v in supported if v.name in recorded and v.causality not in {"input", "output"}]
-        self._outputs = frozenset(n for v in outputs for n in element_names(v))
-        self._fed = self._exchanges(fed)
-        self._unfed = self._exchanges([v for v in inputs if all(v is not f for f in fed)])
-        self._read = self._exchanges([*outputs, *others])
-        row = [e for e in (*self._fed, *self._unfed) if not e.kind.beside]
-        beside = [e for e in (*self._fed, *self._unfed) if e.kind.beside]
-        self.inputs, self.exact_inputs = self._signals(row), self._signals(beside)
-        self.outputs = self._signals([e for e in self._read if not e.kind.beside])
-        self.exact_outputs = self._signals([e for e in self._read if e.kind.beside])
-
-    def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
-        """One for each type, that of the row's doubles first."""
-        groups: dict[Any, list[Any]] = {}
-        for variable in variables:
-            groups.setdefault(self._kinds[variable.type], []).append(variable)
-        kinds = sorted(groups, key=lambda kind: kind.ctype is not ctypes.c_double)
-        return tuple(Exchange(kind, groups[kind]) for kind in kinds)
-
-    def _signals(self, exchanges: Iterable[Exchange]) -> tuple[Signal, ...]:
-        return tuple(self._signal(v, name) for e in exchanges for v in e.variables for name in element_names(v))
-
-    def _signal(self, variable: Any, name: str) -> Signal:
-        unit, declared = unit_of(variable), variable.declaredType
-        items = {i.name: int(i.value) for i in declared.items} if variable.type == "Enumeration" and declared else None
-        relative = variable.relativeQuantity
-        if relative is None:
-            relative = bool(declared is not None and declared.relativeQuantity)
-        local = variable.causality not in {"input", "output"}
-        array = variable.name if variable.shape else ""
-        meaning = unit_definition(self.description, unit)
-        return Signal(name, unit, meaning, variable.type, items, array, local, relative)
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -302,12 +248,12 @@ class FmuBlock:
             # again, for some FMUs (20-sim) forget what they were given before
             self._set({n: v for n, v in self.start_values.items() if self._given_again(n)})
         if readable:
-            for exchange in (*self._fed, *self._unfed):
+            for exchange in self._ports.inward:
                 self._read_in(exchange)
         else:
             self._show_start_values()
         model_exchange = isinstance(self._calls, ModelExchange2)
-        self._watched: list[Any] | None = [] if model_exchange and self._fed else None
+        self._watched: list[Any] | None = [] if model_exchange and self._ports.fed else None
 
     def _given_again(self, name: str) -> bool:
         variable = self._variables.get(name)
@@ -340,7 +286,7 @@ class FmuBlock:
         )
         self._setters: dict[str, Any] = {}
         self._getters: dict[str, Any] = {}
-        for exchange in (*self._fed, *self._unfed, *self._read):
+        for exchange in (*self._ports.inward, *self._ports.read):
             kind = exchange.kind.function
             if exchange.buffer is not None and kind not in self._getters:
                 self._getters[kind] = calls.bare(calls.exchange, f"Get{kind}")
@@ -381,7 +327,7 @@ class FmuBlock:
 
     def _put_if_changed(self) -> None:
         """Of model exchange: inputs that are what they were are no event."""
-        values = [self._target(e)[e.places] for e in self._fed]
+        values = [self._target(e)[e.places] for e in self._ports.fed]
         if values == self._watched:
             return
         self._watched = values
@@ -414,7 +360,7 @@ class FmuBlock:
 
     def _show_start_values(self) -> None:
         """Of FMI 1.0, whose inputs cannot be read yet: what they start from."""
-        for exchange in (*self._fed, *self._unfed):
+        for exchange in self._ports.inward:
             text = exchange.kind.function == "String"
             shown: list[Any] = []
             for variable in exchange.variables:
@@ -490,25 +436,3 @@ class FmuBlock:
         if kinds:
             found.append(f"{self.name}: variables of type {', '.join(sorted(kinds))} are not supported and left alone")
         return tuple(found)
-
-
-def named(pattern: str, component: str, variable: str) -> bool:
-    """A pattern with * in it names a variable; brackets stand for themselves, as in names of arrays."""
-    return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
-
-
-def default_tolerance(description: Any) -> float | None:
-    """The relative tolerance that an FMU's default experiment asks for."""
-    experiment = description.defaultExperiment
-    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
-
-
-def offer_libm() -> bool:
-    """Let libraries see libm that use its functions without saying so; false where there is none of its own."""
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        ctypes.CDLL("libm.so.6", mode=ctypes.RTLD_GLOBAL)
-    except OSError:
-        return False
-    return True
