@@ -13,6 +13,7 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.results import Results
+from cosim.simulation.coupling import coupling_error
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
@@ -174,6 +175,13 @@ def test_an_fmu_that_ends_the_simulation_leaves_a_row_for_that_time(tmp_path: Pa
     assert any("a ended the simulation at t = 0.55 s" in w for w in outcome.manifest["warnings"])
 
 
+def test_a_criterion_on_a_time_that_was_not_reached_is_missed(tmp_path: Path) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "start": {"end_at": 0.5}}
+    criteria = {"peak": {"of": "a.r_out", "after": 0.7, "max": 1}}
+    outcome = run(scenario(tmp_path, {"a": a}, criteria=criteria), tmp_path / "out", report=False)
+    assert [c["value"] for c in outcome.missed] == [None]
+
+
 def height(t: float) -> float:
     """Of a ball dropped from 1 m that keeps 0.7 of its speed at each bounce."""
     fall = math.sqrt(2 / 9.81)
@@ -251,6 +259,18 @@ def test_a_fault_acts_on_its_connection_between_its_times(
     assert results["r.u"].tolist() == [0, 1, 2, 3, 4, 5]
 
 
+def test_the_report_marks_where_a_fault_acts(tmp_path: Path) -> None:
+    ramp = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0, "to": 9, "rate": 1}]}}}
+    components = {"r": ramp, "a": {"fmu": str(typed_fmu(tmp_path))}}
+    faults = [{"on": "a.r_in", "kind": "bias", "value": 10, "from": 0.2, "to": 0.4}]
+    run(scenario(tmp_path, components, (("r.u", "a.r_in"),), faults=faults), tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("fault: bias 10.0 from 0.2 s to 0.4 s") >= 2  # at its plot and at its connection
+    unmarked = scenario(tmp_path, components, (("r.u", "a.r_in"),))
+    run(unmarked, tmp_path / "out")
+    assert "fault: " not in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(tmp_path: Path) -> None:
     components = {"a": {"fmu": str(typed_fmu(tmp_path))}}
     faults = [{"on": "a.r_in", "kind": "bias"}, {"on": "a.r_in", "kind": "freeze", "from": 7}]
@@ -282,3 +302,15 @@ def test_the_order_used_stands_in_the_manifest(tmp_path: Path) -> None:
     path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))
     run(path, tmp_path / "out", report=False)
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["order"] == ["b", "a"]
+
+
+def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) -> None:
+    # two balls, the second lifted by the height of the first: ∫∫ of an input held over h is off by about h/2 of it
+    ball = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange", "tolerance": 1e-9}
+    wires = (("a.h", "b.r_in"), ("b.h", "a.r_in"))
+    errors = []
+    for step in (0.02, 0.01):
+        path = scenario(tmp_path, {"a": ball, "b": ball}, wires, duration=0.4, step=step)
+        errors.append(coupling_error(ScenarioFile(path)).of["a.h"])
+    assert 1e-5 < errors[1] < errors[0]
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)  # of first order
