@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from cosim.files import FilePath
 from cosim.results import Results
+from cosim.simulation.design import designed_values
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
@@ -34,6 +37,12 @@ class CouplingError:
             return f"coupling error not known: with half the step {self.stopped}"
         shown = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
         return f"coupling error, by halving the step, at most: {shown or 'nothing is connected'}"
+
+
+def coupling_error_of(scenario: FilePath, overrides: Sequence[str] = ()) -> CouplingError:
+    """The coupling error of a scenario file. Raises InputError, FmuError."""
+    file = ScenarioFile(Path(scenario), overrides)
+    return coupling_error(file, designed_values(file))
 
 
 def coupling_error(file: ScenarioFile, designed: Mapping[str, Mapping[str, float]] | None = None) -> CouplingError:
