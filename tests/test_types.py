@@ -297,6 +297,19 @@ def test_loops_that_declare_nothing_are_cut_in_the_order_of_the_file(tmp_path: P
     assert any("a does not declare" in warning for warning in system.warnings)
 
 
+def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
+    # r_out follows r_in, h does not: a loop over h is none, so it needs no order and no warning
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    wires = (("a.h", "b.r_in"), ("b.r_out", "a.r_in"))
+    system = system_of(scenario(tmp_path, {"b": fmu, "a": fmu}, wires))
+    assert [stage.component.name for stage in system.stages] == ["a", "b"]
+    assert not any("declare" in warning for warning in system.warnings)
+    assert any(
+        "algebraic loop" in f
+        for f in faults_of(scenario(tmp_path, {"b": fmu, "a": fmu}, (("a.r_out", "b.r_in"), wires[1])))
+    )
+
+
 def test_the_order_used_stands_in_the_manifest(tmp_path: Path) -> None:
     fmu = {"fmu": str(typed_fmu(tmp_path))}
     path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))

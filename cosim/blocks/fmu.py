@@ -12,7 +12,7 @@ import os
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from cosim.blocks.description import (
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
 from cosim.blocks.interface import EndedEarly, Row
-from cosim.blocks.kinds import Exchange
+from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
@@ -98,10 +98,14 @@ class FmuBlock:
         self._initialized = False
         self._time = 0.0
 
-    def depends_on(self, name: str) -> bool | None:
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
         declared = True
         for unknown in self.description.outputs:
+            if outputs is not None and not any(
+                n in outputs for n in (unknown.variable.name, *element_names(unknown.variable))
+            ):
+                continue
             if unknown.dependencies is None:
                 declared = False
             elif any(other is variable for other in unknown.dependencies):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -82,8 +82,8 @@ class Component(Protocol):
     exact_outputs: tuple[Signal, ...]
     nominal_step: bool  # its steps are of one length; else each ends at the very number at which the next begins
 
-    def depends_on(self, name: str) -> bool | None:
-        """Does an output at a time depend on this input at the same time? None: not declared."""
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
+        """Does an output, of all or of some, at a time depend on this input at the same time? None: not declared."""
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Tell where in the row, and beside it, the component's signals stand, inputs first."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ class Source:
         self._functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
-    def depends_on(self, name: str) -> bool | None:
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         return False
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:

@@ -75,7 +75,8 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
 
 def _edge(connection: Connection) -> Edge:
     target, _, variable = connection.target.partition(".")
-    return connection.source.partition(".")[0], target, variable
+    source, _, output = connection.source.partition(".")
+    return source, target, variable, output
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
