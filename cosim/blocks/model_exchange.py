@@ -80,9 +80,7 @@ class ModelExchange2(Calls):
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
         """To the communication point, over as many events as come."""
-        # the communication points are counted, so that the solver is asked for the very times that others ask for
-        end = self.start_time + round((t + h - self.start_time) / h) * h
-        end = end if isclose(end, t + h, rel_tol=1e-12) else t + h
+        end = t + h
         while self.time < end and not isclose(self.time, end):
             target, at_event = end, False
             if (event := self.next_event) is not None:
