@@ -11,6 +11,7 @@ import argparse
 import hashlib
 import json
 import math
+import re
 import subprocess
 import sys
 import tempfile
@@ -224,6 +225,36 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def page(rows: list[dict[str, Any]]) -> str:
+    """The matrix with a line for each FMU, as docs/foreign-fmus.md has it."""
+    lines = ["| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|"]
+    fmus: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        fmus.setdefault(row["fmu"] + row.get("sha256", ""), {})[row["way"]] = row
+    for each in fmus.values():
+        first = next(iter(each.values()))
+        name = first["fmu"].removesuffix(".fmu").rpartition("resources_")[2].rpartition("fmus_")[2].replace("|", "/")
+        tool = " ".join(first.get("tool", "?").split())[:34]
+        cells = (_outcome(each.get(way)) for way in ("co-simulation", "model-exchange"))
+        lines.append(
+            f"| {name} {first.get('sha256', '')[:6]} | {tool} | {first.get('fmi', '?')} | {' | '.join(cells)} |"
+        )
+    return "\n".join(lines)
+
+
+def _outcome(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "–"
+    runs, reference = row.get("cosim") == "runs", row.get("fmpy") == "runs"
+    if runs and reference:
+        itself = f", FMPy from itself {row['itself']:.0e}" if row.get("itself") else ""
+        return "equal" if row["difference"] == 0 else f"{row['difference']:.0e}{itself}"
+    if runs:
+        return "runs, FMPy does not"
+    why = re.sub(r"\S*/\S*/|\|", "", str(row.get("cosim", "?")).removeprefix("fails: "))
+    return f"{'refused' if not reference else 'LOST'}: {' '.join(why.split())[:140]}"
+
+
 def summary(rows: list[dict[str, Any]]) -> str:
     """How many run, and how near they come."""
     both = [r for r in rows if r.get("fmpy") == "runs"]
@@ -243,6 +274,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--page", action="store_true", help="end with the table of the docs")
+    parser.add_argument("--from", dest="read", type=Path, help="show what --json left, without running")
     parser.add_argument("--one", nargs=3, metavar=("FMU", "WAY", "ANSWER"))
     parser.add_argument("--only", default="", help="part of the FMU's path")
     given = parser.parse_args()
@@ -250,7 +283,7 @@ def main() -> int:
         path, way, answer = given.one
         Path(answer).write_text(json.dumps(one(Path(path), way)))
         return 0
-    rows = []
+    rows = [] if given.read is None else json.loads(given.read.read_text())
     for path in fmus_in(given.folders):
         if given.only in str(path):
             for way in ways_of(path):
@@ -258,7 +291,7 @@ def main() -> int:
                 print(table(rows[-1:]).splitlines()[-1], flush=True)
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))
-    print()
+    print(f"\n{page(rows)}\n" if given.page else "")
     print(f"FMPy {version('fmpy')}, Python {sys.version.split()[0]}, {sys.platform}")
     print(summary(rows))
     lost = Counter(r["fmu"] for r in rows if r.get("fmpy") == "runs" and r.get("cosim") != "runs")
