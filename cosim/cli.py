@@ -67,6 +67,9 @@ def run(
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     in_process: InProcess = False,
+    coupling: Annotated[
+        bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
+    ] = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
     from cosim.simulation.criteria import sentence
@@ -82,6 +85,10 @@ def run(
         typer.echo(f"warning: {warning}", err=True)
     for criterion in outcome.manifest["criteria"]:
         say(sentence(criterion))
+    if coupling:
+        from cosim.simulation.coupling import coupling_error_of
+
+        say(coupling_error_of(scenario, overrides).sentence)
     say(f"results: {out / 'results.csv'}")
     if report:
         say(f"report:  {out / 'report.html'}")

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
@@ -87,7 +88,7 @@ class Drive:
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
         self.variables = {v.name for v in self.description.modelVariables}
-        self.variable_step = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
+        self.variable_step = takes_any_step(self.description)
         self._table = np.column_stack([log.inputs[name] for name in self.inputs]) if self.inputs else np.empty((0, 0))
         self._commands = self._table.tolist()
         self._ramps = np.array([name in interpolated for name in self.inputs], bool)

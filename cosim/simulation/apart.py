@@ -16,10 +16,10 @@ from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Watch, Worker, fmi_calls
-from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_table
+from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_beside, read_table
 from cosim.isolation.scratch import Held, scratch
 from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.master import StoppedRun, results_of, simulate
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.own_process import in_own_processes
 from cosim.simulation.scenario_file import ScenarioFile
@@ -86,6 +86,7 @@ class Ended:
     said: Sequence[str] = ()
     failure: SimulationError | None = None
     last: float | None = None
+    notes: Sequence[str] = ()
 
 
 def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
@@ -110,7 +111,7 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
         return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
     finally:
         beside.close()
-    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None)
+    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
 
 
 # -- its caller -----------------------------------------------------------------------------------
@@ -151,12 +152,13 @@ def simulate_apart(
             ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
         done, failure = counters.made[0], ended.failure
         values = read_table(table, done, columns)
+        beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     if done and ended.last is not None:
         time[done - 1] = ended.last
     if failure is None and count <= steps and done == count:
         failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
-    return Stepped(Results(time[:done], system.columns, values, system.units), ended.said, failure)
+    return Stepped(results_of(system, time[:done], values, beside, ended.notes), ended.said, failure)
 
 
 def _too_few(count: int, rows: int) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from cosim.blocks.interface import Component, Row, Signal
+from cosim.errors import FmuError
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Watch, Worker, fmi_calls
@@ -50,6 +51,12 @@ def exchange(name: str, inputs: Sequence[float], step: tuple[float, float] | Non
     return row[len(inputs) :]
 
 
+def change(name: str, values: dict[str, Any]) -> None:
+    """Give it an event's values."""
+    component: Any = _held[name][0]
+    component.change(values)
+
+
 def close(name: str) -> list[str]:
     """Free it; what it said."""
     component, _ = _held.pop(name)
@@ -67,6 +74,9 @@ class OwnProcess:
         self.name: str = component.name
         self.inputs: tuple[Signal, ...] = component.inputs
         self.outputs: tuple[Signal, ...] = component.outputs
+        self.exact_inputs: tuple[Signal, ...] = component.exact_inputs
+        self.exact_outputs: tuple[Signal, ...] = component.exact_outputs
+        self.nominal_step: bool = component.nominal_step
         self.description = getattr(component, "description", None)
         self.log: deque[str] = deque(getattr(component, "log", ()))
         self._component, self._build, self._limits = component, build, limits
@@ -74,11 +84,19 @@ class OwnProcess:
         self._time = 0.0
         self._loaded = False
 
-    def depends_on(self, name: str) -> bool | None:
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         """As the component says."""
-        return self._component.depends_on(name)
+        return self._component.depends_on(name, outputs)
 
-    def bind(self, row: Row, first: int) -> None:
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        """Put, advance and get."""
+        return self.put, self.advance, self.get
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """An event's values."""
+        self._call(OTHER, change, self.name, dict(values))
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Tell where its signals stand."""
         self._row, middle = row, first + len(self.inputs)
         self._in, self._out = slice(first, middle), slice(middle, middle + len(self.outputs))
@@ -86,6 +104,8 @@ class OwnProcess:
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the component in it."""
         self._time = start
+        if self.exact_inputs or self.exact_outputs:
+            raise FmuError(f"{self.name} exchanges text, binary data or 64-bit integers: not in a process of its own")
         self._worker.start()
         values = self._call(OTHER, load, self._build, self.name, start, stop)
         self._row[self._in.start : self._out.stop] = values

@@ -91,7 +91,7 @@ def run(
             record["criteria"] = evaluate(file.scenario, results)
         else:
             record["status"] = f"failed: {failure}"
-        record["warnings"] += stepped.said
+        record["warnings"] += [*results.notes, *stepped.said]
         if worker is None and limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
         try:
