@@ -310,11 +310,13 @@ def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
     )
 
 
-def test_the_order_used_stands_in_the_manifest(tmp_path: Path) -> None:
+def test_the_order_used_and_names_of_items_stand_in_the_manifest(tmp_path: Path) -> None:
     fmu = {"fmu": str(typed_fmu(tmp_path))}
     path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))
     run(path, tmp_path / "out", report=False)
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["order"] == ["b", "a"]
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["order"] == ["b", "a"]
+    assert manifest["items"]["a.e_out"] == {"first": 1, "second": 2}  # what the numbers of its column are called
 
 
 def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) -> None:
