@@ -251,7 +251,7 @@ def _outcome(row: dict[str, Any] | None) -> str:
         return "equal" if row["difference"] == 0 else f"{row['difference']:.0e}{itself}"
     if runs:
         return "runs, FMPy does not"
-    why = re.sub(r"\S*/\S*/|\|", "", str(row.get("cosim", "?")).removeprefix("fails: "))
+    why = re.sub(r"\S+\.yaml:\d+:\d+: |\S*/\S*/|\S+\.fmu |\|", "", str(row.get("cosim", "?")).removeprefix("fails: "))
     return f"{'refused' if not reference else 'LOST'}: {' '.join(why.split())[:140]}"
 
 

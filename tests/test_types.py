@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import math
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cosim.errors import InputError
+from cosim.errors import FmuError, InputError
 from cosim.results import Results
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.master import StoppedRun, simulate
@@ -289,6 +290,26 @@ def test_a_library_of_another_name_and_slips_of_the_schema_are_warnings(tmp_path
     assert "sloppy" in told
 
 
+def test_of_several_libraries_none_is_guessed(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, **{'modelIdentifier="typed" canHandle': 'modelIdentifier="other" canHandle'})
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.writestr("binaries/linux64/second.so", b"")
+    with pytest.raises(
+        FmuError, match=r"none of its libraries is other\.so, as its modelIdentifier says: second\.so, typed\.so"
+    ):
+        results_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))
+
+
+def test_what_cannot_be_run_is_said_before_the_run(tmp_path: Path) -> None:
+    only = typed_fmu(
+        tmp_path, 3, **{"<CoSimulation": "<ScheduledExecution", ' canHandleVariableCommunicationStepSize="true"': ""}
+    )
+    assert "is FMI 3.0 for scheduled execution" in faults_of(scenario(tmp_path, {"a": {"fmu": str(only)}}))[0]
+    fmu = typed_fmu(tmp_path, 3)
+    path = scenario(tmp_path, {"a": {"fmu": str(fmu), "interface": "model-exchange"}})
+    assert "offers co-simulation only" in faults_of(path)[0]
+
+
 def test_loops_that_declare_nothing_are_cut_in_the_order_of_the_file(tmp_path: Path) -> None:
     loose = {' dependencies="1"': ""}
     fmu = {"fmu": str(typed_fmu(tmp_path, **loose))}
@@ -310,11 +331,13 @@ def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
     )
 
 
-def test_the_order_used_stands_in_the_manifest(tmp_path: Path) -> None:
+def test_the_order_used_and_names_of_items_stand_in_the_manifest(tmp_path: Path) -> None:
     fmu = {"fmu": str(typed_fmu(tmp_path))}
     path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))
     run(path, tmp_path / "out", report=False)
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["order"] == ["b", "a"]
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["order"] == ["b", "a"]
+    assert manifest["items"]["a.e_out"] == {"first": 1, "second": 2}  # what the numbers of its column are called
 
 
 def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) -> None:

@@ -161,7 +161,7 @@ class FmuBlock:
         self._time = t + h
 
     def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        put = self.put if self._ports.fed else None
+        put = self._bare_put() if self._ports.fed else None
         if self._get_arguments is None or self._other_gets:
             return put, self.advance, self.get
         # the same as `advance` and `get`, with everything looked up beforehand
@@ -184,6 +184,19 @@ class FmuBlock:
                 self._not_finite(values)
 
         return put, advance, get
+
+    def _bare_put(self) -> Callable[[], None]:
+        """As `put`, with everything looked up beforehand where all inputs go straight from the row."""
+        arguments, set_real, instance = self._put_arguments, self._set_real, self._component
+        if self._watched is not None or self._other_puts or arguments is None:
+            return self.put
+
+        def put() -> None:
+            status = set_real(instance, *arguments)
+            if status:
+                self._judge(self._real_setter, status)
+
+        return put
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs while it runs."""

@@ -21,7 +21,7 @@ class EndedEarly(SimulationError):
     readable: its outputs hold for that time
     """
 
-    def __init__(self, component: str, reached: float, reason: str, *, readable: bool) -> None:
+    def __init__(self, component: str, reached: float, reason: str, *, readable: bool = False) -> None:
         super().__init__(component, reached, reason)
         self.reached, self.readable = reached, readable
 

@@ -76,6 +76,7 @@ def manifest(
         "design": resolved(file.scenario).get("design"),
         "seed": scenario.seed,
         "order": [stage.component.name for stage in system.stages],
+        "items": {column: dict(s.items) for column, s in system.signals.items() if s.items},
         "fmus": {
             name: {
                 "path": str(path),

@@ -102,6 +102,8 @@ class _Run:
             self._record_first()
             self._step_on()
         except EndedEarly as end:
+            if not self.done:
+                raise StoppedRun(end, self._so_far()) from None  # before it began
             self._end(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             error = stopped(stop, float(self.time[max(0, self.done - 1)]))
