@@ -5,8 +5,9 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 
-.PHONY: run test refine bench blind check clean fmus
+.PHONY: run test refine bench blind crash check clean fmus
 N ?= 24
+CRASHES ?= 200
 .DEFAULT_GOAL := run
 
 $(RUNTIME): pyproject.toml
@@ -37,6 +38,9 @@ refine: $(RUNTIME)
 
 blind: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N)
+
+crash: $(TESTING)
+	$(BIN)/python -m tests.crash $(CRASHES)
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
@@ -16,16 +18,22 @@ import numpy as np
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.blocks.noise import gaussian, stream
+from cosim.isolation import worker
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Watch, Worker
+from cosim.isolation.rows import Rows, allocate, mapped_table
 from cosim.simulation.master import PROGRESS_EVERY, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from fmus.build import build
+from fmus.native.compiler import compiler
 from fmus.recipes import controller_recipe, plant_recipe
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.integrate import Stepper
 
 H = 0.02
 STEPS = 1000
+MANY = 100_000  # steps of FMUs that take next to no time
 ROUNDS = 9
 IMPORTS = "import numpy, fmpy, filterpy.kalman"
 NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
@@ -88,6 +96,8 @@ def bench() -> dict[str, float]:
             "startup_over_import": startup_over_import(place),
             "ten_times_the_steps": ten_times_the_steps(place),
         }
+        if compiler() is not None:
+            figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
     return {name: round(value, 3) for name, value in figures.items()}
 
 
@@ -98,10 +108,10 @@ def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = R
     return median(a for a, _ in pairs) / median(b for _, b in pairs)
 
 
-def loop_seconds(system: System, steps: int) -> float:
+def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
     """Seconds the master takes for the steps alone, loading and unloading left out."""
     marks: list[float] = []
-    simulate(system, steps, H, lambda k: marks.append(time.perf_counter()))
+    simulate(system, steps, H, lambda k: marks.append(time.perf_counter()), rows)
     return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY)
 
 
@@ -227,3 +237,61 @@ def ten_times_the_steps(place: Path) -> float:
     return ratio(
         lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=5
     )
+
+
+def isolated_over_inprocess(place: Path) -> float:
+    """Time of steps in a worker that is watched over their time in this process: two FMUs of C, 20 variables."""
+    scenario = native_scenario(place)
+    file, table = ScenarioFile(scenario), place / "rows"
+    system = build_system(file)
+    columns = len(system.columns)
+    watch = Watch([s.component.name for s in system.stages], limits=Limits(step=60.0, memory=1e10), width=8 * columns)
+    allocate(table, 8 * (MANY + 1) * columns)
+    with Worker(__name__) as other:
+
+        def isolated() -> float:
+            seconds: float = other.call(worker_seconds, scenario, table, watch=watch)
+            return seconds
+
+        return ratio(isolated, lambda: loop_seconds(build_system(file), MANY), rounds=5)
+
+
+def worker_seconds(scenario: Path, table: Path) -> float:
+    """Called in the worker: seconds for the steps, rows and counters mapped as those of a run are."""
+    system = build_system(ScenarioFile(scenario))
+    mapped, progress = mapped_table(table, MANY + 1, len(system.columns)), worker.progress
+    rows = Rows(mapped, made=progress.made, doing=progress.doing)
+    return loop_seconds(system, MANY, rows)
+
+
+def native_scenario(place: Path) -> Path:
+    """Two FMUs of C, compiled now, each of whose outputs is an input of the other."""
+    library = place / "lags.so"
+    source = Path(__file__).with_name("bench_fmu.c")
+    flags = ["-O2", "-shared", "-fPIC"]
+    subprocess.run([*(compiler() or ()), *flags, "-o", str(library), str(source)], check=True, capture_output=True)
+    system = {"Linux": "linux64", "Darwin": "darwin64", "Windows": "win64"}[platform.system()]
+    suffix = {"Linux": ".so", "Darwin": ".dylib", "Windows": ".dll"}[platform.system()]
+    variables = [
+        f'<ScalarVariable name="{name}{k}" valueReference="{first + k}" causality="{causality}">'
+        f"<Real{start}/></ScalarVariable>"
+        for name, first, causality, start in (("u", 0, "input", ' start="0"'), ("y", 5, "output", ""))
+        for k in range(5)
+    ]
+    unknowns = "".join(f'<Unknown index="{k}" dependencies=""/>' for k in range(6, 11))
+    description = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="lags" guid="lags">'
+        '<CoSimulation modelIdentifier="lags" canHandleVariableCommunicationStepSize="true"/>'
+        f"<ModelVariables>{''.join(variables)}</ModelVariables>"
+        f"<ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure></fmiModelDescription>"
+    )
+    with zipfile.ZipFile(place / "lags.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        archive.write(library, f"binaries/{system}/lags{suffix}")
+    links = [f"  - {{from: {a}.y{k}, to: {b}.u{k}}}\n" for a, b in ("ab", "ba") for k in range(5)]
+    path = place / "lags.yaml"
+    path.write_text(
+        f"name: lags\nduration: {MANY * H}\nstep: {H}\ncomponents: {{a: {{fmu: lags.fmu}}, b: {{fmu: lags.fmu}}}}\n"
+        f"connections:\n{''.join(links)}"
+    )
+    return path

@@ -2,51 +2,65 @@
 
 from __future__ import annotations
 
+import json
 import os
+import tempfile
 import zipfile
 from collections.abc import Iterable
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from cosim.blocks.fmu import read_description
-from cosim.errors import Fault, FmuError, InputError
+from cosim.errors import Crashed, Fault, FmuError, InputError, TimedOut
 from cosim.files import FilePath
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
 from cosim.refinement.study import read_study
 from cosim.registry import BASE
+from cosim.simulation.apart import MODULES, Recipe, simulate_apart
+from cosim.simulation.components import Designed
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.simulation.system import System, build_system
 from cosim.yaml_file import YamlFile
 from plant.model import Model
 from plant.traits import Traits
 
+LONGEST = 60.0  # [s] that a call may take while an FMU is tried
+STEP, STEPS = 0.01, 500  # [s] of an FMU that says nothing, steps in the experiment of one that says no step
 
-def check_files(files: FilePath | Iterable[FilePath], model: str = BASE) -> list[str]:
+
+def check_files(files: FilePath | Iterable[FilePath], model: str = BASE, *, load: bool = True) -> list[str]:
     """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
 
+    load: FMUs and scenarios are loaded and stepped once, in a worker process
     What is to be known and no fault, a line each; InputError with all faults of all files.
     """
     faults: list[Fault] = []
     said: list[str] = []
-    for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
-        try:
-            said += [f"{path}: {line}" for line in _check(path, model)]
-        except InputError as error:
-            faults += error.faults
+    with Worker(*MODULES) if load else nullcontext() as worker:
+        for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
+            try:
+                said += [f"{path}: {line}" for line in _check(path, model, worker)]
+            except InputError as error:
+                faults += error.faults
     if faults:
         raise InputError(faults)
     return said
 
 
-def _check(path: Path, model: str) -> list[str]:
+def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
     if path.exists() and not path.is_file():
         raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
     if path.suffix == ".fmu" or zipfile.is_zipfile(path):
-        if faults := check_fmu(path):
+        if faults := check_fmu(path, worker):
             raise InputError(faults)
         return []
     if path.suffix in (".py", ".py:"):
@@ -61,13 +75,13 @@ def _check(path: Path, model: str) -> list[str]:
     if keys >= {"verdict", "candidates"}:
         raise InputError([Fault(path, 1, 1, "is an answer of `cosim refine`; check the study or model.yaml beside it")])
     if keys & {"components", "scenario"}:
-        check_scenario(path)
+        check_scenario(path, worker)
     elif "logs" not in keys and keys & {"parameters", "sensors"}:
         read_model(path)
     elif keys & {"logs", "model", "candidates"}:
         return [f"warning: {text}" for text in read_study(path).warnings]
     else:
-        check_scenario(path)
+        check_scenario(path, worker)
     return []
 
 
@@ -79,21 +93,65 @@ def log_findings(path: Path, model: Model) -> list[str]:
     return [f.line for f in findings]
 
 
-def check_fmu(path: Path) -> list[Fault]:
-    """Faults FMPy's validation finds in an FMU."""
+def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
+    """Faults FMPy's validation finds in an FMU; where there are none and a worker is given, why it does not run."""
     if not path.is_file():
         return [Fault(path, 0, 0, "no such file")]
     try:
-        read_description(path)
+        description = read_description(path)
     except FmuError as error:
         return [Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]
     from fmpy.validation import validate_fmu
 
-    return [Fault(path, 0, 0, problem, FmuError.exit_code) for problem in validate_fmu(str(path))]
+    faults = [Fault(path, 0, 0, problem, FmuError.exit_code) for problem in validate_fmu(str(path))]
+    if faults or worker is None:
+        return faults
+    start, step = _experiment(description)
+    content = {
+        "name": path.stem, "start_time": start, "duration": step, "step": step,
+        "components": {"fmu": {"fmu": str(path.resolve())}},
+    }  # fmt: skip
+    worker.start()
+    scenario = worker.folder / "check.json"
+    scenario.write_text(json.dumps(content), encoding="utf-8")
+    try:
+        return _run_once(ScenarioFile(scenario), path, worker)
+    except InputError as error:
+        return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
 
 
-def check_scenario(path: Path) -> None:
-    """Read a scenario or manifest as a run would; InputError with its faults, those of its FMUs included."""
+def _experiment(description: Any) -> tuple[float, float]:
+    """Start time and step [s] that an FMU is made for."""
+    experiment = description.defaultExperiment
+    given = [getattr(experiment, name, None) for name in ("startTime", "stopTime", "stepSize")]
+    start, stop, step = (0.0 if text is None else float(text) for text in given)
+    return start, step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+
+
+def check_scenario(path: Path, worker: Worker | None = None) -> None:
+    """Read a scenario or manifest as a run would, and with a worker step it once; InputError with its faults."""
     file = ScenarioFile(path)
     check_pinned(file)
-    build_system(file, designed_values(file))
+    designed = designed_values(file)
+    system = build_system(file, designed)
+    if worker is not None and (faults := _run_once(file, path, worker, designed, system)):
+        raise InputError(faults)
+
+
+def _run_once(
+    file: ScenarioFile, path: Path, worker: Worker, designed: Designed | None = None, system: System | None = None
+) -> list[Fault]:
+    """Why the first step of a scenario fails; `path` is what it is told of."""
+    step, recipe = file.scenario.step, Recipe(file.path, (), False, designed or {})
+    limits = file.scenario.limits or Limits(step=LONGEST, load=LONGEST)
+    worker.start()
+    beside = Path(tempfile.gettempdir())
+    try:
+        made = simulate_apart(worker, recipe, system or build_system(file), 1, step, beside, limits)
+    except FmuError as error:
+        return [Fault(path, 0, 0, str(error).removeprefix(f"{path.resolve()} "), error.exit_code)]
+    if made.failure is None:
+        return []
+    code = made.failure.exit_code if isinstance(made.failure, TimedOut) else FmuError.exit_code
+    cure = "; --no-load checks it without" if isinstance(made.failure, (Crashed, TimedOut)) else ""
+    return [Fault(path, 0, 0, f"does not run: {made.failure}{cure}", code)]

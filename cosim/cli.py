@@ -14,7 +14,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, InputError
+from cosim.errors import CosimError, CriterionMissed, FmuError, InputError, SimulationError, Terminated
+from cosim.files import is_full
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -24,6 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")]
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
+]
 LONG_RUN = 2000  # steps from which a progress bar is shown
 
 
@@ -62,6 +66,10 @@ def run(
     ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
+    in_process: InProcess = False,
+    coupling: Annotated[
+        bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
+    ] = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
     from cosim.simulation.criteria import sentence
@@ -70,12 +78,17 @@ def run(
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
         outcome = run_scenario(
-            scenario, out, overrides, nearest=nearest, report=report, figures=figures, progress=progress
-        )
+            scenario, out, overrides, nearest=nearest, report=report, figures=figures, in_process=in_process,
+            progress=progress,
+        )  # fmt: skip
     for warning in outcome.manifest["warnings"]:
         typer.echo(f"warning: {warning}", err=True)
     for criterion in outcome.manifest["criteria"]:
         say(sentence(criterion))
+    if coupling:
+        from cosim.simulation.coupling import coupling_error_of
+
+        say(coupling_error_of(scenario, overrides).sentence)
     say(f"results: {out / 'results.csv'}")
     if report:
         say(f"report:  {out / 'report.html'}")
@@ -109,11 +122,18 @@ def check(
     model: Annotated[
         str, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
     ] = "base",
+    load: Annotated[
+        bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
+    ] = True,
 ) -> None:
     """Say what is wrong with files, all faults at once."""
     from cosim.checks import check_files
 
-    for line in check_files(files, model):
+    try:
+        lines = check_files(files, model, load=load)
+    except Terminated as ended:
+        raise FmuError(str(ended)) from None
+    for line in lines:
         say(line)
     say(f"no fault in {', '.join(map(str, files))}")
 
@@ -126,13 +146,17 @@ def replay(
     ] = None,
     out: Out = Path("replayed"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
+    limits: Annotated[
+        str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
+    ] = "",
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     with progress_bar("replaying") as progress:
-        comparison = replay_log(log, out, plant, report=report, progress=progress)
+        comparison = replay_log(log, out, plant, report=report, in_process=in_process, limits=limits, progress=progress)
     for finding in comparison.findings:
         if finding.severity == "warning":
             typer.echo(finding.line, err=True)
@@ -145,6 +169,7 @@ def refine(
     study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
     out: Out = Path("refined"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
@@ -153,7 +178,7 @@ def refine(
     from cosim.refinement.workflow import refine as refine_study
 
     with stages() as progress:
-        result = refine_study(study, out, progress, report=report)
+        result = refine_study(study, out, progress, report=report, in_process=in_process)
     for warning in result.study.warnings:
         typer.echo(f"warning: {warning}", err=True)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
@@ -265,22 +290,30 @@ def entry() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
-    before = signal.signal(signal.SIGTERM, _terminated)
+    ends = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
+    before = {number: signal.getsignal(number) for number in ends}
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:  # nohup
+            signal.signal(number, _terminated)
     try:
         app(standalone_mode=True)
     except CosimError as error:
         typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         sys.exit(error.exit_code)
+    except Terminated as ended:
+        typer.echo(f"error: {ended}", err=True)
+        sys.exit(ended.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+        sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _terminated(number: int, frame: object) -> None:
     """Asked to end: what is half done is taken away on the way out."""
-    sys.exit(128 + number)
+    raise Terminated(signal.Signals(number).name)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True, order=True)
@@ -35,6 +36,9 @@ class InputError(CosimError):
         self.faults = tuple(sorted(set(faults)))
         super().__init__("\n".join(map(str, self.faults)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.faults,)
+
     @property
     def exit_code(self) -> int:  # type: ignore[override]
         """2 where any fault is the user's own; 3 where only FMUs are at fault."""
@@ -55,6 +59,47 @@ class SimulationError(CosimError):
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason
         super().__init__(f"{component} at t = {time:.6g} s: {reason}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.component, self.time, self.reason)
+
+
+class Crashed(SimulationError):
+    """A call of an FMU ended the process in which it was made."""
+
+
+class DiskFull(SimulationError):
+    """There is no room left for the rows of a run."""
+
+
+class TimedOut(SimulationError):
+    """A limit of time that the user set is exceeded."""
+
+    exit_code = 124
+
+
+class Interrupted(SimulationError):
+    """Stopped from the keyboard."""
+
+    exit_code = 130
+
+
+class Terminated(BaseException):
+    """Asked to end by a signal; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
+
+    exit_code = 4
+
+    def __init__(self, signal: str = "SIGTERM") -> None:
+        super().__init__(f"ended by {signal}")
+
+
+def stopped(stop: BaseException, now: float, what: str = "the run") -> SimulationError:
+    """What ended a run at a time [s], a signal perhaps, as an error that says so."""
+    if isinstance(stop, SimulationError):
+        return stop
+    if isinstance(stop, KeyboardInterrupt):
+        return Interrupted(what, now, "interrupted from the keyboard")
+    return SimulationError(what, now, str(stop))
 
 
 class CriterionMissed(CosimError):

@@ -15,7 +15,7 @@ from cosim.files import scratch_folder, uninterrupted
 from cosim.refinement import workflow
 from tests.test_refine_conditions import motor_study
 
-CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 4}
 
 
 @pytest.fixture(autouse=True)

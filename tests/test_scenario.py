@@ -56,7 +56,7 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("x_start: 1,", "roll_ground_effect: 2,", "2, psi_start", "it is true or false"),
         ("x_start: 1,", "vx: 2,", "2, psi_start", "plant.vx is an output; it takes no start value"),
         ("12 deg", "12 degrees", "12 degrees", "text with a unit: 3 rad, 3 deg"),
-        ("from: plant.psi,", "from: plant.psii,", "plant.psii", 'no output "psii" of type Real; did you mean "psi"?'),
+        ("from: plant.psi,", "from: plant.psii,", "plant.psii", 'no output "psii"; did you mean "psi"?'),
         ("from: plant.psi,", "from: plan.psi,", "plan.psi", 'no component "plan"; did you mean "plant"?'),
         ("from: plant.psi,", "from: plant.tilt_right,", "plant.tilt_right", "an output goes to an input"),
         ("from: plant.psi,", "from: plant.vx,", "{from: plant.vx", "unit mismatch: plant.vx [m/s] to controller.psi"),

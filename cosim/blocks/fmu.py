@@ -1,190 +1,212 @@
-"""An FMI 2.0 co-simulation FMU, loaded by FMPy and stepped without copies.
+"""An FMU, loaded by FMPy and stepped without copies.
 
 FMPy reads, checks, loads and instantiates; in the loop its wrappers give way to the bare functions of
-the library, called on buffers laid out once.
+the library. Reals are moved between the FMU and the row as they are, all other types by way of a buffer.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
+import os
 import shutil
 import tempfile
-import zipfile
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.interface import Row, Signal
+from cosim.blocks.description import (
+    Way,
+    default_tolerance,
+    library_of,
+    named,
+    offer_libm,
+    read_description,
+    slips_of,
+    unit_definition,
+    unit_of,
+    ways,
+)
+from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
+from cosim.blocks.interface import EndedEarly, Row
+from cosim.blocks.kinds import Exchange, element_names
+from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
+from cosim.blocks.ports import Ports
+from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.lifetime import let_go_at_exit
 
+__all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
+
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-FATAL = 4
-KEPT_MESSAGES = 50  # of a talkative FMU, the last ones
-TERMINATED = 3  # fmi2StatusKind
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-EXCHANGE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
-STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
-SETTERS: dict[str, tuple[str, Any]] = {
-    "Real": ("Real", ctypes.c_double),
-    "Integer": ("Integer", ctypes.c_int),
-    "Enumeration": ("Integer", ctypes.c_int),
-    "Boolean": ("Boolean", ctypes.c_int),
-    "String": ("String", ctypes.c_char_p),
+WARNING, DISCARD, FATAL = 1, 2, 4
+KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # of a talkative FMU, the last ones; characters
+FOUND: dict[tuple[str, Way], type[Calls]] = {
+    ("1", "co-simulation"): CoSimulation1,
+    ("2", "co-simulation"): CoSimulation2,
+    ("3", "co-simulation"): CoSimulation3,
+    ("2", "model-exchange"): ModelExchange2,
+    ("3", "model-exchange"): ModelExchange3,
 }
 
 
-def read_description(path: Path) -> Any:
-    """FMPy's model description of an FMU that can be co-simulated; FmuError where it cannot."""
-    import fmpy
-
-    try:
-        description = fmpy.read_model_description(str(path))
-    except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: it is not a zip archive") from None
-    except KeyError:
-        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml") from None
-    except Exception as error:  # FMPy raises bare Exceptions, lxml its own
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
-        raise FmuError(f"{path} is FMI {description.fmiVersion}; FMI 2.0 for co-simulation is needed")
-    return description
-
-
-def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """SI exponents, factor and offset of a unit the FMU defines."""
-    for definition in description.unitDefinitions:
-        if definition.name == unit and definition.baseUnit is not None:
-            base = definition.baseUnit
-            return (*(float(getattr(base, name) or 0) for name in BASE_UNITS), base.factor, base.offset)
-    return None
-
-
-def unit_of(variable: Any) -> str:
-    """Unit of a variable, its own or its type's."""
-    unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
-    return unit or ""
-
-
 class FmuBlock:
-    """One FMU instance."""
+    """One FMU instance.
+
+    connected: names of the inputs that are fed; the others keep their start values
+    way:       co-simulation or model exchange; None takes what the FMU offers, co-simulation first
+    tolerance: relative, for its solver; None takes that of its default experiment
+    recorded:  names of further variables that are read at every communication point
+    logging:   its debug messages are asked for
+    solver:    of model exchange
+    """
 
     def __init__(
-        self, name: str, path: Path, description: Any, start: Mapping[str, Any], connected: frozenset[str]
+        self,
+        name: str,
+        path: Path,
+        description: Any,
+        start: Mapping[str, Any],
+        connected: frozenset[str],
+        *,
+        way: Way | None = None,
+        tolerance: float | None = None,
+        recorded: frozenset[str] = frozenset(),
+        logging: bool = False,
+        solver: Solver | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
+        # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
+        self.nominal_step = "pythonfmu" in (description.generationTool or "").lower()
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
-        reals = [v for v in description.modelVariables if v.type == "Real"]
-        inputs = [v for v in reals if v.causality == "input"]
-        inputs.sort(key=lambda v: v.name not in connected)  # connected ones first, so that one call sets them
-        outputs = [v for v in reals if v.causality == "output"]
-        self.inputs = tuple(self._signal(v) for v in inputs)
-        self.outputs = tuple(self._signal(v) for v in outputs)
-        self._connected = sum(v.name in connected for v in inputs)
-        self._input_vrs = (ctypes.c_uint * len(inputs))(*(v.valueReference for v in inputs))
-        self._output_vrs = (ctypes.c_uint * len(outputs))(*(v.valueReference for v in outputs))
+        self._logging = logging
+        self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
+        self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
+        if isinstance(self._calls, ModelExchange2):
+            self._calls.solver_name = solver
+        self._ports = ports = Ports(description, connected, recorded)
+        self._fmi3, self._kinds = ports.fmi3, ports.kinds
+        self._variables = {v.name: v for v in description.modelVariables}
+        self.inputs, self.outputs = ports.inputs, ports.outputs
+        self.exact_inputs, self.exact_outputs = ports.exact_inputs, ports.exact_outputs
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
         self._initialized = False
         self._time = 0.0
 
-    def _signal(self, variable: Any) -> Signal:
-        unit = unit_of(variable)
-        return Signal(variable.name, unit, unit_definition(self.description, unit))
-
-    def depends_on(self, name: str) -> bool | None:
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
+        variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
         declared = True
         for unknown in self.description.outputs:
+            if outputs is not None and not any(
+                n in outputs for n in (unknown.variable.name, *element_names(unknown.variable))
+            ):
+                continue
             if unknown.dependencies is None:
                 declared = False
-            elif any(variable.name == name for variable in unknown.dependencies):
+            elif any(other is variable for other in unknown.dependencies):
                 return True
-        return False if declared else None
+        return False if declared and self.description.fmiVersion != "1.0" else None
 
-    def bind(self, row: Row, first: int) -> None:
-        self._row = row
-        self._out = slice(first + len(self.inputs), first + len(self.inputs) + len(self.outputs))
-        here = ctypes.addressof(row) + 8 * first
-        self._put_arguments = (ctypes.addressof(self._input_vrs), self._connected, here)
-        self._get_arguments = (ctypes.addressof(self._output_vrs), len(self.outputs), here + 8 * len(self.inputs))
-        self._all_inputs = (ctypes.addressof(self._input_vrs), len(self.inputs), here)
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        exact = len(self.exact_inputs) + len(self.exact_outputs)
+        self._row, self._beside = row, [None] * exact if beside is None else beside
+        ports = self._ports
+        ports.place(first, first_beside)
+        address = ctypes.addressof(row)
+        self._put_arguments, self._other_puts = ports.split(ports.fed, address)
+        self._reading = ports.split(ports.read, address)
+        self._out, self._finite = ports.real_outputs()
 
     def open(self, start: float, stop: float) -> None:
-        import fmpy
-        from fmpy.fmi1 import FMICallException
-        from fmpy.fmi2 import FMU2Slave
-
-        self._time = start
-        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
-        try:
-            fmpy.extract(str(self.path), str(self._folder))
-            identifier = self.description.coSimulation.modelIdentifier
-            self._fmu = FMU2Slave(
-                guid=self.description.guid,
-                modelIdentifier=identifier,
-                unzipDirectory=str(self._folder),
-                instanceName=self.name,
-            )
-            self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)  # or it gives no reasons
-        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
-            self._fmu = None
-            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
-        let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
-        self._component = self._fmu.component
-        self._bare_functions()
-        try:
-            self._check(self._fmu.setupExperiment(startTime=start, stopTime=stop), "fmi2SetupExperiment")
-            self._set_start_values()
-            self._check(self._fmu.enterInitializationMode(), "fmi2EnterInitializationMode")
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-        self._check(self._get_real(self._component, *self._all_inputs), "fmi2GetReal")
+        self._unpack()
+        self._load()
+        self._begin(start, stop)
 
     def start(self) -> None:
-        from fmpy.fmi1 import FMICallException
-
-        try:
-            self._check(self._fmu.exitInitializationMode(), "fmi2ExitInitializationMode")
-        except FMICallException as error:
-            self._fail(error.function, error.status)
+        with self._failing():
+            self._calls.leave()
         self._initialized = True
+        self._get_arguments, self._other_gets = self._reading
+        self._do_step = self._calls.stepping()
 
     def put(self) -> None:
-        if self._connected:
-            status = self._set_real(self._component, *self._put_arguments)
-            if status:
-                self._fail("fmi2SetReal", status)
+        if self._watched is not None:
+            self._put_if_changed()
+        elif self._ports.fed:
+            self._put_all()
 
     def get(self) -> None:
-        status = self._get_real(self._component, *self._get_arguments)
-        if status:
-            self._fail("fmi2GetReal", status)
-        values = self._row[self._out]
-        if not math.isfinite(sum(values)):
-            for signal, value in zip(self.outputs, values, strict=True):
-                if not math.isfinite(value):
-                    raise SimulationError(f"{self.name}.{signal.name}", self._time, f"the value is {value}")
+        arguments = self._get_arguments
+        if arguments is not None:
+            status = self._get_real(self._component, *arguments)
+            if status:
+                self._judge(self._real_getter, status)
+            values = self._row[self._out]
+            if not math.isfinite(sum(values)):
+                self._not_finite(values)
+        if self._other_gets:
+            for exchange in self._other_gets:
+                self._read_in(exchange)
 
     def advance(self, t: float, h: float) -> None:
         status = self._do_step(self._component, t, h, 1)
-        self._time = t + h
         if status:
             self._time = t
-            self._fail("fmi2DoStep", status)
+            self._judge(self._step_name, status)
+        self._time = t + h
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        put = self._bare_put() if self._ports.fed else None
+        if self._get_arguments is None or self._other_gets:
+            return put, self.advance, self.get
+        # the same as `advance` and `get`, with everything looked up beforehand
+        do_step, get_real, instance = self._do_step, self._get_real, self._component
+        arguments, row, out, isfinite = self._get_arguments, self._row, self._out, math.isfinite
+
+        def advance(t: float, h: float) -> None:
+            status = do_step(instance, t, h, 1)
+            if status:
+                self._time = t
+                self._judge(self._step_name, status)
+            self._time = t + h
+
+        def get() -> None:
+            status = get_real(instance, *arguments)
+            if status:
+                self._judge(self._real_getter, status)
+            values = row[out]
+            if not isfinite(sum(values)):
+                self._not_finite(values)
+
+        return put, advance, get
+
+    def _bare_put(self) -> Callable[[], None]:
+        """As `put`, with everything looked up beforehand where all inputs go straight from the row."""
+        arguments, set_real, instance = self._put_arguments, self._set_real, self._component
+        if self._watched is not None or self._other_puts or arguments is None:
+            return self.put
+
+        def put() -> None:
+            status = set_real(instance, *arguments)
+            if status:
+                self._judge(self._real_setter, status)
+
+        return put
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """Set tunable parameters and inputs while it runs."""
+        with self._failing():
+            self._calls.inputs_changed(lambda: self._set(values))
+        for exchange in self._ports.unfed:
+            self._read_in(exchange)
 
     def close(self) -> None:
-        fmu, self._fmu = self._fmu, None
-        if fmu is not None:
-            try:
-                if self._initialized:
-                    fmu.terminate()
-            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
-                self.log.append(str(error))
-            fmu.freeInstance()
+        self._unload()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
@@ -193,67 +215,241 @@ class FmuBlock:
         """The FMU's last log message, on one line."""
         return " ".join(self.log[-1].split()) if self.log else ""
 
-    # -- within -------------------------------------------------------------------------------
+    # -- life ---------------------------------------------------------------------------------
+
+    def _unpack(self) -> None:
+        import fmpy
+
+        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+        try:
+            fmpy.extract(str(self.path), str(self._folder))
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+            raise FmuError(f"{self.path} does not load: {error}") from None
+
+    def _load(self) -> None:
+        assert self._folder is not None
+        here = os.getcwd()
+        try:
+            library, warning = library_of(self._folder, self.description, self._calls.identifier)
+            if warning:
+                self._remember(warning)
+            try:
+                self._calls.load(self._folder, library)
+            except Exception as error:
+                if "undefined symbol" not in str(error) or not offer_libm():
+                    raise
+                self._calls.load(self._folder, library)
+            # pythonfmu gives its reasons to who asks for debugging, and to nobody else
+            talks = self._logging or self.nominal_step
+            self._calls.instantiate(self._listen, talks)
+            if talks and not self._logging:
+                self._calls.limit_logging()
+        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
+            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+        finally:
+            os.chdir(here)  # FMPy loads from within the FMU's folder
+        self._fmu, self._component = self._calls.fmu, self._calls.fmu.component
+        let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
+        self._bare_functions()
+
+    def _begin(self, start: float, stop: float) -> None:
+        """Enter initialization at `start`."""
+        self._time, self._initialized = start, False
+        self._calls.start_time, self._calls.stop_time = start, stop
+        readable = self._calls.readable_before_start
+        self._get_arguments, self._other_gets = self._reading if readable else (None, ())
+        with self._failing():
+            self._calls.prepare()
+            self._set(self.start_values)
+            self._calls.enter()
+            # again, for some FMUs (20-sim) forget what they were given before
+            self._set({n: v for n, v in self.start_values.items() if self._given_again(n)})
+        if readable:
+            for exchange in self._ports.inward:
+                self._read_in(exchange)
+        else:
+            self._show_start_values()
+        model_exchange = isinstance(self._calls, ModelExchange2)
+        self._watched: list[Any] | None = [] if model_exchange and self._ports.fed else None
+
+    def _given_again(self, name: str) -> bool:
+        variable = self._variables.get(name)
+        return (
+            self._calls.readable_before_start
+            and variable is not None
+            and (variable.causality == "input" or variable.initial == "exact")
+            and variable.causality != "structuralParameter"
+        )
+
+    def _unload(self) -> None:
+        fmu, self._fmu = self._fmu, None
+        if fmu is not None:
+            try:
+                if self._initialized:
+                    fmu.terminate()
+            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
+                self.log.append(str(error))
+            fmu.freeInstance()
+        self._initialized = False
 
     def _bare_functions(self) -> None:
-        library = self._fmu.dll
+        calls = self._calls
+        real = "Float64" if self._fmi3 else "Real"
+        self._real_setter, self._real_getter = f"{calls.prefix}Set{real}", f"{calls.prefix}Get{real}"
+        self._step_name = f"{calls.prefix}DoStep"
+        self._set_real, self._get_real = (
+            calls.bare(calls.exchange, f"Set{real}"),
+            calls.bare(calls.exchange, f"Get{real}"),
+        )
+        self._setters: dict[str, Any] = {}
+        self._getters: dict[str, Any] = {}
+        for exchange in (*self._ports.inward, *self._ports.read):
+            kind = exchange.kind.function
+            if exchange.buffer is not None and kind not in self._getters:
+                self._getters[kind] = calls.bare(calls.exchange, f"Get{kind}")
+                self._setters[kind] = calls.bare(calls.exchange, f"Set{kind}")
 
-        def bare(prototype: Any, name: str) -> Any:
-            return prototype(ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
+    # -- values -------------------------------------------------------------------------------
 
-        self._set_real = bare(EXCHANGE, "fmi2SetReal")
-        self._get_real = bare(EXCHANGE, "fmi2GetReal")
-        self._do_step = bare(STEP, "fmi2DoStep")
+    def _target(self, exchange: Exchange) -> Any:
+        return self._beside if exchange.kind.beside else self._row
 
-    def _callbacks(self) -> Any:
-        from fmpy import calloc, fmi2, free
-
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._listen)
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        try:
-            from fmpy.logging import addLoggerProxy  # formats the variadic arguments of C
-        except ImportError:
-            return callbacks
-        addLoggerProxy(ctypes.byref(callbacks))
-        return callbacks
-
-    def _listen(self, _: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-        self.log.append((message or b"").decode("utf-8", "replace"))
-
-    def _set_start_values(self) -> None:
-        by_name = {v.name: v for v in self.description.modelVariables}
-        for name, value in self.start_values.items():
-            variable = by_name[name]
-            kind, ctype = SETTERS[variable.type]
-            given = value.encode() if isinstance(value, str) else value
-            function = f"fmi2Set{kind}"
-            # FMPy's own setters do not hand the status on, and a Warning is no OK
-            status = getattr(self._fmu, function)(
-                self._component, (ctypes.c_uint * 1)(variable.valueReference), 1, (ctype * 1)(given)
-            )
-            self._check(status, f"{function} of {name}")
-
-    def _check(self, status: int, function: str) -> None:
+    def _read_in(self, exchange: Exchange) -> None:
+        """Values of the FMU to where they stand."""
+        function = exchange.kind.function
+        if exchange.buffer is None:
+            with self._failing():
+                self._target(exchange)[exchange.places] = self._fmu.getBinary(exchange.vrs, exchange.count)
+            return
+        status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
-            self._fail(function, status)
+            self._judge(f"{self._calls.prefix}Get{function}", status)
+        self._target(exchange)[exchange.places] = exchange.decoded()
+
+    def _write(self, exchange: Exchange) -> None:
+        """Values from where they stand to the FMU."""
+        function, values = exchange.kind.function, self._target(exchange)[exchange.places]
+        if exchange.buffer is None:
+            with self._failing():
+                self._fmu.setBinary(exchange.vrs, values)
+            return
+        try:
+            exchange.encode(values)
+        except ValueError as error:
+            name, _, why = str(error).partition(": ")
+            raise SimulationError(f"{self.name}.{name}", self._time, f"the input {why} of its type") from None
+        status = self._setters[function](self._component, *exchange.arguments(self._fmi3))
+        if status:
+            self._judge(f"{self._calls.prefix}Set{function}", status)
+
+    def _put_if_changed(self) -> None:
+        """Of model exchange: inputs that are what they were are no event."""
+        values = [self._target(e)[e.places] for e in self._ports.fed]
+        if values == self._watched:
+            return
+        self._watched = values
+        with self._failing():
+            self._calls.inputs_changed(self._put_all)
+
+    def _put_all(self) -> None:
+        if self._put_arguments is not None:
+            status = self._set_real(self._component, *self._put_arguments)
+            if status:
+                self._judge(self._real_setter, status)
+        for exchange in self._other_puts:
+            self._write(exchange)
+
+    def _set(self, values: Mapping[str, Any]) -> None:
+        """Give variables values, arrays as lists of theirs."""
+        for name, value in values.items():
+            variable = self._variables[name]
+            exchange = Exchange(self._kinds[variable.type], [variable])
+            given = value if isinstance(value, (list, tuple)) else [value] * exchange.count
+            function = f"{self._calls.prefix}Set{exchange.kind.function}"
+            if exchange.buffer is None:
+                self._fmu.setBinary(exchange.vrs, [bytes.fromhex(v) if isinstance(v, str) else v for v in given])
+                continue
+            exchange.encode(given)
+            # FMPy's own setters do not hand the status on
+            setter = self._calls.bare(self._calls.exchange, f"Set{exchange.kind.function}")
+            if status := setter(self._component, *exchange.arguments(self._fmi3)):
+                self._judge(f"{function} of {name}", status)
+
+    def _show_start_values(self) -> None:
+        """Of FMI 1.0, whose inputs cannot be read yet: what they start from."""
+        for exchange in self._ports.inward:
+            text = exchange.kind.function == "String"
+            shown: list[Any] = []
+            for variable in exchange.variables:
+                value = self.start_values.get(variable.name, variable.start)
+                if exchange.kind.function == "Boolean" and isinstance(value, str):
+                    value = value.strip() in {"true", "1"}
+                shown.append(str(value or "") if text else float(value or 0.0))
+            self._target(exchange)[exchange.places] = shown
+
+    def _not_finite(self, values: Sequence[float]) -> None:
+        for name, value in zip(self._finite, values, strict=True):
+            if not math.isfinite(value):
+                raise SimulationError(f"{self.name}.{name}", self._time, f"the value is {value}")
+
+    # -- what goes wrong ----------------------------------------------------------------------
+
+    def _listen(self, status: int, message: bytes | None) -> None:
+        """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
+        if status >= WARNING or self._logging:
+            self._remember((message or b"").decode("utf-8", "replace"))
+
+    def _remember(self, text: str) -> None:
+        text = text[:LONGEST_MESSAGE]
+        if text in self.log:  # a warning at every step is one
+            self.log.remove(text)
+        self.log.append(text)
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Tell which of FMPy's calls failed."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            yield
+        except FMICallException as error:
+            self._judge(error.function, error.status)
+
+    def _judge(self, function: str, status: int) -> None:
+        """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed."""
+        if status == WARNING:
+            self._remember(f"{function} returned Warning")
+            return
+        if status == DISCARD and function == self._step_name and (reached := self._calls.ended(self._time)) is not None:
+            reason = f"{function} returned Discard: the FMU ended the simulation early"
+            words = self.last_words()
+            raise EndedEarly(self.name, reached, f"{reason}: {words}" if words else reason, readable=True)
+        self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
         """Tell which call failed and why. After Fatal the instance is not touched again, as FMI demands."""
         reason = f"{function} returned {STATUS[status] if 0 <= status < len(STATUS) else status}"
         if status == FATAL:
             self._fmu = None
-        elif function == "fmi2DoStep" and self._ended():
-            reason += ": the FMU ended the simulation early"
         if "KeyboardInterrupt" in self.last_words():  # it came while the FMU's Python ran
             raise KeyboardInterrupt
         if words := self.last_words():
             reason += f": {words}"
         raise SimulationError(self.name, self._time, reason)
 
-    def _ended(self) -> bool:
-        try:
-            return bool(self._fmu.getBooleanStatus(TERMINATED))
-        except Exception:  # the function is optional
-            return False
+    def names_any(self, pattern: str) -> bool:
+        """A pattern such as `plant.*` names a variable of it."""
+        return any(named(pattern, self.name, name) for name in self._variables)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be known of the FMU before it runs."""
+        slips = slips_of(self.description)
+        found = []
+        if slips:
+            more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
+            found.append(f"{self.name}: {self.path.name} breaks FMI's rules, which is passed over: {slips[0]}{more}")
+        kinds = {v.type for v in self.description.modelVariables} - self._kinds.keys()
+        if kinds:
+            found.append(f"{self.name}: variables of type {', '.join(sorted(kinds))} are not supported and left alone")
+        return tuple(found)

@@ -3,42 +3,94 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from typing import Any, Protocol
+
+from cosim.errors import SimulationError
+from fmus.units import parse
 
 Row = ctypes.Array[ctypes.c_double]
+SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+class EndedEarly(SimulationError):
+    """An FMU asked to end the simulation, which is no failure; `reached` [s] is the time to which it came.
+
+    readable: its outputs hold for that time
+    """
+
+    def __init__(self, component: str, reached: float, reason: str, *, readable: bool = False) -> None:
+        super().__init__(component, reached, reason)
+        self.reached, self.readable = reached, readable
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), readable=self.readable), (self.component, self.reached, self.reason)
 
 
 @dataclass(frozen=True)
 class Signal:
-    """An input or output: its name, its unit, and what the unit is in SI (None where undefined)."""
+    """An input or output: its name, its unit, and what the unit is in SI (None where undefined).
+
+    kind:     its type by FMI's name, "" of a number that is no FMU's
+    items:    name → number, of an enumeration
+    array:    of an element, the array's name
+    local:    recorded on request; no output, so it is not connected
+    relative: a difference, such as of temperatures: a unit's offset is of no matter
+    """
 
     name: str
     unit: str = ""
     definition: tuple[float, ...] | None = None
+    kind: str = ""
+    items: Mapping[str, int] | None = None
+    array: str = ""
+    local: bool = False
+    relative: bool = False
 
-    def agrees(self, other: Signal) -> bool:
-        """Units are the same, or one side has none."""
-        if not self.unit or not other.unit or self.unit == other.unit:
-            return True
-        return self.definition is not None and self.definition == other.definition
+    @property
+    def whole(self) -> bool:
+        """Its values are whole numbers."""
+        return self.kind not in {"", "Real", "Float32", "Float64"}
+
+    def conversion(self, to: Signal) -> tuple[float, float] | None:
+        """Factor and offset from a value in this unit to one in the other's; None where the dimensions differ."""
+        if not self.unit or not to.unit or self.unit == to.unit:
+            return 1.0, 0.0
+        here, there = self._meaning(), to._meaning()
+        if here is None or there is None or here[:-2] != there[:-2]:
+            return None
+        offset = 0.0 if self.relative and to.relative else (here[-1] - there[-1]) / there[-2]
+        return here[-2] / there[-2], offset
+
+    def _meaning(self) -> tuple[float, ...] | None:
+        """SI exponents, factor and offset: as the FMU defines the unit, else as people write it."""
+        if self.definition is not None:
+            return self.definition
+        unit = parse(self.unit)
+        return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, 0.0)
 
 
 class Component(Protocol):
     """Call sequence: bind, open, (put, get)* while initializing, start, then (put, advance, get)* and close.
 
-    inputs are written to `row[first:]` by the master, outputs by the component right behind them.
+    inputs are written to `row[first:]` by the master, outputs by the component right behind them; those whose
+    values no double holds exactly (text, 64-bit integers) stand likewise in `beside[first_beside:]`.
     """
 
     name: str
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+    exact_inputs: tuple[Signal, ...]
+    exact_outputs: tuple[Signal, ...]
+    nominal_step: bool  # its steps are of one length; else each ends at the very number at which the next begins
 
-    def depends_on(self, name: str) -> bool | None:
-        """Does an output at a time depend on this input at the same time? None: not declared."""
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
+        """Does an output, of all or of some, at a time depend on this input at the same time? None: not declared."""
 
-    def bind(self, row: Row, first: int) -> None:
-        """Tell where in the row the component's signals stand, inputs first."""
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        """Tell where in the row, and beside it, the component's signals stand, inputs first."""
 
     def open(self, start: float, stop: float) -> None:
         """Get ready: start values set, initialization begun."""
@@ -53,7 +105,10 @@ class Component(Protocol):
         """Write the outputs to the row."""
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s]."""
+        """Step from `t` to `t + h` [s]; EndedEarly where the component ends the simulation."""
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        """What does as put, advance and get once it has started, faster; no put where no input is connected."""
 
     def close(self) -> None:
         """Free everything; may be called at any time, more than once."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
+from fmus.annotation import traits_of
 from fmus.state import Memory, Own, own_of, with_memory
 
 
@@ -16,17 +16,14 @@ class RestartableFmu(FmuBlock):
     def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Enter initialization at `start` with these start values."""
         self.start_values = values
-        self._time = start
-        if self._fmu is None or not self._reset():
-            self.close()
-            self._initialized = False
-            self.open(start, stop)
+        if self._fmu is not None and self._reset():
+            self._begin(start, stop)
             return
-        self._initialized = False
-        with self._failing():
-            self._fmu.setupExperiment(startTime=start, stopTime=stop)
-            self._set_start_values()
-            self._fmu.enterInitializationMode()
+        self._unload()
+        if self._folder is None:
+            self._unpack()
+        self._load()
+        self._begin(start, stop)
 
     def own(self) -> Own:
         """What decides its future, of an FMU of ours; of another ValueError, KeyError or TypeError."""
@@ -47,17 +44,10 @@ class RestartableFmu(FmuBlock):
             self._fmu.freeFMUstate(held)
         return state
 
-    @contextmanager
-    def _failing(self) -> Iterator[None]:
-        """Tell which of these calls failed."""
-        from fmpy.fmi1 import FMICallException
-
-        try:
-            yield
-        except FMICallException as error:
-            self._fail(error.function, error.status)
-
     def _reset(self) -> bool:
+        """Of an FMU of ours: others (20-sim) return OK and stand still afterwards."""
+        if traits_of(self.path) is None:
+            return False
         try:
             self._fmu.reset()
         except Exception:  # FMPy raises bare Exceptions; what cannot be reset is opened anew

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cosim.blocks.interface import Row, Signal
 from cosim.blocks.profile import Profile, profile_function
@@ -15,17 +16,21 @@ from fmus.units import computed_in
 class Source:
     """Signals that are functions of time."""
 
+    nominal_step = True
+
     def __init__(self, name: str, signals: Mapping[str, tuple[str, Callable[[float], float]]]) -> None:
         self.name = name
         self.inputs: tuple[Signal, ...] = ()
+        self.exact_inputs: tuple[Signal, ...] = ()
+        self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
         self._functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
-    def depends_on(self, name: str) -> bool | None:
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         return False
 
-    def bind(self, row: Row, first: int) -> None:
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._row, self._first = row, first
 
     def open(self, start: float, stop: float) -> None:
@@ -43,6 +48,9 @@ class Source:
 
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
+
+    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+        return None, self.advance, self.get
 
     def close(self) -> None:
         pass

@@ -19,10 +19,13 @@ from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
 from cosim.kernel.interface import CONSTANT, Data, Filtered
 from cosim.kernel.interface import MEMORY as LASTS
 from cosim.logs.log import Log
 from cosim.refinement.variants import Variant
+from cosim.residuals.apart import DriveApart
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN, pooled
 from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
@@ -52,17 +55,25 @@ def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
 
 
 def replays(
-    variant: Variant, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
+    variant: Variant,
+    problem: Problem,
+    logs: Sequence[Log],
+    horizons: Sequence[float] = (),
+    worker: Worker | None = None,
+    limits: Limits | None = None,
 ) -> dict[float, Evidence]:
     """Horizon → each log, its readings corrected, and its consecutive replays through the FMU.
 
     The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
+    worker: where the FMU runs, within limits; in this process without.
     """
     problem = filtering(problem, variant.model, logs)
     judged = variant.model.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
-        with Drive(log, variant.fmu, interpolated=problem.settings.interpolated) as drive:
+        between = problem.settings.interpolated
+        apart = worker and DriveApart(worker, log, variant.fmu, interpolated=between, limits=limits)
+        with apart or Drive(log, variant.fmu, interpolated=between) as drive:
             if log.table:
                 replay = row_by_row(drive, variant.parameters)
                 played[judged].append((without_sensor_errors(log, variant, {}, replay.outputs), replay))

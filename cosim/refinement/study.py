@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Dis
 
 from cosim.errors import Fault, InputError
 from cosim.estimation.problem import Settings
+from cosim.isolation.limits import Limits
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
@@ -86,6 +87,7 @@ class StudyFile(BaseModel):
     candidates: list[str] | None = None
     per_log: list[str] | None = None
     groups: dict[str, list[FileName]] = {}
+    limits: Limits | None = None  # of each call of an FMU in its replays
 
     def interpolated(self, model: Model) -> frozenset[str]:
         """The inputs that run straight from row to row."""

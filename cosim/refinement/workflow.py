@@ -10,6 +10,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
 from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
@@ -43,6 +46,7 @@ from cosim.refinement.trust import attributed
 from cosim.refinement.unnamed import left_beside
 from cosim.refinement.variants import Variant, of_noise, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
+from cosim.residuals.apart import MODULES
 from fmus.build import build
 from plant.model import Model
 
@@ -51,10 +55,18 @@ Progress = Callable[[str, float], None]
 LogSets = dict[Part, Sequence[Log]]
 
 
-def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *, report: bool = False) -> Refinement:
-    """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them. Raises InputError.
+def refine(
+    path: FilePath,
+    folder: FilePath,
+    progress: Progress | None = None,
+    *,
+    report: bool = False,
+    in_process: bool = False,
+) -> Refinement:
+    """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them.
 
-    With `report`, report.html too.
+    With `report`, report.html too. in_process: FMUs are loaded into this process, for a debugger.
+    Raises InputError, FmuError; SimulationError where an FMU fails.
     """
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
@@ -85,7 +97,8 @@ def refine(path: FilePath, folder: FilePath, progress: Progress | None = None, *
             variants["nearest"] = variants["after"]
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
-        replayed = _replayed(variants, problem, sets)
+        with nullcontext() if in_process else Worker(*MODULES) as worker:
+            replayed = _replayed(variants, problem, sets, worker, study.content.limits)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         quiet = of_noise(variants["after"], attribution, verdict.claimed, found.heard)
@@ -201,13 +214,17 @@ def _unsealed(study: Study) -> LogSets:
     return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
 
 
-def _replayed(variants: Mapping[str, Variant], problem: Problem, sets: LogSets) -> Replayed:
+def _replayed(
+    variants: Mapping[str, Variant], problem: Problem, sets: LogSets, worker: Worker | None, limits: Limits | None
+) -> Replayed:
     """Replays of every variant on every set of logs; a variant that stands for two is replayed once."""
     horizons = [] if problem.table else list(OTHER_HORIZONS.values())
     done: dict[int, dict[Part, dict[float, Evidence]]] = {}
     for variant in variants.values():
         if id(variant) not in done:
-            done[id(variant)] = {part: replays(variant, problem, logs, horizons) for part, logs in sets.items()}
+            done[id(variant)] = {
+                part: replays(variant, problem, logs, horizons, worker, limits) for part, logs in sets.items()
+            }
     return {name: done[id(variant)] for name, variant in variants.items()}
 
 

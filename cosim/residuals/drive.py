@@ -12,10 +12,12 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.logs.log import Log, SignalLike, read_log
 from cosim.yaml_file import did_you_mean
 from fmus.annotation import traits_of
@@ -56,10 +58,19 @@ class StoppedReplay(SimulationError):
     def __init__(self, error: SimulationError, done: Array) -> None:
         Exception.__init__(self, str(error))
         self.component, self.time, self.done = error.component, error.time, done
+        self.reason, self.exit_code = error.reason, error.exit_code
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (SimulationError(self.component, self.time, self.reason), self.done)
 
 
 class Drive:
-    """Context: the FMU is loaded at the first run and freed at the end."""
+    """Context: the FMU is loaded at the first run and freed at the end.
+
+    left: outputs at the rows before, where a run to the last row is stopped by a signal
+    """
+
+    left: Array | None = None
 
     def __init__(
         self,
@@ -77,18 +88,19 @@ class Drive:
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
         self.variables = {v.name for v in self.description.modelVariables}
-        self.variable_step = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
+        self.variable_step = takes_any_step(self.description)
         self._table = np.column_stack([log.inputs[name] for name in self.inputs]) if self.inputs else np.empty((0, 0))
         self._commands = self._table.tolist()
         self._ramps = np.array([name in interpolated for name in self.inputs], bool)
         self._row = (ctypes.c_double * (len(self.block.inputs) + len(self.outputs)))()
         self.block.bind(self._row, 0)
         self._driven = [0]  # steps so far, shared by copies
+        self._new_rows: Callable[[int, int], Rows] = Rows.in_memory
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.block.close()
 
     @property
@@ -126,6 +138,22 @@ class Drive:
         self.block.remember({})
         return self.block.own()
 
+    def state(self) -> Own:
+        """State of an FMU of ours where the last run ended."""
+        return self.block.own()
+
+    def run_and_keep(
+        self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
+    ) -> tuple[Array, dict[int, Own]]:
+        """`run`, and the state of an FMU of ours at some rows on the way."""
+        states: dict[int, Own] = {}
+
+        def keep(k: int) -> None:
+            if k in rows:
+                states[k] = self.block.own()
+
+        return self.run(first, last, start, visit=keep), states
+
     def run(
         self,
         first: int,
@@ -144,31 +172,36 @@ class Drive:
         read = self._read(rows)
         ends = [t + h for t, h in zip(times, held, strict=True)]
         reached = [float(self.log.time[first]), *(t for t, wanted in zip(ends, read, strict=True) if wanted)]
-        table = np.zeros((len(reached), len(self.outputs)))
+        written = self._new_rows(len(reached), len(self.outputs))
+        table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole, made = table.ctypes.data, self.block, first, 0, 0
         ramping = bool(self._ramps.any())
         commands: list[Any] = self._between(times, held, rows) if ramping else self._commands
         try:
+            doing[0] = OTHER
             self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
             block.start()
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
-            whole = 1
+            whole = done[0] = 1
             for j, (t, h, k) in enumerate(zip(times, held, rows, strict=True)):
                 if k != acting and visit is not None:
                     visit(k)
                 if commands and (ramping or k != acting):
                     self._row[: len(self.inputs)] = commands[j if ramping else k]
+                    doing[0] = PUT
                     block.put()
                 acting = k
+                doing[0] = ADVANCE
                 block.advance(t, h)
                 made = j + 1
                 if read[j]:
+                    doing[0] = GET
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
-                    whole += 1
+                    whole = done[0] = whole + 1
                 if self.progress is not None and made % PROGRESS_EVERY == 0:
                     self.progress(self._driven[0] + made)
         except SimulationError as error:
@@ -180,17 +213,20 @@ class Drive:
 
     def rows(self, start: Mapping[str, Any]) -> Array:
         """Outputs at the inputs of each row of a table, shape (rows, outputs), of an FMU without states."""
-        log, table = self.log, np.zeros((self.log.rows, len(self.outputs)))
-        done = 0
+        log, written = self.log, self._new_rows(self.log.rows, len(self.outputs))
+        table, done = written.table, 0
         try:
+            written.doing[0] = OTHER
             self._begin(start, 0, float(log.time[-1]) + log.step)
             self.block.start()
             for done, t in enumerate(log.time.tolist()):
                 self._row[: len(self.inputs)] = self._commands[done]
+                written.doing[0] = ADVANCE
                 self.block.put()
                 self.block.advance(t, log.step)
                 self.block.get()
                 table[done] = self._row[len(self.block.inputs) :]
+                written.made[0] = done + 1
         except SimulationError as error:
             raise StoppedReplay(error, table[:done]) from None
         return table

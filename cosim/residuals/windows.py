@@ -89,13 +89,7 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
     rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
-    states: dict[int, Own] = {}
-
-    def keep(k: int) -> None:
-        if k in rows:
-            states[k] = drive.block.own()
-
-    table = drive.run(0, log.rows - 1, chosen, visit=keep)
+    table, states = drive.run_and_keep(0, log.rows - 1, chosen, rows)
     return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, states)
 
 
@@ -141,7 +135,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
             start = window_start(drive, parameters, sigma, carrier, since, first)
             memory = None if own is None else kept(own, parameters, start)
             carried[first : last + 1] = drive.run(first, last, start, memory)
-            own, carrier, since = own and drive.block.own(), dict(zip(drive.outputs, carried.T, strict=True)), first
+            own, carrier, since = own and drive.state(), dict(zip(drive.outputs, carried.T, strict=True)), first
             if first >= chain.begin:
                 starts[first] = start
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]

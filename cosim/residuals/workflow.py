@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.errors import DiskFull, Terminated, stopped
+from cosim.files import FilePath, atomic_write, check_writable, is_full
+from cosim.isolation.limits import Limits, read_limits
+from cosim.isolation.process import Worker
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log
 from cosim.models.file import load_model
 from cosim.registry import BASE
 from cosim.report.template import render
+from cosim.residuals.apart import MODULES, DriveApart
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, log_of_fmu
 from cosim.residuals.report import TEMPLATE, context
@@ -35,16 +40,34 @@ def replay(
     fmu: FilePath | None = None,
     *,
     report: bool = True,
+    in_process: bool = False,
+    limits: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
 
     Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
+    in_process: the FMU is loaded into this process, for a debugger.
+    limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
-    with tempfile.TemporaryDirectory(prefix="cosim-replay-") as scratch:
+    most = read_limits(limits)
+    with ExitStack() as stack:
+        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        if worker is not None:
+            worker.start()  # it gets ready while files are read
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-replay-"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
         read = log_of_fmu(Path(log), driven)
-        return write_replay(Path(folder), read, driven, report=report, passing=fmu is None, progress=progress)
+        return write_replay(
+            Path(folder),
+            read,
+            driven,
+            report=report,
+            passing=fmu is None,
+            worker=worker,
+            limits=most,
+            progress=progress,
+        )
 
 
 def write_replay(
@@ -56,16 +79,25 @@ def write_replay(
     rate: float | None = None,
     report: bool = True,
     passing: bool = False,
+    worker: Worker | None = None,
+    limits: Limits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
+    worker: where the FMU runs, within limits; in this process without.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
-    with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(min(done, total), total)
+
+    told = None if progress is None else tell
+    with Drive(log, fmu, told) if worker is None else DriveApart(worker, log, fmu, told, limits=limits) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
@@ -73,16 +105,34 @@ def write_replay(
             (folder / name).unlink(missing_ok=True)
         try:
             free = free_run(drive, start)
-        except StoppedReplay as stopped:
-            results(drive, as_columns(stopped.done, drive.outputs)).write_csv(folder / "results.csv")
+        except StoppedReplay as failed:
+            _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
             raise
-        results(drive, free.outputs).write_csv(folder / "results.csv")
+        except (KeyboardInterrupt, Terminated) as stop:
+            if drive.left is None:
+                raise
+            made = results(drive, as_columns(drive.left, drive.outputs))
+            _write_rows(made, folder)
+            raise stopped(stop, made.time[-1] if made.time.size else log.time[0], "the replay") from None
+        _write_rows(results(drive, free.outputs), folder)
         comparison = compare(drive, free, findings)
-    residuals(comparison).write_csv(folder / "residual.csv")
-    if report:
-        with atomic_write(folder / "report.html") as stream:
-            stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+        residuals(comparison).write_csv(folder / "residual.csv")
+        if report:
+            with atomic_write(folder / "report.html") as stream:
+                stream.write(render(TEMPLATE, context(comparison, passing=passing)))
     return comparison
+
+
+def _write_rows(made: Results, folder: Path) -> None:
+    """results.csv; DiskFull where only some of its rows fit."""
+    try:
+        made.write_csv(folder / "results.csv")
+    except OSError as error:
+        if not is_full(error):
+            raise
+        count = made.write_what_fits(folder / "results.csv")
+        told = f"the disk is full: {count} of {len(made.time)} rows are in results.csv"
+        raise DiskFull("the replay", made.time[max(0, count - 1)].item(), told) from None
 
 
 def _older(drive: Drive) -> Iterator[Finding]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.blocks.fmu import FmuBlock, read_description
+from cosim.blocks.description import read_description, ways
+from cosim.blocks.fmu import FmuBlock, named
 from cosim.blocks.interface import Component
 from cosim.blocks.sources import playback, reference
 from cosim.errors import FmuError, InputError
@@ -65,7 +66,35 @@ def _fmu(
     start = {variable: value for variable, value in typed_values.items() if value is not None}
     targets = (connection.target.partition(".") for connection in file.scenario.connections)
     connected = frozenset(variable for owner, _, variable in targets if owner == name)
-    return FmuBlock(name, path, description, start, connected)
+    if component.interface is not None and component.interface not in (offered := ways(description)):
+        diagnosis.note(("components", name, "interface"), f"{path.name} offers {' and '.join(offered)} only")
+        return None
+    scenario = file.scenario
+    return FmuBlock(
+        name,
+        path,
+        description,
+        start,
+        connected,
+        way=component.interface,
+        tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
+        recorded=recorded(scenario.record, name, description),
+        logging=component.logging,
+        solver=component.solver,
+    )
+
+
+def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
+    """Variables that patterns such as `plant.*` name, beside inputs and outputs; without outputs its states."""
+    found = {
+        v.name
+        for v in description.modelVariables
+        if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
+    }
+    if not any(v.causality == "output" for v in description.modelVariables):  # as FMPy does
+        derivatives = (unknown.variable.derivative for unknown in description.derivatives)
+        found |= {state.name for state in derivatives if state is not None}
+    return frozenset(found)
 
 
 def _start(name: str, description: Any, variable_name: str, given: Any, diagnosis: Diagnosis) -> Any:

@@ -25,6 +25,8 @@ def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, An
     target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
     unit = results.units.get(criterion.of, "")
     match kind:
+        case _ if not signal.size:  # an FMU ended the simulation before
+            value = math.inf
         case "settling_time":
             value, unit = metrics.settling_time(t, signal, target, criterion.band or 0.0), "s"
         case "effort":

@@ -34,7 +34,8 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
         if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
             start = {**designed.get(name, {}), **component.start}
-            components[name] = FmuComponent(fmu=str(path), start=start, sha256=sha256(path))
+            pinned = {"fmu": str(path), "start": start, "sha256": sha256(path)}
+            components[name] = component.model_copy(update=pinned)
         elif component.block == "playback":
             components[name] = component.model_copy(
                 update={"file": str(file.resolve(component.file)), "sha256": sha256(file.resolve(component.file))}
@@ -74,6 +75,8 @@ def manifest(
         "scenario": resolved(scenario),
         "design": resolved(file.scenario).get("design"),
         "seed": scenario.seed,
+        "order": [stage.component.name for stage in system.stages],
+        "items": {column: dict(s.items) for column, s in system.signals.items() if s.items},
         "fmus": {
             name: {
                 "path": str(path),

@@ -2,23 +2,53 @@
 
 Gauss-Seidel and Jacobi are the same loop. They differ in which transfers a stage makes right before it
 steps (`Stage.pulls`) and which wait for the end of the step (`System.held`); Jacobi makes none before.
+A component with a longer step of its own makes it at the end of that step; until then its outputs stand still.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from cosim.errors import SimulationError
+from cosim.arrays import Array
+from cosim.blocks.interface import EndedEarly
+from cosim.errors import SimulationError, Terminated, stopped
+from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, Rows
 from cosim.results import Results
+from cosim.simulation.schedule import Stage
 from cosim.simulation.system import System
 from cosim.simulation.wiring import Transfer
 
-Copies = tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int, list[float]], ...]]
-SETTLE = 10  # sweeps after which initial values that still change are called an error
+Plain = tuple[tuple[int, int], ...]
+Noisy = tuple[tuple[int, int, list[float]], ...]
+# from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
+Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
+Copies = tuple[Plain, Noisy, Through]
+Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
+# what is written before put, advance and get of a component; these three; the number of steps that are one of its own,
+# and the length of that, 0.0 of one from communication point to communication point
+Active = tuple[
+    tuple[int, int, int],
+    Callable[[], None] | None,
+    Callable[[float, float], None],
+    Callable[[], None],
+    int,
+    float,
+    Plain,
+    Noisy,
+    Through,
+]
+Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
+EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
+MOST_SWEEPS = 1000  # after which initial values that still change are called an error
+SETTLED = 1e-12  # relative change of a sweep
 PROGRESS_EVERY = 50
+LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
 
 
 class StoppedRun(Exception):
@@ -29,83 +59,272 @@ class StoppedRun(Exception):
         self.error, self.results = error, results
 
 
-def simulate(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Results:
-    """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails."""
-    components = [stage.component for stage in system.stages]
-    row = (ctypes.c_double * len(system.columns))()
-    table = np.zeros((steps + 1, len(system.columns)))
-    time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
-    place = {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in system.columns)))}
-    stages = [(s.component, *_copies(s.pulls, system.seed, steps + 1)) for s in system.stages]
-    held, held_noisy = _copies(system.held, system.seed, steps + 1)
-    here, there, size = ctypes.addressof(row), table.ctypes.data, ctypes.sizeof(row)
-    done = 0
-    try:
-        for component in components:
-            component.bind(row, place.get(component.name, 0))
-        for component in components:
-            component.open(system.start, float(time[-1]))
-        _initialize(stages, (held, held_noisy), row)
-        for component in components:
+def simulate(
+    system: System,
+    steps: int,
+    h: float,
+    progress: Callable[[int], None] | None = None,
+    rows: Rows | None = None,
+) -> Results:
+    """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails.
+
+    Fewer rows, and a note, where an FMU ends the simulation.
+    rows: where they are written, shape (steps + 1, columns); in memory without
+    """
+    return _Run(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
+
+
+class _Run:
+    """One run: its row of signals, what stands beside it, and the table of rows."""
+
+    def __init__(
+        self, system: System, steps: int, h: float, progress: Callable[[int], None] | None, rows: Rows
+    ) -> None:
+        self.system, self.steps, self.h = system, steps, h
+        self.components = [stage.component for stage in system.stages]
+        self.row = (ctypes.c_double * len(system.columns))()
+        self.beside: list[Any] = [None] * len(system.beside)
+        self.kept = rows.beside  # of what stands beside the row, one a row
+        self.table, self.made, self.doing = rows.table, rows.made, rows.doing
+        self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
+        self.done = 0
+        self.notes: list[str] = []
+        self.after = self._after(progress)
+        self._made: dict[str, Transferring] = {}
+        self.pulls = {s.component.name: self._copies(s.pulls) for s in system.stages}
+        self.held = self._copies(system.held)
+
+    def results(self) -> Results:
+        """Run from beginning to end."""
+        try:
+            self._open()
+            self._initialize()
+            self._record_first()
+            self._step_on()
+        except EndedEarly as end:
+            if not self.done:
+                raise StoppedRun(end, self._so_far()) from None  # before it began
+            self._end(end)
+        except (SimulationError, KeyboardInterrupt, Terminated) as stop:
+            error = stopped(stop, float(self.time[max(0, self.done - 1)]))
+            raise StoppedRun(error, self._so_far()) from None
+        finally:
+            for k, component in enumerate(self.components):
+                self.doing[0] = CALLS * k + OTHER
+                component.close()
+        return self._so_far()
+
+    # -- in order -----------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        place = _first_places(self.system.columns)
+        place_beside = _first_places(self.system.beside)
+        for component in self.components:
+            name = component.name
+            component.bind(self.row, place.get(name, 0), self.beside, place_beside.get(name, 0))
+        for k, component in enumerate(self.components):
+            self.doing[0] = CALLS * k + OTHER
+            component.open(self.system.start, float(self.time[-1]))
+
+    def _initialize(self) -> None:
+        """Exchange values in initialization mode until none changes; then end it, and read what that changed."""
+        self._settle()
+        before = self._values()
+        for k, component in enumerate(self.components):
+            self.doing[0] = CALLS * k + OTHER
             component.start()
-        ctypes.memmove(there, here, size)
-        done = 1
-        for k in range(1, steps + 1):
-            t = system.start + (k - 1) * h
-            for component, plain, noisy in stages:
-                for source, target in plain:
-                    row[target] = row[source]
-                for source, target, samples in noisy:
-                    row[target] = row[source] + samples[k]
-                component.put()
-                component.advance(t, h)
-                component.get()
-            for source, target in held:
-                row[target] = row[source]
-            for source, target, samples in held_noisy:
-                row[target] = row[source] + samples[k]
-            ctypes.memmove(there + k * size, here, size)
-            done = k + 1
-            if progress is not None and k % PROGRESS_EVERY == 0:
-                progress(k)
-    except (SimulationError, KeyboardInterrupt) as stop:
-        interrupted = SimulationError("the run", float(time[max(0, done - 1)]), "interrupted from the keyboard")
-        error = stop if isinstance(stop, SimulationError) else interrupted
-        raise StoppedRun(error, Results(time[:done], system.columns, table[:done], system.units)) from None
-    finally:
-        for component in components:
-            component.close()
-    return Results(time, system.columns, table, system.units)
-
-
-def _copies(transfers: tuple[Transfer, ...], seed: int, count: int) -> Copies:
-    """Transfers as (from, to) and, where noise is on them, (from, to, samples)."""
-    noisy = [(t, samples) for t in transfers if (samples := t.samples(seed, count)) is not None]
-    names = {t.name for t, _ in noisy}
-    return (
-        tuple((t.source, t.target) for t in transfers if t.name not in names),
-        tuple((t.source, t.target, samples) for t, samples in noisy),
-    )
-
-
-def _initialize(stages: list[tuple], held: Copies, row: ctypes.Array[ctypes.c_double]) -> None:  # type: ignore[type-arg]
-    """Exchange values in initialization mode until none changes: outputs are current there."""
-
-    def pull(plain: tuple[tuple[int, int], ...], noisy: tuple[tuple[int, int, list[float]], ...]) -> None:
-        for source, target in plain:
-            row[target] = row[source]
-        for source, target, samples in noisy:
-            row[target] = row[source] + samples[0]
-
-    for _ in range(SETTLE):
-        before = bytes(row)
-        for component, *copies in stages:
-            pull(*copies)
-            component.put()
+        for k, component in enumerate(self.components):
+            self.doing[0] = CALLS * k + GET
             component.get()
-        pull(*held)
-        if bytes(row) == before:
+        if self._values() != before:  # outputs that are right only after initialization, as of 20-sim
+            self._sweep()
+
+    def _settle(self) -> None:
+        for sweep in range(MOST_SWEEPS):
+            before, row = self._values(), list(self.row)
+            self._sweep()
+            if self._values() == before or (sweep >= EXACT_SWEEPS and _close(row, self.row)):
+                return
+        raise SimulationError(
+            "initialization",
+            self.system.start,
+            f"values still change after {MOST_SWEEPS} exchanges: an algebraic loop without a fixed point",
+        )
+
+    def _sweep(self) -> None:
+        for k, component in enumerate(self.components):
+            _transfer(self.row, self.pulls[component.name], 0)
+            self.doing[0] = CALLS * k + PUT
+            component.put()
+            self.doing[0] = CALLS * k + GET
+            component.get()
+        _transfer(self.row, self.held, 0)
+
+    def _record_first(self) -> None:
+        for call in self.after:
+            call(0)
+        ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
+        self.done = self.made[0] = 1
+
+    def _step_on(self) -> None:
+        """All steps. What is called in here decides the time that a run takes."""
+        row, h, begin, after, memmove = self.row, self.h, self.system.start, self.after, ctypes.memmove
+        here, there, size = ctypes.addressof(row), self.table.ctypes.data, ctypes.sizeof(row)
+        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
+        made, doing = self.made, self.doing
+        done, next_t = self.done, begin
+        try:
+            for k, (active, held, held_noisy, held_through) in zip(range(1, self.steps + 1), rounds, strict=False):
+                t, next_t = next_t, begin + k * h
+                for calls, put, advance, get, every, length, plain, noisy, through in active:
+                    for source, target in plain:
+                        row[target] = row[source]
+                    for source, target, samples in noisy:
+                        row[target] = row[source] + samples[k]
+                    if through:
+                        for origin, source, goal, target, function in through:
+                            goal[target] = function(k, origin[source])
+                    putting, advancing, getting = calls
+                    if put is not None:
+                        doing[0] = putting
+                        put()
+                    doing[0] = advancing
+                    if every == 1:
+                        advance(t, length or next_t - t)
+                    else:
+                        advance(since := begin + (k - every) * h, length or next_t - since)
+                    doing[0] = getting
+                    get()
+                for source, target in held:
+                    row[target] = row[source]
+                for source, target, samples in held_noisy:
+                    row[target] = row[source] + samples[k]
+                if held_through:
+                    for origin, source, goal, target, function in held_through:
+                        goal[target] = function(k, origin[source])
+                if after:
+                    for call in after:
+                        call(k)
+                memmove(there + k * size, here, size)
+                done = made[0] = k + 1
+        finally:
+            self.done = done
+
+    def _end(self, end: EndedEarly) -> None:
+        """The run ends well where an FMU ends it: with a row for that time where nobody else has a state then."""
+        self.notes.append(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}")
+        alone = len(self.system.fmus) == 1
+        k = self.done
+        if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
             return
-    raise SimulationError(
-        "initialization", 0.0, f"values still change after {SETTLE} exchanges: an algebraic loop without a fixed point"
-    )
+        for component in self.components:
+            component.get()
+        for call in self.after:
+            call(k)
+        self.time[k] = end.reached
+        self.table[k] = self.row[:]
+        self.done = self.made[0] = k + 1
+
+    # -- parts --------------------------------------------------------------------------------
+
+    def _values(self) -> tuple[bytes, list[Any]]:
+        return bytes(self.row), list(self.beside)
+
+    def _after(self, progress: Callable[[int], None] | None) -> tuple[Callable[[int], None], ...]:
+        """What is called at the end of every step, before its row is kept: only what this run needs."""
+        calls: list[Callable[[int], None]] = []
+        if self.system.events:
+            calls.append(self._change)
+        if self.beside:
+            calls.append(lambda k: self.kept.append(tuple(self.beside)))
+        if progress is not None:
+            told = progress
+            calls.append(lambda k: told(k) if k and k % PROGRESS_EVERY == 0 else None)
+        return tuple(calls)
+
+    def _change(self, k: int) -> None:
+        changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
+        for component in self.components:
+            if component.name in changes:
+                component.change(changes[component.name])  # type: ignore[attr-defined]
+
+    def _cycle(self) -> Sequence[Round]:
+        """Who steps, and what is transferred, at each communication point of a cycle; all at each, without rates."""
+        stages, held = self.system.stages, self.system.held
+        period = math.lcm(*(stage.every for stage in stages), 1)
+        every = {stage.component.name: stage.every for stage in stages}
+        if period > LONGEST_CYCLE:
+            period = self.steps + 1
+        made: dict[tuple[str, ...], Round] = {}
+
+        def at(k: int) -> Round:
+            stepping = [stage for stage in stages if k % stage.every == 0]
+            key = tuple(stage.component.name for stage in stepping)
+            if key not in made:
+                made[key] = (
+                    tuple(self._active(stage) for stage in stepping),
+                    *self._copies(t for t in held if k % every[t.name.partition(".")[0]] == 0),
+                )
+            return made[key]
+
+        return [at(k) for k in range(period)]
+
+    def _active(self, stage: Stage) -> Active:
+        component = stage.component
+        length = stage.every * self.h if component.nominal_step else 0.0
+        first = CALLS * self.components.index(component)
+        calls = first + PUT, first + ADVANCE, first + GET
+        return calls, *component.calls(), stage.every, length, *self.pulls[component.name]
+
+    def _copies(self, transfers: Iterable[Transfer]) -> Copies:
+        """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
+        kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+        for transfer in transfers:
+            if transfer.name not in self._made:
+                self._made[transfer.name] = self._transferring(transfer)
+            kind, entry = self._made[transfer.name]
+            kinds[kind].append(entry)
+        plain, noisy, through = kinds
+        return tuple(plain), tuple(noisy), tuple(through)
+
+    def _transferring(self, transfer: Transfer) -> Transferring:
+        seed, count = self.system.seed, self.steps + 1
+        if not transfer.plain:
+            origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
+            function = transfer.through(seed, self.system.start, self.h, count)
+            return 2, (origin, transfer.source, goal, transfer.target, function)
+        if (samples := transfer.samples(seed, count)) is not None:
+            return 1, (transfer.source, transfer.target, samples)
+        return 0, (transfer.source, transfer.target)
+
+    def _so_far(self) -> Results:
+        kept = self.kept if isinstance(self.kept, list) else []
+        return results_of(self.system, self.time[: self.done], self.table[: self.done], kept, self.notes)
+
+
+def results_of(
+    system: System, time: Array, table: Array, kept: Sequence[tuple[Any, ...]], notes: Sequence[str] = ()
+) -> Results:
+    """Results of a run, by its rows and what stands beside them."""
+    exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
+    whole = frozenset(c for c in system.columns if system.signals[c].whole)
+    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes))
+
+
+def _first_places(columns: Sequence[str]) -> dict[str, int]:
+    """Component → place of its first column."""
+    return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}
+
+
+def _transfer(row: Any, copies: Copies, k: int) -> None:
+    plain, noisy, through = copies
+    for source, target in plain:
+        row[target] = row[source]
+    for source, target, samples in noisy:
+        row[target] = row[source] + samples[k]
+    for origin, source, goal, target, function in through:
+        goal[target] = function(k, origin[source])
+
+
+def _close(before: Iterable[float], after: Iterable[float]) -> bool:
+    return all(abs(a - b) <= SETTLED * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

@@ -11,7 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from cosim.blocks.interface import Component
 
-Edge = tuple[str, str, str]  # source component, target component, target input
+Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
 
 
 class AlgebraicLoop(Exception):
@@ -34,27 +34,40 @@ def stages(
         place = {name: k for k, name in enumerate((*rest, *order))}
         immediate = tuple(
             place[source] < place[target] and components[target].depends_on(name) is not False
-            for source, target, name in edges
+            for source, target, name, _ in edges
         )
         return tuple(place), immediate, ()
     held: set[str] = set()
+    freed: set[tuple[str, str]] = set()
     notes: list[str] = []
+    used = {name: {output for source, _, _, output in edges if source == name} for name in components}
     while True:
         immediate = tuple(
-            target not in held and components[target].depends_on(name) is not False for source, target, name in edges
+            target not in held and (target, name) not in freed and components[target].depends_on(name) is not False
+            for _, target, name, _ in edges
         )
         try:
             return _sorted(components, edges, immediate), immediate, tuple(notes)
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
-            undeclared = sorted(
-                {
-                    target
-                    for source, target, name in edges
-                    if target in cycle and source in cycle and components[target].depends_on(name) is None
-                }
-            )
-            if len(undeclared) != 1:
+            # in a loop only those outputs count that go on
+            around = {
+                (target, name) for source, target, name, _ in edges if source in cycle and target in cycle
+            } - freed
+            unneeded = {(c, name) for c, name in around if components[c].depends_on(name, used[c]) is False}
+            if unneeded:
+                freed |= unneeded
+                continue
+            undeclared = [
+                component
+                for component in components  # in the order of the file
+                if component in cycle
+                and any(
+                    target == component and source in cycle and components[target].depends_on(name) is None
+                    for source, target, name, _ in edges
+                )
+            ]
+            if not undeclared or undeclared[0] in held:
                 raise AlgebraicLoop(cycle) from None
             held.add(undeclared[0])
             notes.append(
@@ -65,7 +78,7 @@ def stages(
 
 def _sorted(components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]) -> tuple[str, ...]:
     sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
-    for (source, target, _), now in zip(edges, immediate, strict=True):
+    for (source, target, *_), now in zip(edges, immediate, strict=True):
         if now:
             sorter.add(target, source)
     return tuple(sorter.static_order())

@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from cosim.blocks.profile import Profile
+from cosim.isolation.limits import Limits
 from cosim.yaml_file import NotNegative, Number, Part, Positive
 
 LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
@@ -23,7 +24,12 @@ Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
 
 
 def _scalar(value: Any) -> Any:
-    """A start value: a finite number, true or false, or text (a number with a unit, or the value of a string)."""
+    """A start value: a finite number, true or false, or text (a number with a unit, the value of a string, an item).
+
+    Of an array a list of them.
+    """
+    if isinstance(value, list):
+        return [_scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
     raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
@@ -50,18 +56,57 @@ class Noise(Part):
 
 
 class Connection(Part):
-    """From one output to one input, `component.variable`."""
+    """From one output to one input, `component.variable`; `factor` in place of the conversion of their units."""
 
     source: Variable = Field(alias="from")
     target: Variable = Field(alias="to")
     noise: Noise | None = None
+    factor: Number | None = None
+
+
+class Disturbance(Part):
+    """A fault on the connection to an input, from one time to another [s], in the unit of that input.
+
+    kind: bias adds `value`; scale multiplies by it; stuck puts it in place; freeze holds what came last; dropout
+    loses samples with `probability` and holds the last that came; spike adds `value`, once or with `probability`
+    at each sample; delay passes on what came `delay` [s] before
+    """
+
+    on: Variable
+    kind: Literal["bias", "scale", "stuck", "freeze", "dropout", "spike", "delay"]
+    value: Number | None = None
+    probability: Annotated[float, Field(strict=True, gt=0, le=1)] | None = None
+    delay: Positive | None = None
+    begin: Number | None = Field(default=None, alias="from")
+    end: Number | None = Field(default=None, alias="to")
+
+
+class Event(Part):
+    """Values that parameters and inputs get at a time [s], `component.variable` → value."""
+
+    at: Number
+    set: dict[Variable, Annotated[Any, AfterValidator(_scalar)]] = Field(min_length=1)
 
 
 class FmuComponent(Part):
-    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`."""
+    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`.
+
+    process: `own` for one that shares its process with no other FMU
+    interface: how it is run where it offers both
+    step:      its communication step [s], a whole multiple of the scenario's
+    tolerance: relative, of its solver
+    logging:   its debug messages are asked for
+    solver:    of model exchange
+    """
 
     fmu: str
+    process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
+    interface: Literal["co-simulation", "model-exchange"] | None = None
+    step: Positive | None = None
+    tolerance: Positive | None = None
+    logging: bool = False
+    solver: Literal["cvode", "solve_ivp"] | None = None
     sha256: str | None = None
 
 
@@ -132,10 +177,15 @@ class Scenario(Part):
     algorithm: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
     order: list[Name] | None = None
     noise: bool = True
+    tolerance: Positive | None = None
+    record: list[str] = Field(default_factory=list)
     design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
     connections: list[Connection] = Field(default_factory=list)
+    events: list[Event] = Field(default_factory=list)
+    faults: list[Disturbance] = Field(default_factory=list)
     criteria: Criteria = Field(default_factory=dict)
+    limits: Limits | None = None
 
     @property
     def steps(self) -> int:

@@ -15,10 +15,11 @@ from cosim.yaml_file import did_you_mean
 
 @dataclass(frozen=True)
 class Stage:
-    """A component and the transfers made right before it steps."""
+    """A component and the transfers made right before it steps; `every`: it does so at each so-many-th point."""
 
     component: Component
     pulls: tuple[Transfer, ...] = ()
+    every: int = 1
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,16 @@ class Schedule:
 
 
 def schedule(
-    scenario: Scenario, components: Components, transfers: Sequence[Transfer], diagnosis: Diagnosis
+    scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
 ) -> Schedule:
-    """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none."""
+    """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none.
+
+    transfers: of each connection
+    """
+    every = {name: _every(scenario, name, diagnosis) for name in components}
     if scenario.algorithm == "jacobi":
-        return Schedule(tuple(Stage(c) for c in components.values()), tuple(transfers))
+        stages_ = tuple(Stage(c, every=every[name]) for name, c in components.items())
+        return Schedule(stages_, tuple(t for each in transfers for t in each))
     if scenario.order is not None and not _names_all(scenario.order, components, diagnosis):
         return Schedule()
     try:
@@ -47,15 +53,30 @@ def schedule(
         diagnosis.note(("connections",), message)
         return Schedule()
     diagnosis.warnings += notes
-    now = [t for t, is_now in zip(transfers, immediate, strict=True) if is_now]
-    held = tuple(t for t, is_now in zip(transfers, immediate, strict=True) if not is_now)
+    both = list(zip(transfers, immediate, strict=True))
+    now = [t for each, is_now in both if is_now for t in each]
+    held = tuple(t for each, is_now in both if not is_now for t in each)
     pulls = {name: tuple(t for t in now if t.name.partition(".")[0] == name) for name in order}
-    return Schedule(tuple(Stage(components[name], pulls[name]) for name in order), held)
+    return Schedule(tuple(Stage(components[name], pulls[name], every[name]) for name in order), held)
+
+
+def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
+    """How many steps of the scenario make one of the component; a fault noted where that is no whole number."""
+    step: float | None = getattr(scenario.components[name], "step", None)
+    if step is None:
+        return 1
+    count = step / scenario.step
+    if round(count) < 1 or abs(count - round(count)) > 1e-9 * count:
+        cure = f"use a whole multiple, {max(1, round(count)) * scenario.step:g} s for one"
+        message = f"step is {step:g} s, that of the scenario {scenario.step:g} s; {cure}"
+        diagnosis.note(("components", name, "step"), message)
+    return max(1, round(count))
 
 
 def _edge(connection: Connection) -> Edge:
     target, _, variable = connection.target.partition(".")
-    return connection.source.partition(".")[0], target, variable
+    source, _, output = connection.source.partition(".")
+    return source, target, variable, output
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:

@@ -7,9 +7,13 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.fmu import unit_of
+from cosim.blocks.description import unit_of
+from cosim.blocks.kinds import Kind, kinds_of
+from cosim.yaml_file import did_you_mean
 
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d.]\S*)\s*")
+
+HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
 @dataclass(frozen=True)
@@ -21,36 +25,73 @@ class Misfit:
 
 def settable(variable: Any) -> bool:
     """FMI lets a host give this variable a start value."""
-    return variable.variability != "constant" and (
-        variable.causality == "input" or variable.initial in {"exact", "approx"}
-    )
+    if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
+        return False
+    given = variable.initial is None and variable.start is not None  # FMI 1.0 knows no `initial`
+    return variable.causality == "input" or variable.initial in {"exact", "approx"} or given
 
 
 def kind_of(variable: Any) -> str:
     """What a variable is that takes none."""
-    return {"output": "an output", "calculatedParameter": "calculated", "independent": "the time"}.get(
-        variable.causality, variable.variability or "not settable"
-    )
+    known = {
+        "output": "an output",
+        "calculatedParameter": "calculated",
+        "independent": "the time",
+        "structuralParameter": "a structural parameter, which keeps its value here",
+    }
+    return known.get(variable.causality, variable.variability or "not settable")
 
 
 def typed(description: Any, variable: Any, given: Any) -> Any:
-    """The value as FMI takes it, or why it does not fit."""
+    """The value as FMI takes it, of an array a list of them, or why it does not fit."""
+    if not variable.shape:
+        return _typed(description, variable, given)
+    count = math.prod(variable.shape)
+    if not isinstance(given, list) or len(given) != count:
+        return Misfit(f"it is a list of {count} values")
+    values = [_typed(description, variable, each) for each in given]
+    return next((v for v in values if isinstance(v, Misfit)), values)
+
+
+def _typed(description: Any, variable: Any, given: Any) -> Any:
+    kind = kinds_of(description.fmiVersion).get(variable.type)
+    if kind is None:
+        return Misfit(f"it is a {variable.type}, which is not supported")
     if variable.type == "Boolean":
         return given if isinstance(given, bool) else Misfit("it is true or false")
     if variable.type == "String":
         return given if isinstance(given, str) else Misfit("it is text")
+    if variable.type == "Binary":
+        return given if isinstance(given, str) and HEX.fullmatch(given) else Misfit("it is text of hexadecimal digits")
     if isinstance(given, str):
-        given = _converted(description, variable, given)
+        given = _named(variable, given) if variable.type == "Enumeration" else _converted(description, variable, given)
         if isinstance(given, Misfit):
             return given
-    if isinstance(given, bool):
+    if isinstance(given, bool) or not isinstance(given, (int, float)):
         return Misfit(f"it is a number [{unit_of(variable) or '1'}]")
-    if variable.type in {"Integer", "Enumeration"} and given != int(given):
+    if kind.low is not None and given != int(given):
         return Misfit("it is a whole number")
-    low, high = (float(v) if v is not None else s * math.inf for v, s in ((variable.min, -1), (variable.max, 1)))
+    low, high = _bounds(variable, kind)
     if not low <= given <= high:
         return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
-    return int(given) if variable.type in {"Integer", "Enumeration"} else float(given)
+    return int(given) if kind.low is not None else float(given)
+
+
+def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
+    """What the variable, else its declared type, else the type of FMI, holds."""
+    declared = variable.declaredType
+    low, high = (
+        next((float(v) for v in (getattr(variable, end), getattr(declared, end, None)) if v is not None), None)
+        for end in ("min", "max")
+    )
+    lowest, highest = (-math.inf, math.inf) if kind.low is None or kind.high is None else (kind.low, kind.high)
+    return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
+
+
+def _named(variable: Any, text: str) -> int | Misfit:
+    """The number of an enumeration's item."""
+    items = {i.name: int(i.value) for i in variable.declaredType.items} if variable.declaredType else {}
+    return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 
 def _converted(description: Any, variable: Any, text: str) -> float | Misfit:

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.interface import Component, Signal
 from cosim.simulation.components import Designed, build_components
 from cosim.simulation.diagnosis import Diagnosis, Place
+from cosim.simulation.events import Events, changes
 from cosim.simulation.scenario import FmuComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.schedule import Schedule, Stage, schedule
@@ -26,6 +28,9 @@ class System:
 
     stages: in the order in which they step
     held:   transfers made at the end of a step: their targets see the values of the step's start
+    beside: columns whose values no double holds exactly
+    events: communication point → component → values that it gets there
+    step:   the scenario's [s]
     """
 
     stages: tuple[Stage, ...]
@@ -36,6 +41,9 @@ class System:
     start: float = 0.0
     warnings: tuple[str, ...] = ()
     fmus: Mapping[str, tuple[Path, Any]] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    events: Events = field(default_factory=dict)
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -49,14 +57,44 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     if whole:
         _check_criteria(scenario, layout.columns, diagnosis)
     plan = Schedule()
-    if whole and len(transfers) == len(scenario.connections):
+    if whole and all(transfers):
         plan = schedule(scenario, components, transfers, diagnosis)
+    blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
+    events = changes(file, blocks, diagnosis)
+    _check_record(file, components, diagnosis)
     diagnosis.raise_any()
-    warnings = (*diagnosis.warnings, *unconnected(file, components))
-    fmus = {name: (c.path, c.description) for name, c in components.items() if isinstance(c, FmuBlock)}
+    warnings = [*diagnosis.warnings, *unconnected(file, components), *(w for c in blocks.values() for w in c.warnings)]
     return System(
-        plan.stages, plan.held, layout.columns, layout.units, scenario.seed, scenario.start_time, warnings, fmus
+        plan.stages,
+        plan.held,
+        layout.columns,
+        layout.units,
+        scenario.seed,
+        scenario.start_time,
+        tuple(warnings),
+        {name: (c.path, c.description) for name, c in blocks.items()},
+        layout.beside,
+        layout.signals,
+        events,
     )
+
+
+def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
+    """What is recorded on request are variables that there are; what nothing is recorded of is told."""
+    for k, pattern in enumerate(file.scenario.record):
+        name = pattern.partition(".")[0]
+        component = components.get(name)
+        if "*" not in name and name not in file.scenario.components:
+            hint = did_you_mean(name, file.scenario.components)
+            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
+        elif isinstance(component, FmuBlock) and not component.names_any(pattern):
+            known = [f"{name}.{v.name}" for v in component.description.modelVariables]
+            diagnosis.note(("record", k), f'no variable "{pattern}"{did_you_mean(pattern, known)}')
+    for name, component in components.items():
+        if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
+            diagnosis.warnings.append(
+                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
+            )
 
 
 def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from cosim.blocks.faults import Through, disturbed, points
 from cosim.blocks.interface import Component, Signal
+from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.scenario import Connection, FmuComponent, Noise
+from cosim.simulation.scenario import Connection, Disturbance, FmuComponent, Noise
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
 
@@ -17,26 +20,42 @@ Components = Mapping[str, Component]
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Where signals stand in the row: component after component, inputs before outputs.
+    """Where signals stand: component after component, inputs before outputs; in the row of doubles, or beside it.
 
-    first:   component → place of its first signal
-    columns: `component.variable`, one a place
+    columns: `component.variable`, one a place of the row
     units:   column → unit, "" where it has none
+    beside:  as columns, of what no double holds exactly
+    place:   column → whether it stands beside the row, and its place there
+    signals: column → its signal
     """
 
-    first: Mapping[str, int]
     columns: tuple[str, ...]
     units: Mapping[str, str]
+    beside: tuple[str, ...]
+    place: Mapping[str, tuple[bool, int]]
+    signals: Mapping[str, Signal]
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """A connection in the row: from one place to another, through noise."""
+    """A connection: from one place to another, through a change of unit, noise and injected faults.
+
+    beside: whether the place that it comes from, and the one that it goes to, stand beside the row
+    """
 
     source: int
     target: int
     name: str  # of the target, `component.variable`; it also names the random stream
     noise: Noise | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+    faults: tuple[Disturbance, ...] = ()
+    beside: tuple[bool, bool] = (False, False)
+
+    @property
+    def plain(self) -> bool:
+        """Values go from place to place in the row, at most with noise added."""
+        return self.factor == 1.0 and self.offset == 0.0 and not self.faults and self.beside == (False, False)
 
     def samples(self, seed: int, count: int) -> list[float] | None:
         """What noise adds at each of `count` communication points; None adds nothing."""
@@ -44,66 +63,160 @@ class Transfer:
             return None
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
+    def through(self, seed: int, start: float, step: float, count: int) -> Through:
+        """What becomes of a value at each of `count` communication points: unit, then noise, then each fault."""
+        chain: list[Through] = []
+        factor, offset = self.factor, self.offset
+        if factor != 1.0 or offset != 0.0:
+            chain.append(lambda k, v: v * factor + offset)
+        if (samples := self.samples(seed, count)) is not None:
+            noise = samples
+            chain.append(lambda k, v: v + noise[k])
+        for number, fault in enumerate(self.faults):
+            window = points(fault.begin, fault.end, start, step, count)
+            rng = stream(seed, f"{self.name} {fault.kind} {number}")
+            delay = 0 if fault.delay is None else max(1, round(fault.delay / step))
+            given = {"value": fault.value, "probability": fault.probability, "delay": delay}
+            chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
+
+        def value(k: int, v: Any) -> Any:
+            for link in chain:
+                v = link(k, v)
+            return v
+
+        return chain[0] if len(chain) == 1 else value
+
 
 def lay_out(components: Components) -> RowLayout:
-    """The row of these components' signals."""
-    first: dict[str, int] = {}
-    units: dict[str, str] = {}
+    """The row of these components' signals, and what stands beside it."""
+    row: dict[str, Signal] = {}
+    beside: dict[str, Signal] = {}
     for name, component in components.items():
-        first[name] = len(units)
-        for signal in (*component.inputs, *component.outputs):
-            units[f"{name}.{signal.name}"] = signal.unit
-    return RowLayout(first, tuple(units), units)
+        row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
+        beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
+    units = {column: signal.unit for column, signal in row.items()}
+    place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
+    return RowLayout(tuple(row), units, tuple(beside), place, row | beside)
 
 
-def connect(file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> list[Transfer]:
-    """Transfers of the connections, in their order; one with a faulty end is left out."""
+def connect(
+    file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
+) -> list[tuple[Transfer, ...]]:
+    """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
     _check_sources(file, diagnosis)
+    _check_faults(file, diagnosis)
     lines = zip(file.connection_lines, file.scenario.connections, strict=True)
-    found = (_transfer(file, components, layout, k, connection, diagnosis) for k, connection in lines)
-    return [transfer for transfer in found if transfer is not None]
+    ends = _Ends(file, components, diagnosis)
+    faults: dict[str, list[Disturbance]] = {}
+    for fault in file.scenario.faults:
+        faults.setdefault(fault.on, []).append(fault)
+    return [_transfers(ends, layout, k, connection, faults) for k, connection in lines]
 
 
-def _transfer(
-    file: ScenarioFile, components: Components, layout: RowLayout, k: int, connection: Connection, diagnosis: Diagnosis
-) -> Transfer | None:
-    source = _end(file, components, ("connections", k, "from"), connection.source, "outputs", diagnosis)
-    target = _end(file, components, ("connections", k, "to"), connection.target, "inputs", diagnosis)
-    if source is None or target is None:
-        return None
-    (source_component, i, source_signal), (target_component, j, target_signal) = source, target
-    if not source_signal.agrees(target_signal):
-        ends = f"{connection.source} [{source_signal.unit}] to {connection.target} [{target_signal.unit}]"
-        diagnosis.note(("connections", k), f"unit mismatch: {ends}")
-    at = layout.first[source_component.name] + len(source_component.inputs) + i
+def _transfers(
+    found_ends: _Ends, layout: RowLayout, k: int, connection: Connection, disturbances: Mapping[str, list[Disturbance]]
+) -> tuple[Transfer, ...]:
+    file, diagnosis = found_ends.file, found_ends.diagnosis
+    sources = found_ends.of(("connections", k, "from"), connection.source, "outputs")
+    targets = found_ends.of(("connections", k, "to"), connection.target, "inputs")
+    if not sources or not targets:
+        return ()
+    ends = f"{connection.source} to {connection.target}"
+    if len(sources) != len(targets):
+        diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
+        return ()
     noise = connection.noise if file.scenario.noise else None
-    return Transfer(at, layout.first[target_component.name] + j, connection.target, noise)
+    found = []
+    for source, target in zip(sources, targets, strict=True):
+        if not goes(source.kind, target.kind):
+            what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
+            diagnosis.note(("connections", k), f"types do not agree: {what}")
+            return ()
+        conversion = (connection.factor, 0.0) if connection.factor is not None else source.conversion(target)
+        if conversion is None:
+            units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
+            cure = "; where they are the same all the same, say so by factor: 1"
+            diagnosis.note(("connections", k), f"unit mismatch: {units}{cure}")
+            return ()
+        name = f"{connection.target.partition('.')[0]}.{target.name}"
+        (from_beside, at), (to_beside, to) = (
+            layout.place[f"{connection.source.partition('.')[0]}.{source.name}"],
+            layout.place[name],
+        )
+        faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
+        if (noise or faults or conversion != (1.0, 0.0)) and (from_beside or to_beside):
+            diagnosis.note(("connections", k), f"{ends}: no noise, fault or factor on {source.kind or target.kind}")
+            return ()
+        found.append(Transfer(at, to, name, noise, *conversion, faults, (from_beside, to_beside)))
+    return tuple(found)
 
 
-def _end(
-    file: ScenarioFile, components: Components, where: Place, text: str, side: str, diagnosis: Diagnosis
-) -> tuple[Component, int, Signal] | None:
-    """One end of a connection among a component's `side`, its inputs or outputs: component, number and signal."""
-    name, _, variable = text.partition(".")
-    if name not in file.scenario.components and name not in file.broken:
-        diagnosis.note(where, f'no component "{name}"{did_you_mean(name, file.scenario.components)}')
-        return None
-    component = components.get(name)
-    if component is None or name in file.broken:  # its own fault is told already
-        return None
-    signals: tuple[Signal, ...] = getattr(component, side)
-    for k, signal in enumerate(signals):
-        if signal.name == variable:
-            return component, k, signal
-    other = "inputs" if side == "outputs" else "outputs"
-    if any(s.name == variable for s in getattr(component, other)):
-        message = f"{text} is one of the {other} of {name}; an output goes to an input"
-    else:
-        known = [s.name for s in signals]
-        message = f'{name} has no {side[:-1]} "{variable}" of type Real{did_you_mean(variable, known)}'
-        message += f" (its {side}: {', '.join(known) or 'none'})"
-    diagnosis.note(where, message)
-    return None
+class _Ends:
+    """Finds the ends of connections: a signal, or the elements of an array."""
+
+    def __init__(self, file: ScenarioFile, components: Components, diagnosis: Diagnosis) -> None:
+        self.file, self.components, self.diagnosis = file, components, diagnosis
+        self._known: dict[tuple[str, str], dict[str, list[Signal]]] = {}
+
+    def of(self, where: Place, text: str, side: str) -> list[Signal]:
+        """One end among a component's `side`, its inputs or outputs; none, a fault noted, where there is none."""
+        name, _, variable = text.partition(".")
+        if name not in self.file.scenario.components and name not in self.file.broken:
+            hint = did_you_mean(name, self.file.scenario.components)
+            self.diagnosis.note(where, f'no component "{name}"{hint}')
+            return []
+        component = self.components.get(name)
+        if component is None or name in self.file.broken:  # its own fault is told already
+            return []
+        known = self._signals(component, side)
+        if variable in known:
+            return known[variable]
+        other = "inputs" if side == "outputs" else "outputs"
+        if variable in self._signals(component, other):
+            message = f"{text} is one of the {other} of {name}; an output goes to an input"
+        elif any(s.local and s.name == variable for s in _signals(component, side)):
+            message = f"{text} is recorded, but no output of {name}; an output goes to an input"
+        else:
+            message = f'{name} has no {side[:-1]} "{variable}"{did_you_mean(variable, known)}'
+            message += f" (its {side}: {', '.join(known) or 'none'})"
+        self.diagnosis.note(where, message)
+        return []
+
+    def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
+        """Name → signal, and name of an array → its elements."""
+        key = component.name, side
+        if key not in self._known:
+            found = self._known[key] = {}
+            for signal in _signals(component, side):
+                if not signal.local:
+                    found.setdefault(signal.name, []).append(signal)
+                    if signal.array:
+                        found.setdefault(signal.array, []).append(signal)
+        return self._known[key]
+
+
+def _signals(component: Component, side: str) -> tuple[Signal, ...]:
+    both: tuple[Signal, ...] = (*getattr(component, side), *getattr(component, f"exact_{side}"))
+    return both
+
+
+def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
+    """An injected fault is on a connection, has what its kind needs, and acts within the run."""
+    scenario = file.scenario
+    targets = [c.target for c in scenario.connections]
+    needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
+    needs["dropout"] = "probability"
+    for k, fault in enumerate(scenario.faults):
+        if fault.on not in targets and fault.on.partition("[")[0] not in targets:
+            hint = did_you_mean(fault.on, targets) or f" (connected: {', '.join(targets) or 'none'})"
+            diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+        needed = needs.get(fault.kind)
+        if needed is not None and getattr(fault, needed) is None:
+            diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
+        first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
+        if not max(0, first) <= min(last, scenario.steps):
+            end = scenario.start_time + scenario.duration
+            diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
 
 
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
@@ -122,6 +235,10 @@ def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
     for name, component in components.items():
         declared = file.scenario.components[name]
         given = declared.start if isinstance(declared, FmuComponent) else {}
-        free = [s.name for s in component.inputs if f"{name}.{s.name}" not in fed and s.name not in given]
+        free = [
+            s.name
+            for s in _signals(component, "inputs")
+            if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
+        ]
         if free:
             yield f"not connected, at the start value of the FMU: {', '.join(f'{name}.{s}' for s in free)}"

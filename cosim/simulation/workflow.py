@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import SimulationError
-from cosim.files import FilePath, check_writable
+from cosim.errors import DiskFull, SimulationError
+from cosim.files import FilePath, check_writable, is_full, uninterrupted
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import allocate
 from cosim.results import Results
+from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned, manifest, write_manifest
-from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+
+SPARE = 8192  # bytes beside a manifest's own
 
 
 @dataclass(frozen=True)
@@ -42,53 +49,73 @@ def run(
     nearest: bool = False,
     report: bool = True,
     figures: bool = False,
+    in_process: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Outcome:
     """Run a scenario, or repeat a manifest, and leave results.csv, manifest.json and report.html in `folder`.
 
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
+    in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
     began = time.perf_counter()
-    file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
-    if nearest:
-        take_nearest(file)
-    check_pinned(file)
-    designed = designed_values(file)
-    system = build_system(file, designed)
-    check_writable(folder, ("results.csv", "manifest.json", "report.html"), file.files)
-    loaded = time.perf_counter()
-    steps = file.scenario.steps
-    failure: SimulationError | None = None
-    try:
-        results = simulate(system, steps, file.scenario.step, progress and (lambda k: progress(k, steps)))
-    except StoppedRun as stopped:
-        results, failure = stopped.results, stopped.error
-    simulated = time.perf_counter()
-    timings = {
-        "load": loaded - began,
-        "simulate": simulated - loaded,
-        "real_time_factor": file.scenario.duration / (simulated - loaded),
-    }
-    record = manifest(file, designed, system, timings)
-    if failure is None:
-        record["criteria"] = evaluate(file.scenario, results)
-    else:
-        record["status"] = f"failed: {failure}"
-    record["warnings"] += [
-        f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())
-    ]
-    _write(folder, results, record, report=report, figures=figures)
+    with ExitStack() as stack:
+        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        if worker is not None:
+            worker.start()  # it gets ready while files are read
+        file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
+        if nearest:
+            take_nearest(file)
+        check_pinned(file)
+        designed = designed_values(file)
+        system = build_system(file, designed)
+        check_writable(folder, ("results.csv", "manifest.json", "report.html"), file.files)
+        loaded = time.perf_counter()
+        steps, h, limits = file.scenario.steps, file.scenario.step, file.scenario.limits
+        told = None if progress is None else partial(_tell, progress, steps)
+        if worker is None:
+            stepped = simulate_here(system, steps, h, told)
+        else:
+            recipe = Recipe(file.path, tuple(overrides), nearest, designed)
+            stepped = simulate_apart(worker, recipe, system, steps, h, folder, limits, told)
+            worker.finish()
+        results, failure = stepped.results, stepped.failure
+        simulated = time.perf_counter()
+        timings = {
+            "load": loaded - began,
+            "simulate": simulated - loaded,
+            "real_time_factor": file.scenario.duration / (simulated - loaded),
+        }
+        record = manifest(file, designed, system, timings)
+        if failure is None:
+            record["criteria"] = evaluate(file.scenario, results)
+        else:
+            record["status"] = f"failed: {failure}"
+        record["warnings"] += [*results.notes, *stepped.said]
+        if worker is None and limits is not None:
+            record["warnings"].append("limits are not watched where FMUs run in this process")
+        try:
+            _write(folder, results, record, report=report, figures=figures)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            failure = _write_what_fits(folder, results, record, steps + 1, failure)
     if failure is not None:
         raise failure
     return Outcome(results, record, folder)
 
 
+def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
+    """Progress over a count of rows."""
+    progress(min(done, steps), steps)
+
+
 def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
     """What a run leaves, whether or not it came to its end."""
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
-    results.write_csv(folder / "results.csv")
-    write_manifest(folder / "manifest.json", record)
+    with uninterrupted():  # or what was stopped once could be lost by stopping it again
+        results.write_csv(folder / "results.csv")
+        write_manifest(folder / "manifest.json", record)
     if report:
         from cosim.simulation.report import write_report
 
@@ -97,3 +124,29 @@ def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bo
         from cosim.simulation.report import write_figures
 
         write_figures(folder / "figures", results, record)
+
+
+def _write_what_fits(
+    folder: Path, results: Results, record: dict[str, Any], rows: int, failure: SimulationError | None
+) -> SimulationError:
+    """The rows and the manifest of a run that a full disk has no room for as a whole; what to tell of it."""
+    (folder / "report.html").unlink(missing_ok=True)
+    spare = folder / ".spare"
+    try:
+        allocate(spare, 2 * len(json.dumps(record)) + SPARE)  # for the manifest
+        count = results.write_what_fits(folder / "results.csv")
+    except OSError:
+        count = 0
+    finally:
+        spare.unlink(missing_ok=True)
+    total = rows if isinstance(failure, DiskFull) else len(results.time)
+    told = f"the disk is full: {count} of {total} rows are in results.csv"
+    told += ", there is no report" if count == total else ""
+    told += "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
+    failure = DiskFull("the run", results.time[max(0, count - 1)].item() if len(results.time) else 0.0, told)
+    record["status"] = f"failed: {failure}"
+    try:
+        write_manifest(folder / "manifest.json", record)
+    except OSError:
+        (folder / "manifest.json").unlink(missing_ok=True)  # an earlier run's
+    return failure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,13 @@ import numpy as np
 from cosim.files import atomic_write
 from cosim.report.data import to_json
 from cosim.report.drawing import Drawing
-from cosim.report.panels import Panel, Trace, by_unit
+from cosim.report.panels import Band, Panel, Trace, by_unit
+from cosim.report.svg import extent
 from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
-from cosim.simulation.report.rows import badges, connections, provenance, starts
+from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, starts
 from cosim.simulation.report.subject import Subject, subject_of
 from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
@@ -88,5 +89,20 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
         shown_unit, factor = display(unit)
         traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(Panel(", ".join(components), shown_unit or unit or "no unit", traces))
+        panels.append(
+            Panel(", ".join(components), shown_unit or unit or "no unit", traces, _marked(run, columns, traces))
+        )
     return panels
+
+
+def _marked(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Band | None:
+    """The times at which faults act on these signals, over the height of their panel."""
+    faults, around = faults_on(run, columns), extent([trace.values for trace in traces])
+    if not faults or around is None:
+        return None
+    acting = np.zeros(run.time.size, bool)
+    for fault in faults:
+        begin, end = number(fault.get("from"), -math.inf), number(fault.get("to"), math.inf)
+        acting |= (run.time >= begin) & (run.time <= end)
+    lower, upper = (np.where(acting, edge, np.nan) for edge in around)
+    return Band("; ".join(fault_text(fault) for fault in faults), lower, upper)

@@ -15,7 +15,7 @@ from cosim.text import amount, counted
 
 @dataclass(frozen=True)
 class Connection:
-    """A connection and the noise on it."""
+    """A connection, and the noise and the faults on it."""
 
     source: str
     target: str
@@ -44,9 +44,31 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
 def connections(run: Run) -> list[Connection]:
     """The connections of the scenario."""
     return [
-        Connection(str(link.get("from", "?")), str(link.get("to", "?")), _noise(run, link))
+        Connection(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(_acting(run, link)))
         for link in mappings(run.scenario.get("connections"))
     ]
+
+
+def _acting(run: Run, link: Mapping[str, Any]) -> list[str]:
+    """What acts on a connection: its noise, then each injected fault."""
+    noise, target = _noise(run, link), str(link.get("to"))
+    return [*([noise] if noise else []), *(fault_text(fault) for fault in faults_on(run, [target]))]
+
+
+def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
+    """Faults injected into the connections to these inputs."""
+    arrays = {name.partition("[")[0] for name in inputs}
+    faults = mappings(run.scenario.get("faults"))
+    return [fault for fault in faults if fault.get("on") in {*inputs, *arrays}]
+
+
+def fault_text(fault: Mapping[str, Any]) -> str:
+    """A fault as said in a line: `bias 0.1 from 2 s to 4 s`."""
+    sizes = [str(fault["value"])] if "value" in fault else []
+    sizes += [f"of {fault['delay']} s"] if "delay" in fault else []
+    sizes += [f"with probability {fault['probability']}"] if "probability" in fault else []
+    times = [f"{key} {fault[key]} s" for key in ("from", "to") if key in fault]
+    return " ".join([f"fault: {fault.get('kind', '?')}", *sizes, *times])
 
 
 def _noise(run: Run, link: Mapping[str, Any]) -> str:

@@ -1,0 +1,139 @@
+"""What an FMU says of itself, read as leniently as other tools do; and whether it can be run here."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import zipfile
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+from cosim.errors import FmuError
+
+Way = Literal["co-simulation", "model-exchange"]
+PLATFORMS = "binaries/"
+_slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
+
+
+def read_description(path: Path) -> Any:
+    """FMPy's model description of an FMU that can be run; FmuError where it cannot.
+
+    What only breaks the schema is no reason to refuse it: `slips_of` tells that.
+    """
+    import fmpy
+
+    slips: tuple[str, ...] = ()
+    try:
+        try:
+            description = fmpy.read_model_description(str(path))
+        except fmpy.model_description.ValidationError as error:
+            description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
+    except zipfile.BadZipFile:
+        raise FmuError(f"{path} is no FMU: it is not a zip archive") from None
+    except KeyError:
+        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml") from None
+    except Exception as error:  # FMPy raises bare Exceptions, lxml its own
+        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+    if not ways(description):
+        raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
+    _slips[description] = slips
+    return description
+
+
+RUNS = "FMI 2.0 and 3.0 for co-simulation or model exchange and FMI 1.0 for co-simulation are run here"
+
+
+def slips_of(description: Any) -> tuple[str, ...]:
+    """Where a description that was read breaks FMI's schema or rules, in a way that does not keep it from running."""
+    return _slips.get(description, ())
+
+
+def ways(description: Any) -> tuple[Way, ...]:
+    """How the FMU can be run here, the preferred way first."""
+    version = description.fmiVersion
+    found: list[Way] = []
+    if version in {"1.0", "2.0"} or version == "3.0" or version.startswith("3.0."):
+        if description.coSimulation is not None:
+            found.append("co-simulation")
+        if description.modelExchange is not None and version != "1.0":
+            found.append("model-exchange")
+    return tuple(found)
+
+
+def takes_any_step(description: Any) -> bool:
+    """Communication steps may be of any length."""
+    cosimulation = description.coSimulation
+    return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
+
+
+def _kind(description: Any) -> str:
+    parts = {
+        "co-simulation": description.coSimulation,
+        "model exchange": description.modelExchange,
+        "scheduled execution": description.scheduledExecution,
+    }
+    named = ", ".join(name for name, part in parts.items() if part is not None)
+    return f"FMI {description.fmiVersion} for {named or 'nothing'}"
+
+
+def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str]:
+    """The library of an unpacked FMU for this platform and, where it is not named as it should be, a warning."""
+    import fmpy
+
+    fmi3 = description.fmiVersion.startswith("3")
+    within = folder / "binaries" / (fmpy.platform_tuple if fmi3 else fmpy.platform)
+    named = within / f"{identifier}{fmpy.sharedLibraryExtension}"
+    if named.is_file():
+        return named, ""
+    libraries = sorted(within.glob(f"*{fmpy.sharedLibraryExtension}")) if within.is_dir() else []
+    if len(libraries) == 1:
+        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
+    platforms = sorted(p.name for p in (folder / "binaries").glob("*") if p.is_dir())
+    if libraries:
+        held = ", ".join(p.name for p in libraries)
+        raise FmuError(f"none of its libraries is {named.name}, as its modelIdentifier says: {held}")
+    raise FmuError(f"it has no library for {within.name}; it has some for {', '.join(platforms) or 'no platform'}")
+
+
+def named(pattern: str, component: str, variable: str) -> bool:
+    """A pattern with * in it names a variable; brackets stand for themselves, as in names of arrays."""
+    return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
+
+
+def default_tolerance(description: Any) -> float | None:
+    """The relative tolerance that an FMU's default experiment asks for."""
+    experiment = description.defaultExperiment
+    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
+
+
+def offer_libm() -> bool:
+    """Let libraries see libm that use its functions without saying so; false where there is none of its own."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        ctypes.CDLL("libm.so.6", mode=ctypes.RTLD_GLOBAL)
+    except OSError:
+        return False
+    return True
+
+
+# -- units ----------------------------------------------------------------------------------------
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
+    """SI exponents, factor and offset of a unit the FMU defines."""
+    for definition in description.unitDefinitions:
+        if definition.name == unit and definition.baseUnit is not None:
+            base = definition.baseUnit
+            return (*(float(getattr(base, name) or 0) for name in BASE_UNITS), float(base.factor), float(base.offset))
+    return None
+
+
+def unit_of(variable: Any) -> str:
+    """Unit of a variable, its own or its type's."""
+    unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+    return unit or ""

@@ -1,0 +1,5 @@
+"""A worker process; whoever starts one reads on in `cosim/isolation/worker.py`."""
+
+from cosim.isolation.worker import main
+
+main()

@@ -1,0 +1,76 @@
+"""How long a run may take and how large it may grow."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, ValidationError
+
+from cosim.errors import Fault, InputError
+from cosim.yaml_file import Part
+
+SECONDS = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
+LOADING = 60.0  # [s], where another time is limited
+
+
+def _quantity(units: dict[str, float], example: str) -> Any:
+    known = ", ".join(u for u in units if u)
+
+    def read(value: Any) -> float:
+        number: Any = value
+        if isinstance(value, str):
+            match = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*(\w*)\s*", value)
+            number = None
+            if match is not None and match[2] in units:
+                try:
+                    number = float(match[1]) * units[match[2]]
+                except ValueError:
+                    number = None
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < 1e300:
+            raise ValueError(f"it is a number above 0 with its unit ({known}), {example} for one")
+        return float(number)
+
+    return BeforeValidator(read)
+
+
+Seconds = Annotated[float, _quantity(SECONDS, "10 s")]
+Bytes = Annotated[float, _quantity(BYTES, "2 GB")]
+
+
+class Limits(Part):
+    """Limits of a run, none unless written.
+
+    step:   longest that a communication step may take, or a call of initialization or end [s]
+    total:  longest that all may take but loading [s]
+    load:   longest that it may take to load an FMU [s]; 60 s where step or total is given
+    memory: how large the process may grow, the rows of results apart [bytes]
+    """
+
+    step: Seconds | None = None
+    total: Seconds | None = None
+    load: Seconds | None = None
+    memory: Bytes | None = None
+
+    @property
+    def loading(self) -> float | None:
+        """Longest that loading may take [s]."""
+        timed = self.step is not None or self.total is not None
+        return self.load if self.load is not None or not timed else LOADING
+
+
+def read_limits(text: str) -> Limits:
+    """Limits as a command takes them, `step: 10 s, memory: 2 GB`; InputError."""
+    pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
+    try:
+        return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
+    except ValidationError as error:
+        known = ", ".join(Limits.model_fields)
+        faults = []
+        for e in error.errors():
+            name = ".".join(map(str, e["loc"]))
+            why = f"no such limit (known: {known})" if e["type"] == "extra_forbidden" else str(e["msg"])
+            faults.append(Fault(Path("--limits"), 0, 0, f"{name}: {why.removeprefix('Value error, ')}"))
+        raise InputError(faults) from None

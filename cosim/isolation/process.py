@@ -1,0 +1,370 @@
+"""A worker process as its caller sees it: started, given jobs, watched, ended with all that it left."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+from cosim.errors import Crashed, SimulationError, TimedOut
+from cosim.files import uninterrupted
+from cosim.isolation.limits import Limits
+from cosim.isolation.memory import resident
+from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, mapped_progress
+from cosim.isolation.scratch import Held, scratch
+from cosim.isolation.worker import PROGRESS, Begin, receive, send
+
+PREFIX = "cosim-work-"
+POLL = 0.05  # [s] between looks at a process
+ENDING = 5.0  # [s] that a process may take to end by itself
+SHOWN = 64_000  # bytes of what FMUs print that are passed on
+KEPT = 4_000  # bytes of it, the last, that may tell why a process ended
+WORDS = 200  # characters of it in a message
+ROOT = Path(__file__).resolve().parent.parent.parent
+SIGNALS = {
+    "SIGSEGV": "crashed: segmentation fault",
+    "SIGABRT": "crashed: abort",
+    "SIGBUS": "crashed: bus error",
+    "SIGFPE": "crashed: arithmetic fault",
+    "SIGILL": "crashed: illegal instruction",
+    "SIGKILL": "was killed, as the system does where memory runs out",
+}
+STATUSES = {  # NTSTATUS of Windows
+    0xC0000005: "crashed: access violation",
+    0xC00000FD: "crashed: stack overflow",
+    0xC0000094: "crashed: division by zero",
+    0xC0000374: "crashed: heap corrupted",
+    0xC0000409: "crashed: abort",
+}
+CALLED = ("setting its inputs", "stepping", "reading its outputs")  # of what is no FMU
+FMI_CALLS = {
+    "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What the caller knows of a job, so that it can say what was being done, and when it takes too long.
+
+    components: names, by the number that stands in `Rows.doing`
+    calls:      of each, FMI's names of put, advance and get
+    time:       rows made and what is being called → simulated time [s]
+    width:      bytes of a row, which count for no limit of memory
+    spent:      [time that has gone by [s]], all but loading, to which that of this job is added
+    progress:   told how many rows there are
+    """
+
+    components: Sequence[str] = ()
+    calls: Sequence[Sequence[str]] = ()
+    time: Callable[[int, int], float] = lambda made, call: 0.0
+    limits: Limits = field(default_factory=Limits)
+    width: int = 0
+    spent: list[float] = field(default_factory=lambda: [0.0])
+    progress: Callable[[int], None] | None = None
+
+
+class Worker:
+    """Context: a process that calls functions for this one; it is started when it is needed, and again after a crash.
+
+    modules: what it imports while nothing is asked yet
+    """
+
+    def __init__(self, *modules: str) -> None:
+        self._modules = modules
+        self._process: subprocess.Popen[bytes] | None = None
+        self.spent = [0.0]  # [s] of those jobs whose caller counts them together
+        self.starts = 0  # how often it was started: what an earlier process knew is gone
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with uninterrupted():
+            if kind is None:
+                self.finish()
+            self.end()
+
+    progress: Progress  # also of a process that has ended
+
+    def start(self) -> None:
+        """Start the process, where none runs, so that it is ready when it is asked."""
+        if self.running:
+            return
+        with uninterrupted():
+            self.end()
+            self._held: Held = scratch(PREFIX)
+            try:
+                self.progress = mapped_progress(self._held.path / PROGRESS)
+                self._process, self._finishing = _spawn(), False
+            except BaseException:
+                self._held.remove()
+                raise
+            self.starts += 1
+            self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+            self._printed = _Printed(self._process.stderr)
+            threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
+            before = os.environ.get("PYTHONPATH")
+            self._ask(pickle.dumps(Begin(self._held.path, list(sys.path), before, self._modules)))
+
+    @property
+    def folder(self) -> Path:
+        """A folder that goes with the process."""
+        return self._held.path
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a process."""
+        return self._process is not None and self._process.poll() is None
+
+    def call(
+        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
+    ) -> Any:
+        """What a function of a module gives in the worker; errors of ours are raised here.
+
+        doing: what is being called, for one that does not say so itself
+        Crashed where the process ends, TimedOut or SimulationError where a limit is exceeded: rows and counters that
+        it shares with the caller are as it left them, and the next call has another process.
+        """
+        self.start()
+        self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
+        self.progress.words = b""
+        clock = _Clock(watch or Watch(), self.progress)
+        self._ask(pickle.dumps((function, arguments)))
+        try:
+            content = self._wait(clock)
+        except BaseException:
+            with uninterrupted():
+                self.end(kill=True)
+            raise
+        answer, error = pickle.loads(content)
+        if error is not None:
+            raise error
+        return answer
+
+    def finish(self) -> None:
+        """Let it end by itself while the caller goes on; nothing more is asked."""
+        self._ask(b"")
+        self._finishing = True
+
+    def end(self, kill: bool = False) -> None:
+        """End it, with all that it started, and take away what it unpacked."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if not kill:
+            if not self._finishing:
+                _close(process.stdin)
+            try:
+                process.wait(ENDING)
+            except subprocess.TimeoutExpired:
+                kill = True
+        _end_group(process, kill)
+        self._printed.join()
+        for stream in (process.stdin, process.stdout, process.stderr):
+            _close(stream)
+        self._held.remove()
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _ask(self, content: bytes) -> None:
+        if self._process is not None:
+            with suppress(OSError):  # it has ended, which is seen where its answer is waited for
+                send(self._process.stdin, content)
+
+    @staticmethod
+    def _listen(stream: BinaryIO, answers: queue.SimpleQueue[bytes | None]) -> None:
+        content: bytes | None = b""
+        while content is not None:
+            try:
+                content = receive(stream)
+            except (OSError, ValueError):
+                content = None
+            answers.put(content)
+
+    def _wait(self, clock: _Clock) -> bytes:
+        while True:
+            try:
+                content = self._answers.get(timeout=POLL)
+            except queue.Empty:
+                assert self._process is not None
+                clock.look(self._process.pid)
+                if self._process.poll() is None or not self._answers.empty():
+                    continue
+                content = None  # what it started may hold its streams open
+            if content is None:
+                raise self._crash(clock)
+            return content
+
+    def _crash(self, clock: _Clock) -> SimulationError:
+        """Why the process has ended: how, in which call, what was said last."""
+        assert self._process is not None
+        try:
+            code: int | None = self._process.wait(ENDING)
+        except subprocess.TimeoutExpired:
+            code = None
+        _end_group(self._process, kill=True)
+        self._printed.join()
+        words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._printed.last_line()
+        component, at, call = clock.place()
+        return Crashed(
+            component, at, f"{call} {how_ended(code)}" + (f"; it said last: {words[:WORDS]}" if words else "")
+        )
+
+
+def fmi_calls(description: Any) -> Sequence[str]:
+    """Names of putting, advancing and getting in FMI, by a model description; of None, of what is no FMU."""
+    return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], CALLED)
+
+
+def how_ended(code: int | None) -> str:
+    """How a process ended, by its return code."""
+    if code is None:
+        return "closed the streams of its process"
+    if code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        return f"{SIGNALS.get(name, 'was ended')} ({name})"
+    if code & 0xFFFFFFFF in STATUSES:
+        return STATUSES[code & 0xFFFFFFFF]
+    return f"ended the process, exit code {code}"
+
+
+class _Clock:
+    """Sees how long things take and how large the process is, from one look to the next."""
+
+    def __init__(self, watch: Watch, progress: Progress) -> None:
+        self.watch, self.progress = watch, progress
+        self.since = self.last = time.monotonic()
+        self.key: tuple[Any, ...] = ()
+        self.told = 0
+
+    def look(self, pid: int) -> None:
+        """TimedOut or SimulationError where a limit is exceeded."""
+        now, made = time.monotonic(), self.progress.made[0]
+        if self.watch.progress is not None and made != self.told:
+            self.told = made
+            self.watch.progress(made)
+        loading, key = self._loading(), self._key()
+        if key != self.key or self.progress.doing[0] == NOTHING:
+            self.key, self.since = key, now
+        self.watch.spent[0] += 0.0 if loading else now - self.last
+        self.last = now
+        self._check(loading, now - self.since, pid)
+
+    def _check(self, loading: bool, taken: float, pid: int) -> None:
+        limits = self.watch.limits
+        most, name = (limits.loading, "load") if loading else (limits.step, "step")
+        component, at, call = self.place()
+        if most is not None and taken > most:
+            raise TimedOut(component, at, f"{call} takes longer than {most:g} s (limits: {name})")
+        if limits.total is not None and self.watch.spent[0] > limits.total:
+            said = f"{call} is being called after {limits.total:g} s in all (limits: total)"
+            raise TimedOut(component, at, said)
+        if limits.memory is not None:
+            held = resident(pid) - self.progress.made[0] * self.watch.width
+            if held > limits.memory:
+                grown = f"the process holds {held / 1e6:.4g} MB, more than {limits.memory / 1e6:.4g} MB"
+                raise SimulationError(component, at, f"{call}: {grown} (limits: memory)")
+
+    def place(self) -> tuple[str, float, str]:
+        """Component, simulated time [s] and call."""
+        number, call = divmod(self.progress.doing[0], CALLS)
+        watch = self.watch
+        if not 0 <= number < len(watch.components):
+            return "the run", 0.0, "the worker"
+        at = watch.time(self.progress.made[0], call)
+        if self.progress.named[0]:
+            return watch.components[number], at, self.progress.call.decode("utf-8", "replace")
+        if call != OTHER:
+            return watch.components[number], at, watch.calls[number][call] if watch.calls else CALLED[call]
+        return watch.components[number], at, "loading" if not self.progress.made[0] else "unloading"
+
+    def _loading(self) -> bool:
+        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING too is an OTHER
+            return False
+        return not self.progress.named[0] or b"Instantiate" in self.progress.call
+
+    def _key(self) -> tuple[Any, ...]:
+        """What stays as it is for as long as one thing takes: a step, or a call where none is made."""
+        made, doing = self.progress.made[0], self.progress.doing[0]
+        if made and doing % CALLS != OTHER:
+            return (made,)
+        return made, doing, self.progress.named[0], self.progress.call
+
+
+class _Printed:
+    """What FMUs print: passed on up to a bound, the last of it kept."""
+
+    def __init__(self, stream: Any) -> None:
+        self.last = b""
+        self._thread = threading.Thread(target=self._drain, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def _drain(self, stream: Any) -> None:
+        left = SHOWN
+        try:
+            while part := stream.read1(65536):
+                self.last = (self.last + part)[-KEPT:]
+                if left > 0:
+                    _show(part[:left])
+                    left -= len(part)
+                    if left <= 0:
+                        _show(b"\n(the FMUs print more, which is left out)\n")
+        except (OSError, ValueError):
+            return
+
+    def join(self) -> None:
+        """Wait for the rest; not for what a process that an FMU started holds open."""
+        self._thread.join(1.0)
+
+    def last_line(self) -> str:
+        """The last line that says something."""
+        lines = [line.strip() for line in self.last.decode("utf-8", "replace").splitlines()]
+        return next((line for line in reversed(lines) if line), "")
+
+
+def _show(text: bytes) -> None:
+    with suppress(OSError, ValueError):  # nobody listens
+        sys.stderr.write(text.decode("utf-8", "replace"))
+        sys.stderr.flush()
+
+
+def _spawn() -> subprocess.Popen[bytes]:
+    """A Python of its own group: Ctrl-C reaches the caller alone."""
+    path = os.environ.get("PYTHONPATH")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
+    windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "cosim.isolation"], env=environment,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **apart,
+    )  # fmt: skip
+
+
+def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
+    """End a process and what it started."""
+    if os.name == "nt":
+        if kill and process.poll() is None:
+            command = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
+            subprocess.run(command, capture_output=True, check=False)
+    else:
+        with suppress(ProcessLookupError, PermissionError):  # nothing is left of it
+            os.killpg(process.pid, signal.SIGKILL)
+    if kill:
+        process.kill()
+    process.wait()
+
+
+def _close(stream: Any) -> None:
+    with suppress(OSError, ValueError):  # what was still to be written has no reader
+        stream.close()

@@ -1,0 +1,186 @@
+"""The steps of a run in a worker process: what is asked of it there, and what its caller makes of it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated, stopped
+from cosim.files import is_full
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Watch, Worker, fmi_calls
+from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_beside, read_table
+from cosim.isolation.scratch import Held, scratch
+from cosim.results import Results
+from cosim.simulation.master import StoppedRun, results_of, simulate
+from cosim.simulation.nearest import take_nearest
+from cosim.simulation.own_process import in_own_processes
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import System, build_system
+
+MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
+PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
+SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a worker puts the same system together from."""
+
+    scenario: Path
+    overrides: tuple[str, ...]
+    nearest: bool
+    designed: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """What came of the steps: results, what the FMUs said, and why it ended where that was before its end."""
+
+    results: Results
+    said: Sequence[str]
+    failure: SimulationError | None = None
+
+
+def said_of(system: System) -> list[str]:
+    """What its FMUs said, a line each."""
+    return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
+
+
+def simulate_here(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Stepped:
+    """The steps of a run in this process. Raises FmuError."""
+    try:
+        return Stepped(simulate(system, steps, h, progress), said_of(system))
+    except StoppedRun as run:
+        return Stepped(run.results, said_of(system), run.error)
+
+
+# -- in the worker ------------------------------------------------------------------------------
+
+
+def _read(recipe: Recipe) -> ScenarioFile:
+    file = ScenarioFile(recipe.scenario, recipe.overrides)
+    if recipe.nearest:
+        take_nearest(file)
+    return file
+
+
+def _build(recipe: Recipe) -> System:
+    return build_system(_read(recipe), recipe.designed)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How the steps ended in a worker; the rows themselves stand in the files.
+
+    last: time of the last row [s], where there is one
+    """
+
+    said: Sequence[str] = ()
+    failure: SimulationError | None = None
+    last: float | None = None
+    notes: Sequence[str] = ()
+
+
+def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
+    """Simulate into the table in a file."""
+    here.left.append(table.parent)
+    file = _read(recipe)
+    whole = build_system(file, recipe.designed)
+    own = {name: getattr(c, "process", None) == "own" for name, c in file.scenario.components.items()}
+    system = in_own_processes(whole, own, (_build, (recipe,)), file.scenario.limits)
+    for stage in system.stages:
+        here.overheard(stage.component)
+    progress = here.progress
+    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
+    failure: SimulationError | None = None
+    try:
+        made = simulate(system, steps, file.scenario.step, rows=Rows(mapped, beside, progress.made, progress.doing))
+    except StoppedRun as run:
+        made, failure = run.results, run.error
+    except FmuError as error:
+        if not is_full(error.__context__):
+            raise
+        return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
+    finally:
+        beside.close()
+    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
+
+
+# -- its caller -----------------------------------------------------------------------------------
+
+
+def simulate_apart(
+    worker: Worker,
+    recipe: Recipe,
+    system: System,
+    steps: int,
+    h: float,
+    folder: Path,
+    limits: Limits | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Stepped:
+    """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
+    columns = len(system.columns)
+    watch = Watch(
+        [stage.component.name for stage in system.stages],
+        [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
+        lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
+        limits or Limits(),
+        8 * columns,
+        progress=progress,
+    )
+    ended = Ended()
+    with ExitStack() as stack:
+        worker.start()
+        counters = worker.progress
+        held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
+        stack.callback(held.remove)
+        table = held.path / ROWS
+        try:
+            ended = worker.call(simulate_rows, recipe, count - 1, table, watch=watch)
+        except SimulationError as error:
+            ended = Ended(failure=error)
+        except (KeyboardInterrupt, Terminated) as stop:
+            ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
+        done, failure = counters.made[0], ended.failure
+        values = read_table(table, done, columns)
+        beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
+    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    if done and ended.last is not None:
+        time[done - 1] = ended.last
+    if failure is None and count <= steps and done == count:
+        failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
+    return Stepped(results_of(system, time[:done], values, beside, ended.notes), ended.said, failure)
+
+
+def _too_few(count: int, rows: int) -> str:
+    return f"it has room for {count} of {rows} rows while the run lasts"
+
+
+def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+    """A folder with the file of the rows, beside the results or, where there is no room, elsewhere; and for how many.
+
+    For all of them, or as many as a full disk takes. DiskFull where that is none.
+    """
+    count = rows
+    while count:
+        for beside in folders:
+            held = scratch(PREFIX, beside)
+            try:
+                allocate(held.path / ROWS, count * width)
+            except OSError as error:
+                held.remove()
+                if not is_full(error):
+                    raise
+            else:
+                return held, count
+        count = int(SMALLER * count)
+    raise DiskFull("the run", 0.0, f"the disk is full: {_too_few(0, rows)}")

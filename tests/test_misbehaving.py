@@ -1,0 +1,415 @@
+"""FMUs that crash, hang or grow, a run that is stopped and a disk that is full: told in one line, the rows kept."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.checks import check_files
+from cosim.errors import Crashed, FmuError, InputError, SimulationError, TimedOut
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import BesideFile, read_beside
+from cosim.isolation.scratch import LOCK, scratch, sweep
+from cosim.residuals.apart import DriveApart
+from cosim.residuals.drive import StoppedReplay, log_of_fmu
+from cosim.residuals.workflow import replay
+from cosim.simulation.workflow import run
+from cosim.table import read_columns
+from tests.conftest import ROOT
+from tests.deeds import deeds_fmu, deeds_scenario
+from tests.logs import write_log
+
+LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
+LINUX = sys.platform.startswith("linux")
+COMMAND = [sys.executable, "-m", "cosim.cli", "run"]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def workers_left() -> list[Path]:
+    return list(Path(tempfile.gettempdir()).glob("cosim-work-*"))
+
+
+def rows_in(folder: Path) -> int:
+    return read_columns(folder / "results.csv").rows
+
+
+@pytest.mark.parametrize(
+    ("call", "deed", "words", "rows"),
+    [
+        ("DoStep", "segfault", "fmi2DoStep crashed: segmentation fault (SIGSEGV)", 5),
+        ("DoStep", "overflow", "fmi2DoStep crashed: segmentation fault (SIGSEGV)", 5),
+        ("DoStep", "free", "fmi2DoStep crashed: abort (SIGABRT)", 5),
+        ("DoStep", "exit", "fmi2DoStep ended the process, exit code 0", 5),
+        ("SetReal", "abort", "fmi2SetReal crashed: abort (SIGABRT)", None),  # the sweeps of initialization set it too
+        ("Instantiate", "segfault", "fmi2Instantiate crashed: segmentation fault (SIGSEGV)", 0),
+        ("load", "segfault", "loading crashed: segmentation fault (SIGSEGV)", 0),
+        ("Terminate", "segfault", "fmi2Terminate crashed: segmentation fault (SIGSEGV)", 11),
+        ("FreeInstance", "free", "fmi2FreeInstance crashed: abort (SIGABRT)", 11),
+    ],
+)
+@pytest.mark.skipif(sys.platform == "win32", reason="its crashes go by other names")
+def test_a_crash_in_any_call_is_told_and_the_rows_before_are_kept(
+    tmp_path: Path, call: str, deed: str, words: str, rows: int | None
+) -> None:
+    at = {"DoStep": 5, "SetReal": 8}.get(call, 1)
+    with pytest.raises(Crashed) as crashed:
+        run(deeds_scenario(tmp_path, call, deed, at), tmp_path / "out", report=False)
+    kept = len((tmp_path / "out" / "results.csv").read_text().splitlines()) - 1
+    assert (0 < kept < 11) if rows is None else kept == rows
+    assert str(crashed.value).startswith(f"bad at t = {0.1 * max(0, kept - 1):g} s: ")
+    assert words in str(crashed.value)
+    assert "\n" not in str(crashed.value)
+    assert crashed.value.exit_code == 4
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == f"failed: {crashed.value}"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.json", "results.csv"]
+
+
+@pytest.mark.parametrize(
+    ("call", "deed", "rows", "words"),
+    [
+        ("DoStep", "hang", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
+        ("DoStep", "log", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
+        ("DoStep", "print", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
+        ("ExitInitializationMode", "sleep", 0, r"bad at t = 0 s: fmi2ExitInitializationMode takes longer than"),
+        ("FreeInstance", "sleep", 11, r"bad at t = 1 s: fmi2FreeInstance takes longer than 0.3 s"),
+    ],
+)
+def test_a_hang_in_any_call_ends_at_its_limit_with_the_rows_before(
+    tmp_path: Path, call: str, deed: str, rows: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = deeds_scenario(tmp_path, call, deed, 5 if call == "DoStep" else 1, limits=LIMITS)
+    with pytest.raises(TimedOut, match=words) as timed_out:
+        run(path, tmp_path / "out", report=False)
+    assert timed_out.value.exit_code == 124
+    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + rows
+    shown = capsys.readouterr().err
+    assert len(shown) < 70_000  # of an endless output
+    assert ("left out" in shown) == (deed == "print")
+
+
+def test_loading_is_apart_and_has_a_limit_of_its_own(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "Instantiate", "sleep", limits="{total: 50 ms, load: 400 ms}")
+    with pytest.raises(TimedOut, match=r"bad at t = 0 s: fmi2Instantiate takes longer than 0.4 s \(limits: load\)"):
+        run(path, tmp_path / "out", report=False)
+
+
+def test_all_together_may_not_take_longer_than_the_total(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "slow", at=0, duration=1000.0, limits="{total: 300 ms}")
+    with pytest.raises(TimedOut, match=r"after 0.3 s in all \(limits: total\)"):
+        run(path, tmp_path / "out", report=False)
+    assert rows_in(tmp_path / "out") > 1
+
+
+@pytest.mark.skipif(not LINUX, reason="resident sizes differ")
+def test_memory_without_end_stops_at_its_limit(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "memory", at=5, limits="{memory: 300 MB}")
+    with pytest.raises(SimulationError, match=r"bad at t = 0.4 s: fmi2DoStep: the process holds .* more than 300 MB"):
+        run(path, tmp_path / "out", report=False)
+    assert rows_in(tmp_path / "out") == 5
+
+
+def test_a_run_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "none", "none")
+    outcomes = [run(path, tmp_path / str(k), report=False, in_process=bool(k)) for k in range(2)]
+    assert (tmp_path / "0" / "results.csv").read_bytes() == (tmp_path / "1" / "results.csv").read_bytes()
+    assert outcomes[0].manifest["warnings"] == outcomes[1].manifest["warnings"]
+    assert (outcomes[0].results.values == outcomes[1].results.values).all()
+
+
+def test_an_fmu_changes_neither_folder_nor_environment_of_the_caller(tmp_path: Path) -> None:
+    before = Path.cwd()
+    run(deeds_scenario(tmp_path, "Instantiate", "folder"), tmp_path / "out", report=False)
+    assert Path.cwd() == before
+    assert "DEED" not in os.environ
+
+
+def test_a_library_that_is_missing_is_told_as_in_process(tmp_path: Path) -> None:
+    import zipfile
+
+    path = deeds_scenario(tmp_path, "none", "none")
+    with zipfile.ZipFile(deeds_fmu(tmp_path / "whole.fmu")) as whole, zipfile.ZipFile(tmp_path / "bad.fmu", "w") as bad:
+        bad.writestr("modelDescription.xml", whole.read("modelDescription.xml"))
+    with pytest.raises(FmuError, match=r"bad.fmu does not load"):
+        run(path, tmp_path / "out", report=False)
+
+
+# -- a process of its own --------------------------------------------------------------------------
+
+
+def own_process(path: Path) -> Path:
+    path.write_text(path.read_text().replace("{fmu: bad.fmu}", "{fmu: bad.fmu, process: own}"))
+    return path
+
+
+def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats_them(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "Instantiate", "folder")
+    shared = run(path, tmp_path / "shared", report=False)
+    own = run(own_process(path), tmp_path / "own", report=False)
+    again = run(tmp_path / "own" / "manifest.json", tmp_path / "again", report=False)
+    assert (own.results.values == shared.results.values).all()
+    assert (again.results.values == shared.results.values).all()
+    assert again.manifest["scenario"]["components"]["bad"]["process"] == "own"
+    assert own.manifest["warnings"] == shared.manifest["warnings"]
+
+
+@pytest.mark.parametrize(
+    ("deed", "error", "words"),
+    [
+        ("segfault", Crashed, r"bad at t = 0.4 s: fmi2DoStep crashed: segmentation fault"),
+        ("hang", TimedOut, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s"),
+        ("memory", SimulationError, r"bad at t = 0.4 s: fmi2DoStep: the process holds .* more than 300 MB"),
+    ],
+)
+@pytest.mark.skipif(not LINUX, reason="its crashes go by other names")
+def test_what_happens_in_a_process_of_its_own_is_told_as_elsewhere(
+    tmp_path: Path, deed: str, error: type[SimulationError], words: str
+) -> None:
+    limits = "{memory: 300 MB}" if deed == "memory" else LIMITS
+    path = own_process(deeds_scenario(tmp_path, "DoStep", deed, 5, limits=limits))
+    with pytest.raises(error, match=words):
+        run(path, tmp_path / "out", report=False)
+    assert rows_in(tmp_path / "out") == 5
+
+
+# -- a run that is stopped ------------------------------------------------------------------------
+
+
+def started(folder: Path, deed: str) -> subprocess.Popen[str]:
+    """A run in a process of its own that has made rows."""
+    path = deeds_scenario(folder, "DoStep", deed, 0 if deed == "slow" else 3, duration=1000.0)
+    command = [*COMMAND, str(path), "--out", str(folder / "out"), "--no-report"]
+    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
+    waited_for(lambda: [*(folder / "out").glob(".rows-*/rows")])
+    time.sleep(0.8)  # for its worker to load the FMUs
+    return process
+
+
+def waited_for(what: object) -> None:
+    for _ in range(300):
+        if what():  # type: ignore[operator]
+            return
+        time.sleep(0.05)
+    raise AssertionError("it does not happen")
+
+
+def workers_of(pid: int) -> list[int]:
+    found = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False).stdout
+    return [int(word) for word in found.split()]
+
+
+def runs(pid: int) -> bool:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, 0)
+        return not LINUX or Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
+    return False
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+@pytest.mark.parametrize(
+    ("number", "deed", "code", "words"),
+    [
+        (signal.SIGINT, "slow", 130, "interrupted from the keyboard"),
+        (signal.SIGTERM, "hang", 4, "ended by SIGTERM"),
+        (signal.SIGHUP, "slow", 4, "ended by SIGHUP"),
+    ],
+)
+def test_a_run_that_is_stopped_leaves_its_rows_and_no_process(
+    tmp_path: Path, number: signal.Signals, deed: str, code: int, words: str
+) -> None:
+    process = started(tmp_path, deed)
+    children = workers_of(process.pid)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert told.startswith("error: the run at t = ")
+    assert told.endswith(f"{words}\n")
+    assert len(told.splitlines()) == 1
+    assert rows_in(tmp_path / "out") >= 3
+    assert children
+    assert not any(map(runs, children))
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.json", "results.csv"]
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tmp_path: Path) -> None:
+    process = started(tmp_path, "children")  # the FMU starts a process of its own
+    (worker,) = workers_of(process.pid)
+    grandchildren = workers_of(worker)
+    assert grandchildren
+    process.kill()
+    process.communicate()
+    waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
+    assert list((tmp_path / "out").iterdir()) == []
+    assert not [p for p in workers_left() if (p / LOCK).exists() and str(worker) in p.name]
+
+
+def test_what_a_killed_process_left_is_taken_away_by_the_next(tmp_path: Path) -> None:
+    left, used = tmp_path / "work-left", scratch("work-", tmp_path)
+    left.mkdir()
+    (left / LOCK).touch()
+    (tmp_path / "work-being-made").mkdir()
+    sweep(tmp_path, "work-")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["work-being-made", used.path.name])
+    used.remove()
+    assert not used.path.exists()
+
+
+# -- a full disk ----------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not LINUX, reason="the shell's limit of file sizes")
+@pytest.mark.parametrize("kilobytes", [200, 400])  # less than the rows while they are made; less than they print as
+def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, kilobytes: int) -> None:
+    path = deeds_scenario(tmp_path, "none", "none", duration=500.0)
+    command = " ".join(map(str, [*COMMAND, path, "--out", tmp_path / "out"]))
+    # bash counts in 1024 bytes
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -f {kilobytes}; {command}"],
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 4
+    kept = rows_in(tmp_path / "out")
+    assert 1000 < kept < 5001
+    assert f"{kept} of 5001 rows" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert (tmp_path / "out" / "manifest.json").exists()
+
+
+# -- replay, refine and check ---------------------------------------------------------------------
+
+
+def measured_log(folder: Path) -> Path:
+    time_, path = 0.1 * np.arange(200), folder / "log.csv"
+    return write_log(path, {"time": time_, "u0": 0.0 * time_, "u1": np.sin(time_), "y1": np.cos(time_)})
+
+
+def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault", 100)
+    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
+        replay(log, tmp_path / "out", fmu)
+    assert stopped.value.exit_code == 4
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["results.csv"]
+    assert rows_in(tmp_path / "out") == 100
+    assert not list(Path(tempfile.gettempdir()).glob("cosim-replay-rows-*"))
+
+
+def test_a_replay_ends_at_its_limits_with_the_rows_before(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "hang", 100)
+    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep takes longer than 0.3 s") as stopped:
+        replay(log, tmp_path / "out", fmu, limits="{step: 300 ms}")
+    assert stopped.value.exit_code == 124
+    assert rows_in(tmp_path / "out") == 100
+    with pytest.raises(InputError, match=r"--limits: stp: no such limit \(known: step, total, load, memory\)"):
+        replay(log, tmp_path / "out", fmu, limits="stp: 1 s")
+
+
+def test_a_replay_whose_fmu_crashes_as_it_is_freed_is_written_whole(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "FreeInstance", "exit")
+    with pytest.raises(Crashed, match="fmi2FreeInstance ended the process, exit code 0"):
+        replay(log, tmp_path / "out", fmu)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "residual.csv", "results.csv"]
+
+
+def test_a_replay_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "good.fmu")
+    for k in range(2):
+        replay(log, tmp_path / str(k), fmu, in_process=bool(k))
+    for name in ("results.csv", "residual.csv", "report.html"):
+        assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes()
+
+
+def test_one_worker_drives_fmu_after_fmu_and_is_there_again_after_a_crash(tmp_path: Path) -> None:
+    log = log_of_fmu(measured_log(tmp_path), good := deeds_fmu(tmp_path / "good.fmu"))
+    bad, tables = deeds_fmu(tmp_path / "bad.fmu", "DoStep", "abort", 150), []
+    with Worker() as worker:
+        for fmu in (good, bad, good):
+            try:
+                with DriveApart(worker, log, fmu) as drive:
+                    tables.append(drive.run(0, log.rows - 1, {}))
+            except StoppedReplay as stopped:
+                tables.append(stopped.done)
+        assert worker.starts == 2
+    assert (tables[0] == tables[2]).all()
+    assert (tables[1] == tables[0][:150]).all()
+
+
+def test_check_loads_an_fmu_and_steps_it_once_in_a_process_of_its_own(tmp_path: Path) -> None:
+    assert check_files(deeds_fmu(tmp_path / "good.fmu")) == []
+    bad = deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault")
+    with pytest.raises(InputError, match=r"bad.fmu: does not run: fmu at t = 0 s: fmi2DoStep crashed") as refused:
+        check_files(bad)
+    assert refused.value.exit_code == 3
+    assert check_files(bad, load=False) == []
+
+
+def test_check_of_a_scenario_ends_at_its_limits(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "ExitInitializationMode", "sleep", limits=LIMITS)
+    with pytest.raises(InputError, match=r"fmi2ExitInitializationMode takes longer than 0.3 s") as refused:
+        check_files(path)
+    assert refused.value.exit_code == 124
+
+
+# -- limits as they are written -------------------------------------------------------------------
+
+
+def test_limits_are_read_with_their_units() -> None:
+    limits = Limits.model_validate({"step": "10 s", "total": "1 h", "memory": "2 GB", "load": 5})
+    assert (limits.step, limits.total, limits.memory, limits.load) == (10.0, 3600.0, 2e9, 5.0)
+    assert Limits().loading is None
+    assert Limits.model_validate({"step": 1}).loading == 60.0
+
+
+@pytest.mark.parametrize("value", ["10 parsecs", "-1 s", "0", "s", "1e999", "1..2 s", "[]", "true"])
+def test_a_limit_that_is_none_is_refused_at_its_place(tmp_path: Path, value: str) -> None:
+    path = deeds_scenario(tmp_path, "none", "none", limits=f"{{step: {value}}}")
+    with pytest.raises(InputError, match=r"deeds.yaml:\d+:\d+: limits.step is .*, 10 s for one") as refused:
+        run(path, tmp_path / "out")
+    assert refused.value.exit_code == 2
+
+
+# -- what stands beside the rows ------------------------------------------------------------------
+
+
+def test_what_no_double_holds_is_read_back_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    path, rows = tmp_path / "beside", [(2**63 - 1, "a,b\n", b"\0\xff"), (-(2**63), "", b""), (0, "ψ", b"1")]
+    kept = BesideFile(path)
+    for row in rows:
+        kept.append(row)
+    kept.close()
+    assert read_beside(path, 3) == rows
+    assert read_beside(path, 2) == rows[:2]
+    path.write_bytes(path.read_bytes()[:-3])  # a process that ended while it wrote
+    assert read_beside(path, 3) == rows[:2]
+    assert read_beside(tmp_path / "none", 3) == []
+
+
+# -- the worker itself ----------------------------------------------------------------------------
+
+
+def test_a_worker_answers_fails_as_the_function_does_and_is_there_again_after_a_crash() -> None:
+    with Worker() as worker:
+        assert worker.call(divmod, 7, 2) == (3, 1)
+        with pytest.raises(ZeroDivisionError) as failed:
+            worker.call(divmod, 7, 0)
+        assert "in a worker:" in failed.value.__notes__[0]
+        with pytest.raises(Crashed, match="exit code 3"):
+            worker.call(os._exit, 3)
+        assert worker.call(divmod, 9, 2) == (4, 1)
+        assert worker.starts == 2
+        folder = worker.folder
+        assert folder.exists()
+    assert not folder.exists()

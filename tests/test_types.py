@@ -1,0 +1,352 @@
+"""Every type of FMI connected, recorded and started; versions, model exchange, and what is right from row 0."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.errors import FmuError, InputError
+from cosim.results import Results
+from cosim.simulation.coupling import coupling_error
+from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import System, build_system
+from cosim.simulation.workflow import run
+from tests.typed import typed_fmu
+
+
+def scenario(folder: Path, components: dict[str, Any], connections: Sequence[Any] = (), **more: Any) -> Path:
+    path = folder / "scenario.yaml"
+    wires = [c if isinstance(c, dict) else {"from": c[0], "to": c[1]} for c in connections]
+    keys = {"name": "types", "duration": 1, "step": 0.1, "components": components, "connections": wires}
+    path.write_text(json.dumps(keys | more))
+    return path
+
+
+def system_of(path: Path) -> System:
+    return build_system(ScenarioFile(path))
+
+
+def results_of(path: Path) -> Results:
+    file = ScenarioFile(path)
+    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+
+
+def faults_of(path: Path) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        system_of(path)
+    return [fault.message for fault in caught.value.faults]
+
+
+def test_integers_booleans_text_and_enumerations_go_from_fmu_to_fmu(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path))
+    start = {"r_in": 0.5, "i_in": -2147483648, "b_in": True, "s_in": 'a "b", c', "e_in": "second"}
+    wires = tuple((f"a.{k}_out", f"b.{k}_in") for k in "ribse")
+    path = scenario(tmp_path, {"a": {"fmu": fmu, "start": start}, "b": {"fmu": fmu}}, wires)
+    run(path, tmp_path / "out", report=False)
+    with (tmp_path / "out" / "results.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 11
+    for row in (rows[0], rows[-1]):
+        assert [row[f"b.{k}_out"] for k in "ribse"] == ["0.5", "-2147483648", "1", 'a "b", c', "2"]
+
+
+def test_sixty_four_bits_arrays_text_and_binary_data_of_fmi_3_are_exact(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path, 3))
+    largest = 2**63 - 3  # no double holds it
+    start = {"a": [1, 2, 3, 4], "n": largest, "byte": 255, "s": "text", "raw": "00ff"}
+    wires = (
+        ("a.twice", "b.a"),
+        ("a.next", "b.n"),
+        ("a.byte_out", "b.byte"),
+        ("a.s_out", "b.s"),
+        ("a.raw_out", "b.raw"),
+    )
+    results = results_of(scenario(tmp_path, {"a": {"fmu": fmu, "start": start}, "b": {"fmu": fmu}}, wires))
+    assert [results[f"b.twice[{k}]"][-1] for k in ("1,1", "1,2", "2,1", "2,2")] == [4, 8, 12, 16]
+    assert results.exact["b.next"][-1] == largest + 2
+    assert results["b.byte_out"][-1] == 255
+    assert results.exact["b.s_out"][-1] == "text"
+    assert results.exact["b.raw_out"][-1] == b"\x00\xff"
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ({"byte": 256}, "it lies in [0, 255]"),
+        ({"n": 2**63}, "it lies in"),
+        ({"byte": 1.5}, "it is a whole number"),
+        ({"a": [1, 2]}, "it is a list of 4 values"),
+        ({"raw": "xyz"}, "hexadecimal"),
+    ],
+)
+def test_a_value_outside_its_type_is_a_fault(tmp_path: Path, start: dict[str, Any], words: str) -> None:
+    path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path, 3)), "start": start}})
+    assert any(words in fault for fault in faults_of(path))
+
+
+def test_an_item_that_an_enumeration_does_not_have_is_told_with_those_it_has(tmp_path: Path) -> None:
+    path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": "secnd"}}})
+    assert any('it is one of first, second; did you mean "second"?' in fault for fault in faults_of(path))
+
+
+def test_a_value_that_comes_out_of_range_stops_the_run_and_is_never_wrapped(tmp_path: Path) -> None:
+    signals = {"n": {"start": 0, "changes": [{"at": 0.5, "to": 256}]}}
+    components = {"r": {"block": "reference", "signals": signals}, "a": {"fmu": str(typed_fmu(tmp_path, 3))}}
+    with pytest.raises(StoppedRun, match=r"a\.byte at t = 0\.5 s: the input 256 is outside 0 … 255 of its type"):
+        results_of(scenario(tmp_path, components, (("r.n", "a.byte"),)))
+
+
+def test_types_that_lose_values_are_not_connected(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    for source, target in (("r_out", "i_in"), ("i_out", "b_in"), ("s_out", "r_in")):
+        path = scenario(tmp_path, {"a": fmu, "b": fmu}, ((f"a.{source}", f"b.{target}"),))
+        assert any(fault.startswith("types do not agree") for fault in faults_of(path))
+    assert system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.i_out", "b.r_in"), ("a.b_out", "b.i_in"))))
+
+
+def test_units_of_one_dimension_are_converted_and_of_others_refused(tmp_path: Path) -> None:
+    rpm = typed_fmu(tmp_path, name="rpm", units=("rpm", "rpm"))
+    si = typed_fmu(tmp_path, name="si", units=("rad/s", "rad/s"))
+    length = typed_fmu(tmp_path, name="length", units=("m", "m"))
+    components = {"a": {"fmu": str(rpm), "start": {"r_in": 60}}, "b": {"fmu": str(si)}, "c": {"fmu": str(length)}}
+    results = results_of(scenario(tmp_path, components, (("a.r_out", "b.r_in"),)))
+    assert results["b.r_out"][-1] == pytest.approx(2 * math.pi, rel=1e-15)
+    assert "unit mismatch" in faults_of(scenario(tmp_path, components, (("a.r_out", "c.r_in"),)))[0]
+    path = scenario(tmp_path, components, ({"from": "a.r_out", "to": "c.r_in", "factor": 2},))
+    assert results_of(path)["c.r_out"][-1] == 120
+
+
+def test_locals_and_parameters_are_recorded_on_request(tmp_path: Path) -> None:
+    components = {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"gain": 3}}}
+    assert "a.gain" not in results_of(scenario(tmp_path, components)).columns
+    assert results_of(scenario(tmp_path, components, record=["a.g*"]))["a.gain"][-1] == 3
+    assert results_of(scenario(tmp_path, components, record=["a.der*"]))["a.der(v)"][-1] == -9.81
+    assert 'no variable "a.gian"' in faults_of(scenario(tmp_path, components, record=["a.gian"]))[0]
+
+
+def test_outputs_are_read_again_after_initialization(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path))
+    results = results_of(scenario(tmp_path, {"a": {"fmu": fmu}, "b": {"fmu": fmu}}, (("a.late", "b.r_in"),)))
+    assert results["a.late"][0] == 7  # 0 until initialization has ended
+    assert results["b.r_out"][0] == 7  # and with no step between
+
+
+def test_an_initialization_that_contracts_slowly_settles(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path))
+    # x = 0.9·(x + 1) has the fixed point 9, to which each exchange comes by a tenth
+    components = {"a": {"fmu": fmu, "start": {"gain": 0.9}}, "b": {"fmu": fmu}}
+    wires = ({"from": "a.r_out", "to": "b.r_in"}, {"from": "b.r_out", "to": "a.r_in", "noise": {"bias": 1}})
+    path = scenario(tmp_path, components, wires, algorithm="jacobi")
+    assert results_of(path)["a.r_out"][0] == pytest.approx(9, abs=1e-10)  # 1e-12 a sweep, over 1 − 0.9
+    path = scenario(tmp_path, components | {"a": {"fmu": fmu, "start": {"gain": 1.1}}}, wires, algorithm="jacobi")
+    with pytest.raises(StoppedRun, match=r"an algebraic loop without a fixed point|the value is inf"):
+        results_of(path)
+
+
+def test_the_tolerance_is_the_components_else_the_scenarios_else_that_of_the_fmu(tmp_path: Path) -> None:
+    a: dict[str, Any] = {"fmu": str(typed_fmu(tmp_path))}
+    assert results_of(scenario(tmp_path, {"a": a}))["a.told"][0] == 0.003
+    assert results_of(scenario(tmp_path, {"a": a}, tolerance=1e-6))["a.told"][0] == 1e-6
+    assert results_of(scenario(tmp_path, {"a": a | {"tolerance": 1e-8}}, tolerance=1e-6))["a.told"][0] == 1e-8
+
+
+def test_a_warning_is_logged_once_and_debugging_only_where_asked_for(tmp_path: Path) -> None:
+    a: dict[str, Any] = {"fmu": str(typed_fmu(tmp_path)), "start": {"warn_at": 0.3}}
+    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False)
+    told = [w for w in outcome.manifest["warnings"] if w.startswith("a: ")]
+    assert told == ["a: it runs hot", "a: fmi2DoStep returned Warning"]
+    assert len(outcome.results.time) == 11
+    outcome = run(scenario(tmp_path, {"a": a | {"logging": True}}), tmp_path / "out", report=False)
+    assert "a: debugging" in outcome.manifest["warnings"]
+
+
+def test_an_fmu_that_ends_the_simulation_leaves_a_row_for_that_time(tmp_path: Path) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "start": {"end_at": 0.55}}
+    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False)
+    assert outcome.results.time[-2:] == pytest.approx([0.5, 0.55])
+    assert outcome.manifest["status"] == "ok"
+    assert any("a ended the simulation at t = 0.55 s" in w for w in outcome.manifest["warnings"])
+
+
+def test_a_criterion_on_a_time_that_was_not_reached_is_missed(tmp_path: Path) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "start": {"end_at": 0.5}}
+    criteria = {"peak": {"of": "a.r_out", "after": 0.7, "max": 1}}
+    outcome = run(scenario(tmp_path, {"a": a}, criteria=criteria), tmp_path / "out", report=False)
+    assert [c["value"] for c in outcome.missed] == [None]
+
+
+def height(t: float) -> float:
+    """Of a ball dropped from 1 m that keeps 0.7 of its speed at each bounce."""
+    fall = math.sqrt(2 / 9.81)
+    speed, since = 9.81 * fall * 0.7, fall
+    if t <= fall:
+        return 1 - 9.81 / 2 * t * t
+    while t - since > 2 * speed / 9.81:
+        since, speed = since + 2 * speed / 9.81, speed * 0.7
+    return speed * (t - since) - 9.81 / 2 * (t - since) ** 2
+
+
+@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
+def test_model_exchange_locates_the_bounces_of_a_ball(tmp_path: Path, solver: str) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange", "solver": solver}
+    results = results_of(scenario(tmp_path, {"a": a}, duration=2, step=0.05, tolerance=1e-8))
+    # 1e-8 a step, some hundred steps of the solver
+    assert results["a.h"] == pytest.approx([height(t) for t in results.time], abs=2e-6)
+    assert results["a.h"].min() > -1e-9
+
+
+def test_an_input_that_changes_is_an_event_of_model_exchange(tmp_path: Path) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange"}
+    lift = {"block": "reference", "signals": {"lift": {"start": 9.81, "changes": [{"at": 0.5, "to": 0}]}}}
+    results = results_of(scenario(tmp_path, {"lift": lift, "a": a}, (("lift.lift", "a.r_in"),), tolerance=1e-9))
+    # the reference steps at 0.5 s, before the FMU does from 0.4 s on: under Gauss-Seidel it sees the new value
+    assert results["a.h"][:5] == pytest.approx(1.0, abs=1e-12)
+    assert results["a.h"][5:9] == pytest.approx([1 - 9.81 / 2 * (t - 0.4) ** 2 for t in results.time[5:9]], abs=1e-6)
+
+
+def test_a_component_with_a_longer_step_makes_it_at_its_end(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path))
+    ramp = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0, "to": 1, "rate": 1}]}}}
+    components = {"r": ramp, "slow": {"fmu": fmu, "step": 0.5}, "fast": {"fmu": fmu}}
+    wires = (("r.u", "slow.r_in"), ("slow.r_out", "fast.r_in"))
+    results = results_of(scenario(tmp_path, components, wires))
+    sampled = [0, 0, 0, 0, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 1]
+    assert results["slow.r_out"] == pytest.approx(sampled)
+    assert results["fast.r_out"] == pytest.approx(sampled)
+    components["slow"]["step"] = 0.25
+    assert "use a whole multiple" in faults_of(scenario(tmp_path, components, wires))[0]
+
+
+def test_events_change_parameters_and_free_inputs(tmp_path: Path) -> None:
+    components = {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"r_in": 1}}}
+    events = [{"at": 0.5, "set": {"a.gain": 4}}, {"at": 0.72, "set": {"a.r_in": 2, "a.e_in": "second"}}]
+    results = results_of(scenario(tmp_path, components, events=events))
+    assert results["a.r_out"].tolist() == [1, 1, 1, 1, 1, 1, 4, 4, 4, 8, 8]
+    assert results["a.r_in"].tolist() == [1] * 8 + [2] * 3  # the row of 0.8 s holds what acts from then on
+    assert results["a.e_in"][-1] == 2
+    for wrong, words in (({"a.warn_at": 1}, "tunable"), ({"a.h": 1}, "tunable"), ({"b.x": 1}, "no FMU")):
+        path = scenario(tmp_path, components, events=[{"at": 0.5, "set": wrong}])
+        assert any(words in fault for fault in faults_of(path))
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ({"kind": "bias", "value": 10}, [0, 1, 12, 13, 14, 5]),
+        ({"kind": "scale", "value": -1}, [0, 1, -2, -3, -4, 5]),
+        ({"kind": "stuck", "value": 9}, [0, 1, 9, 9, 9, 5]),
+        ({"kind": "freeze"}, [0, 1, 1, 1, 1, 5]),
+        ({"kind": "dropout", "probability": 1.0}, [0, 1, 1, 1, 1, 5]),
+        ({"kind": "spike", "value": 100}, [0, 1, 102, 3, 4, 5]),
+        ({"kind": "delay", "delay": 2}, [0, 1, 0, 1, 2, 5]),
+    ],
+)
+def test_a_fault_acts_on_its_connection_between_its_times(
+    tmp_path: Path, fault: dict[str, Any], expected: list[float]
+) -> None:
+    ramp = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0, "to": 9, "rate": 1}]}}}
+    components = {"r": ramp, "a": {"fmu": str(typed_fmu(tmp_path))}}
+    faults = [{"on": "a.r_in", "from": 2, "to": 4} | fault]
+    results = results_of(scenario(tmp_path, components, (("r.u", "a.r_in"),), duration=5, step=1, faults=faults))
+    assert results["a.r_out"].tolist() == expected
+    assert results["r.u"].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_the_report_marks_where_a_fault_acts(tmp_path: Path) -> None:
+    ramp = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0, "to": 9, "rate": 1}]}}}
+    components = {"r": ramp, "a": {"fmu": str(typed_fmu(tmp_path))}}
+    faults = [{"on": "a.r_in", "kind": "bias", "value": 10, "from": 0.2, "to": 0.4}]
+    run(scenario(tmp_path, components, (("r.u", "a.r_in"),), faults=faults), tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("fault: bias 10.0 from 0.2 s to 0.4 s") >= 2  # at its plot and at its connection
+    unmarked = scenario(tmp_path, components, (("r.u", "a.r_in"),))
+    run(unmarked, tmp_path / "out")
+    assert "fault: " not in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(tmp_path: Path) -> None:
+    components = {"a": {"fmu": str(typed_fmu(tmp_path))}}
+    faults = [{"on": "a.r_in", "kind": "bias"}, {"on": "a.r_in", "kind": "freeze", "from": 7}]
+    told = " ".join(faults_of(scenario(tmp_path, components, faults=faults)))
+    assert "no connection to a.r_in" in told
+    assert "bias needs value" in told
+    assert "acts at no communication point" in told
+
+
+def test_a_library_of_another_name_and_slips_of_the_schema_are_warnings(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, **{'modelIdentifier="typed" canHandle': 'modelIdentifier="other" sloppy="1" canHandle'})
+    outcome = run(scenario(tmp_path, {"a": {"fmu": str(fmu)}}), tmp_path / "out", report=False)
+    told = " ".join(outcome.manifest["warnings"])
+    assert "its library is typed.so, its modelIdentifier other" in told
+    assert "breaks FMI's rules" in told
+    assert "sloppy" in told
+
+
+def test_of_several_libraries_none_is_guessed(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, **{'modelIdentifier="typed" canHandle': 'modelIdentifier="other" canHandle'})
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.writestr("binaries/linux64/second.so", b"")
+    with pytest.raises(
+        FmuError, match=r"none of its libraries is other\.so, as its modelIdentifier says: second\.so, typed\.so"
+    ):
+        results_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))
+
+
+def test_what_cannot_be_run_is_said_before_the_run(tmp_path: Path) -> None:
+    only = typed_fmu(
+        tmp_path, 3, **{"<CoSimulation": "<ScheduledExecution", ' canHandleVariableCommunicationStepSize="true"': ""}
+    )
+    assert "is FMI 3.0 for scheduled execution" in faults_of(scenario(tmp_path, {"a": {"fmu": str(only)}}))[0]
+    fmu = typed_fmu(tmp_path, 3)
+    path = scenario(tmp_path, {"a": {"fmu": str(fmu), "interface": "model-exchange"}})
+    assert "offers co-simulation only" in faults_of(path)[0]
+
+
+def test_loops_that_declare_nothing_are_cut_in_the_order_of_the_file(tmp_path: Path) -> None:
+    loose = {' dependencies="1"': ""}
+    fmu = {"fmu": str(typed_fmu(tmp_path, **loose))}
+    system = system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.r_out", "b.r_in"), ("b.r_out", "a.r_in"))))
+    assert [stage.component.name for stage in system.stages] == ["a", "b"]
+    assert any("a does not declare" in warning for warning in system.warnings)
+
+
+def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
+    # r_out follows r_in, h does not: a loop over h is none, so it needs no order and no warning
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    wires = (("a.h", "b.r_in"), ("b.r_out", "a.r_in"))
+    system = system_of(scenario(tmp_path, {"b": fmu, "a": fmu}, wires))
+    assert [stage.component.name for stage in system.stages] == ["a", "b"]
+    assert not any("declare" in warning for warning in system.warnings)
+    assert any(
+        "algebraic loop" in f
+        for f in faults_of(scenario(tmp_path, {"b": fmu, "a": fmu}, (("a.r_out", "b.r_in"), wires[1])))
+    )
+
+
+def test_the_order_used_and_names_of_items_stand_in_the_manifest(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))
+    run(path, tmp_path / "out", report=False)
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["order"] == ["b", "a"]
+    assert manifest["items"]["a.e_out"] == {"first": 1, "second": 2}  # what the numbers of its column are called
+
+
+def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) -> None:
+    # two balls, the second lifted by the height of the first: ∫∫ of an input held over h is off by about h/2 of it
+    ball = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange", "tolerance": 1e-9}
+    wires = (("a.h", "b.r_in"), ("b.h", "a.r_in"))
+    errors = []
+    for step in (0.02, 0.01):
+        path = scenario(tmp_path, {"a": ball, "b": ball}, wires, duration=0.4, step=step, algorithm="jacobi")
+        errors.append(coupling_error(ScenarioFile(path)).of["a.h"])
+    assert 1e-5 < errors[1] < errors[0]
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)  # of first order
