@@ -256,8 +256,14 @@ def stages() -> Iterator[Callable[[str, float], None] | None]:
 
     columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+        task = bar.add_task("starting", total=None)
+
+        def advance(stage: str, share: float) -> None:
+            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
+            bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
+            bar.update(task, description=stage, completed=share)
+
+        yield advance
 
 
 def entry() -> None:

@@ -92,4 +92,4 @@ def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
     missing, item = told(tmp_path / "study.yaml")
     assert "none.csv: no such file" in missing
-    assert "study.yaml:1:14: candidates.0 is list" in item
+    assert "study.yaml:1:14: candidates.0 is a list" in item
