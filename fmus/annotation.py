@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
 
+from fmus.archive import BadArchive, description_of
 from plant.planar import PlanarFrame
 from plant.traits import Traits
 
@@ -31,9 +31,8 @@ def annotation(traits: Traits) -> Element:
 def traits_of(fmu: Path) -> Traits | None:
     """What the FMU says of its signals; None where it is not one of ours."""
     try:
-        with zipfile.ZipFile(fmu) as archive:
-            root = fromstring(archive.read("modelDescription.xml"))
-    except (OSError, KeyError, zipfile.BadZipFile, ParseError):
+        root = fromstring(description_of(fmu))
+    except (OSError, BadArchive, ParseError):
         return None
     node = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Traits")
     if node is None:

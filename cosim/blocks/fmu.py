@@ -10,7 +10,6 @@ import ctypes
 import math
 import shutil
 import tempfile
-import zipfile
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 from cosim.blocks.interface import Row, Signal
 from cosim.errors import FmuError, SimulationError
+from fmus.archive import BadArchive, check_archive, check_identifier, unpack
 from fmus.lifetime import let_go_at_exit
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -36,21 +36,60 @@ SETTERS: dict[str, tuple[str, Any]] = {
 }
 
 
+def check_fmu_file(path: Path) -> None:
+    """FmuError where the archive would fill the disk, leave its folder, or is none."""
+    try:
+        check_archive(path)
+    except BadArchive as error:
+        raise FmuError(f"{path} is no FMU: {error}") from None
+    except OSError as error:
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def reason_of(error: Exception) -> str:
+    """Why FMPy does not take a description, in a line, without the names of Python."""
+    if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
+        return "its modelDescription.xml lacks what FMI demands, or has it in the wrong place"
+    if isinstance(error, ValueError):
+        return "a value in its modelDescription.xml is of the wrong kind"
+    return " ".join(str(error).split())[:2000]
+
+
+def _check_identifiers(path: Path, description: Any) -> None:
+    try:
+        for way in filter(None, (description.coSimulation, description.modelExchange)):
+            check_identifier(way.modelIdentifier)
+    except BadArchive as error:
+        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+
+
 def read_description(path: Path) -> Any:
     """FMPy's model description of an FMU that can be co-simulated; FmuError where it cannot."""
     import fmpy
 
+    check_fmu_file(path)
     try:
         description = fmpy.read_model_description(str(path))
-    except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: it is not a zip archive") from None
-    except KeyError:
-        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml") from None
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+        raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
+    _check_identifiers(path, description)
     if description.fmiVersion != "2.0" or description.coSimulation is None:
         raise FmuError(f"{path} is FMI {description.fmiVersion}; FMI 2.0 for co-simulation is needed")
     return description
+
+
+def validation(path: Path) -> list[str]:
+    """What FMPy's validation says of the names of variables and of the model structure."""
+    import fmpy
+    from fmpy.model_description import ValidationError
+
+    try:
+        fmpy.read_model_description(str(path), validate_variable_names=True, validate_model_structure=True)
+    except ValidationError as error:
+        return [" ".join(str(problem).split()) for problem in error.problems]
+    except Exception as error:  # as in `read_description`
+        return [reason_of(error)]
+    return []
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
@@ -114,14 +153,13 @@ class FmuBlock:
         self._all_inputs = (ctypes.addressof(self._input_vrs), len(self.inputs), here)
 
     def open(self, start: float, stop: float) -> None:
-        import fmpy
         from fmpy.fmi1 import FMICallException
         from fmpy.fmi2 import FMU2Slave
 
         self._time = start
         self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
-            fmpy.extract(str(self.path), str(self._folder))
+            unpack(self.path, self._folder)
             identifier = self.description.coSimulation.modelIdentifier
             self._fmu = FMU2Slave(
                 guid=self.description.guid,
