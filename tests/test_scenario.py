@@ -48,6 +48,7 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("step: 0.02", "step: .nan", ".nan", "finite"),
         ("step: 0.02", "step: 0.03", "0.03", "step is 0.03 s; use a whole divisor of duration 10 s"),
         ("step: 0.02\n", "", None, '"step" is missing; add it'),
+        ("step: 0.02", "step: 0.05", "0.05", "step is 0.05 s; controller is sampled at 0.02 s (sample_time): set"),
         ("noise: on", "noise: perhaps", "perhaps", "it is on or off"),
         ("plant.fmu", "plnt.fmu", "../build/plnt.fmu", "no such FMU"),
         ("x_start: 1,", "x_strt: 1,", "1, psi_start", 'plant has no variable "x_strt"; did you mean "x_start"?'),
@@ -240,3 +241,8 @@ def test_a_scenario_in_json_has_places_too(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read(path)
     assert str(caught.value).startswith(f"{path}:2:")
+
+
+def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
+    path = project / "scenarios" / "regulate.yaml"
+    read(path, "step=0.05", "components.controller.start.sample_time=0.05")

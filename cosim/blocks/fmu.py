@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 import shutil
 import tempfile
 from collections import deque
@@ -22,6 +23,8 @@ from fmus.lifetime import let_go_at_exit
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 FATAL = 4
+WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
+PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 KEPT_MESSAGES = 50  # of a talkative FMU, the last ones
 TERMINATED = 3  # fmi2StatusKind
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -61,6 +64,15 @@ def _check_identifiers(path: Path, description: Any) -> None:
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
         raise FmuError(f"{path} is not a valid FMU: {error}") from None
+
+
+def without_wrapping(words: str) -> str:
+    """What an exception in an FMU made of Python says, without how pythonfmu and the interpreter wrap it."""
+    wrapped = WRAPPED.match(words)
+    if wrapped is None:
+        return words
+    kind, text = wrapped["kind"], wrapped["text"].strip("'\"")
+    return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
 
 
 def read_description(path: Path) -> Any:
@@ -229,7 +241,7 @@ class FmuBlock:
 
     def last_words(self) -> str:
         """The FMU's last log message, on one line."""
-        return " ".join(self.log[-1].split()) if self.log else ""
+        return without_wrapping(" ".join(self.log[-1].split())) if self.log else ""
 
     # -- within -------------------------------------------------------------------------------
 
