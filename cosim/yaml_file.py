@@ -26,13 +26,18 @@ WORDS, LONGEST_WORD = 2000, 100  # among which one is sought that was meant
 M = TypeVar("M", bound=BaseModel)
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """`; did you mean "…"?` where a known word is close, else an empty string."""
+def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
+    """The known word that is closest, "" where none is `alike` (1 is equal)."""
     if len(word) > LONGEST_WORD:
         return ""
     likely = [w for w in islice(known, WORDS) if len(w) <= LONGEST_WORD]
-    close = difflib.get_close_matches(word, likely, n=1, cutoff=0.6)
-    return f'; did you mean "{close[0]}"?' if close else ""
+    return next(iter(difflib.get_close_matches(word, likely, n=1, cutoff=alike)), "")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """`; did you mean "…"?` where a known word is close, else an empty string."""
+    close = closest(word, known)
+    return f'; did you mean "{close}"?' if close else ""
 
 
 class YamlFile:

@@ -7,6 +7,7 @@ import ctypes
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -35,8 +36,11 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
     return block.inputs, block.outputs
 
 
-def log_of_fmu(path: Path, fmu: Path) -> Log:
-    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault."""
+def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
+    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault.
+
+    columns: name in the log → name in the FMU, where they differ
+    """
     try:
         signals = model_signals(fmu)
     except FmuError as error:
@@ -47,7 +51,7 @@ def log_of_fmu(path: Path, fmu: Path) -> Log:
     if (traits := traits_of(fmu)) is not None and traits.static:
         cure = "list the table in a study, `cosim refine` holds each row against the model"
         raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
-    return read_log(path, *signals)
+    return read_log(path, *signals, columns=columns)
 
 
 class StoppedReplay(SimulationError):
