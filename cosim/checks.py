@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
+from cosim import kinds
 from cosim.blocks.fmu import read_description, validation
 from cosim.errors import Fault, FmuError, InputError
 from cosim.files import FilePath
+from cosim.kinds import kind_by_keys, kind_by_name
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
@@ -47,27 +48,30 @@ def _check(path: Path, model: str) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
     if path.exists() and not path.is_file():
         raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
-    if path.suffix == ".fmu" or zipfile.is_zipfile(path):
-        return check_fmu(path)
-    if path.suffix in (".py", ".py:"):
-        only_model(Path(str(path).removesuffix(":")))
-        return []
+    match kind_by_name(path):
+        case kinds.FMU:
+            return check_fmu(path)
+        case kinds.LOG:
+            return log_findings(path, load_model(model, Path()).model)
+        case kinds.CODE:
+            only_model(path)
+            return []
     if path.suffix.startswith(".py:"):  # FILE.py:Class
-        load_model(str(path), Path())
+        text = str(path)
+        only_model(Path(text.removesuffix(":"))) if text.endswith(":") else load_model(text, Path())
         return []
-    if path.suffix == ".csv":
-        return log_findings(path, load_model(model, Path()).model)
-    keys = YamlFile(path).root.keys()
-    if keys >= {"verdict", "candidates"}:
-        raise InputError([Fault(path, 1, 1, "is an answer of `cosim refine`; check the study or model.yaml beside it")])
-    if keys & {"components", "scenario"}:
-        check_scenario(path)
-    elif "logs" not in keys and keys & {"parameters", "sensors"}:
-        read_model(path)
-    elif keys & {"logs", "model", "candidates"}:
-        return [f"warning: {text}" for text in read_study(path).warnings]
-    else:
-        check_scenario(path)
+    root = YamlFile(path).root
+    match kind_by_keys(root):
+        case kinds.ANSWER:
+            raise InputError([Fault(path, 1, 1, f"is {kinds.ANSWER}; check the study or model.yaml beside it")])
+        case kinds.MODEL:
+            read_model(path)
+        case kinds.STUDY:
+            return [f"warning: {text}" for text in read_study(path).warnings]
+        case None if root.keys() & {"model", "candidates"} and "step" not in root:
+            return [f"warning: {text}" for text in read_study(path).warnings]
+        case _:
+            check_scenario(path)
     return []
 
 

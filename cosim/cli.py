@@ -125,6 +125,14 @@ def replay(
         Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
     ] = None,
     out: Out = Path("replayed"),
+    start: Annotated[
+        list[str] | None,
+        typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; measured_speed=motor.w."),
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
@@ -132,7 +140,9 @@ def replay(
     from cosim.residuals.workflow import replay as replay_log
 
     with progress_bar("replaying") as progress:
-        comparison = replay_log(log, out, plant, report=report, progress=progress)
+        comparison = replay_log(
+            log, out, plant, start=start or (), columns=column or (), report=report, progress=progress
+        )
     for finding in comparison.findings:
         if finding.severity == "warning":
             typer.echo(finding.line, err=True)

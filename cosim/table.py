@@ -126,8 +126,11 @@ class Faults:
 # -- reading ------------------------------------------------------------------------------------
 
 
-def read_columns(path: Path) -> Table:
-    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault."""
+def read_columns(path: Path, names: Container[str] = ()) -> Table:
+    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault.
+
+    names: that are known, so that brackets in them are no unit
+    """
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
@@ -138,7 +141,7 @@ def read_columns(path: Path) -> Table:
         what = "the time" if heading.name == "time" else "a column played back"
         return Column(heading, known=what) if heading.name else None
 
-    table = read_table(faults, choose, "signals", "leave out columns or rows")
+    table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
         faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()

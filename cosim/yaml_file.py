@@ -166,6 +166,9 @@ def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
     """Pydantic's message without the names of Python."""
     if kind.startswith("bool"):
         return "it is on or off"
+    if kind == "string_pattern_mismatch":  # of the two patterns there are
+        dotted = "component.variable, the component's name" if "\\." in str(more.get("pattern")) else "a name"
+        return f"it should be {dotted} of letters, digits and _ that begins with no digit"
     if kind in _WORDS:
         return _WORDS[kind]
     detail = message.removeprefix("Value error, ").replace("Input should be", "it should be")

@@ -59,6 +59,7 @@ class Log:
     step:      usual time between rows [s], see `usual_step`
     unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
     header:    line of the file that names the columns
+    called:    name in the file → name in the model, where they differ
     unread:    columns that the model does not have → what may have been meant, "" where nothing is close
     """
 
@@ -72,6 +73,7 @@ class Log:
     unwrapped: Mapping[str, tuple[float, ...]]
     header: int = 1
     unread: Mapping[str, str] = field(default_factory=dict)
+    called: Mapping[str, str] = field(default_factory=dict)
     table: bool = False  # rows stand each for itself, in no order; `time` is their number
 
     @property
@@ -155,7 +157,20 @@ class _Reader:
             written = {name: written.get(name, "") for name in names}
         step = usual_step(time)
         path, header = self.faults.path, self.table.header
-        return Log(path, time, inputs, outputs, units, step, written, unwrapped, header, self._unread(), not self.timed)
+        return Log(
+            path,
+            time,
+            inputs,
+            outputs,
+            units,
+            step,
+            written,
+            unwrapped,
+            header,
+            self._unread(),
+            self.called,
+            not self.timed,
+        )
 
     def _unread(self) -> dict[str, str]:
         """Columns that are not read → one that may have been meant: of the model, and not in the file."""

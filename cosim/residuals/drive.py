@@ -17,6 +17,7 @@ from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.kinds import LOG, kind_of, refuse_other
 from cosim.logs.log import Log, SignalLike, read_log
 from cosim.yaml_file import did_you_mean
 from fmus.annotation import traits_of
@@ -41,6 +42,7 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
 
     columns: name in the log → name in the FMU, where they differ
     """
+    refuse_other(path, kind_of(path), LOG)
     try:
         signals = model_signals(fmu)
     except FmuError as error:
@@ -71,7 +73,9 @@ class Drive:
         fmu: Path,
         progress: Callable[[int], None] | None = None,
         interpolated: Container[str] = (),
+        given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
+        self.given = given  # start values of every run, under those that a run brings
         self.log, self.fmu, self.progress = log, fmu, progress
         self.description = read_description(fmu)
         self.traits = traits_of(fmu)  # None of an FMU that is not ours
@@ -203,7 +207,7 @@ class Drive:
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
         self._check_start(start)
-        self.block.begin(start, float(self.log.time[row]), stop)
+        self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
             self.block.put()

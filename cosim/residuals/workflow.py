@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from cosim.registry import BASE
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, log_of_fmu
+from cosim.residuals.given import renamed, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import free_run
@@ -34,17 +36,23 @@ def replay(
     folder: FilePath,
     fmu: FilePath | None = None,
     *,
+    start: Sequence[str] = (),
+    columns: Sequence[str] = (),
     report: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
 
+    start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
+    columns: of the log under other names than the FMU's, `measured_speed=motor.w`
     Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
     """
     with tempfile.TemporaryDirectory(prefix="cosim-replay-") as scratch:
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
-        read = log_of_fmu(Path(log), driven)
-        return write_replay(Path(folder), read, driven, report=report, passing=fmu is None, progress=progress)
+        read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
+        given = start_values(driven, start)
+        passing = fmu is None
+        return write_replay(Path(folder), read, driven, given=given, report=report, passing=passing, progress=progress)
 
 
 def write_replay(
@@ -53,6 +61,7 @@ def write_replay(
     fmu: Path,
     *,
     start: Mapping[str, Any] | None = None,
+    given: Mapping[str, Any] = MappingProxyType({}),
     rate: float | None = None,
     report: bool = True,
     passing: bool = False,
@@ -60,12 +69,14 @@ def write_replay(
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
+    start:   of the free run, in place of what its first rows show
+    given:   start values and parameters of every run
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
-    with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total))) as drive:
+    with Drive(log, fmu, progress and (lambda done: progress(min(done, total), total)), given=given) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))

@@ -19,7 +19,7 @@ from cosim.yaml_file import NotNegative, Number, Part, Positive
 
 LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
+Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
 def _scalar(value: Any) -> Any:

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.errors import Fault, InputError
+from cosim.kinds import MANIFEST, SCENARIO, kind_by_keys, kind_by_name, refuse_other
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
 from cosim.yaml_nodes import Document, NotYaml
@@ -29,7 +30,9 @@ class ScenarioFile:
 
     def __init__(self, path: Path, overrides: Sequence[str] = ()) -> None:
         self.path = path
+        refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
         self.yaml = YamlFile(path)
+        refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None
         if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:
             self.manifest = self.yaml.root
