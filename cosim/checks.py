@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from cosim import kinds
-from cosim.blocks.fmu import read_description, validation
+from cosim.blocks.fmu import read_description
+from cosim.blocks.guard import validation
 from cosim.errors import Fault, FmuError, InputError
 from cosim.files import FilePath
 from cosim.kinds import kind_by_keys, kind_by_name

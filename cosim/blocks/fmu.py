@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import re
 import shutil
 import tempfile
 from collections import deque
@@ -16,15 +15,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.guard import check_fmu_file, check_identifiers, reason_of, without_wrapping
 from cosim.blocks.interface import Row, Signal
 from cosim.errors import FmuError, SimulationError
-from fmus.archive import BadArchive, check_archive, check_identifier, unpack
+from fmus.archive import unpack
 from fmus.lifetime import let_go_at_exit
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 FATAL = 4
-WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
-PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 KEPT_MESSAGES = 50  # of a talkative FMU, the last ones
 TERMINATED = 3  # fmi2StatusKind
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -39,42 +37,6 @@ SETTERS: dict[str, tuple[str, Any]] = {
 }
 
 
-def check_fmu_file(path: Path) -> None:
-    """FmuError where the archive would fill the disk, leave its folder, or is none."""
-    try:
-        check_archive(path)
-    except BadArchive as error:
-        raise FmuError(f"{path} is no FMU: {error}") from None
-    except OSError as error:
-        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
-
-
-def reason_of(error: Exception) -> str:
-    """Why FMPy does not take a description, in a line, without the names of Python."""
-    if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
-        return "its modelDescription.xml lacks what FMI demands, or has it in the wrong place"
-    if isinstance(error, ValueError):
-        return "a value in its modelDescription.xml is of the wrong kind"
-    return " ".join(str(error).split())[:2000]
-
-
-def _check_identifiers(path: Path, description: Any) -> None:
-    try:
-        for way in filter(None, (description.coSimulation, description.modelExchange)):
-            check_identifier(way.modelIdentifier)
-    except BadArchive as error:
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
-
-
-def without_wrapping(words: str) -> str:
-    """What an exception in an FMU made of Python says, without how pythonfmu and the interpreter wrap it."""
-    wrapped = WRAPPED.match(words)
-    if wrapped is None:
-        return words
-    kind, text = wrapped["kind"], wrapped["text"].strip("'\"")
-    return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
-
-
 def read_description(path: Path) -> Any:
     """FMPy's model description of an FMU that can be co-simulated; FmuError where it cannot."""
     import fmpy
@@ -84,24 +46,10 @@ def read_description(path: Path) -> Any:
         description = fmpy.read_model_description(str(path))
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
-    _check_identifiers(path, description)
+    check_identifiers(path, description)
     if description.fmiVersion != "2.0" or description.coSimulation is None:
         raise FmuError(f"{path} is FMI {description.fmiVersion}; FMI 2.0 for co-simulation is needed")
     return description
-
-
-def validation(path: Path) -> list[str]:
-    """What FMPy's validation says of the names of variables and of the model structure."""
-    import fmpy
-    from fmpy.model_description import ValidationError
-
-    try:
-        fmpy.read_model_description(str(path), validate_variable_names=True, validate_model_structure=True)
-    except ValidationError as error:
-        return [" ".join(str(problem).split()) for problem in error.problems]
-    except Exception as error:  # as in `read_description`
-        return [reason_of(error)]
-    return []
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:

@@ -13,7 +13,7 @@ from typing import Any
 from cosim.blocks.fmu import FmuBlock
 from cosim.simulation.components import Designed, build_components
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.sampling import check_sampling
+from cosim.simulation.feasible import check_feasible
 from cosim.simulation.scenario import FmuComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.schedule import Schedule, Stage, schedule
@@ -47,7 +47,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     _check_design(file, diagnosis)
-    check_sampling(components.values(), diagnosis)
+    check_feasible(components.values(), diagnosis)
     if whole:
         _check_criteria(scenario, layout.columns, diagnosis)
     plan = Schedule()

@@ -1,4 +1,4 @@
-"""FMUs that take one communication step only, held against the step of the scenario before anything runs."""
+"""What a scenario asks for and no run can give: steps that an FMU refuses, results that no machine holds."""
 
 from __future__ import annotations
 
@@ -10,10 +10,28 @@ from cosim.simulation.diagnosis import Diagnosis
 from fmus.sampled import sampled_by
 
 ROUNDING = 1e-6  # of a step, as the FMUs themselves allow
+MOST_RESULTS = 8e9  # bytes
+BYTES = 8  # a number
 
 
-def check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
-    """Note a fault for each FMU that would refuse the communication step."""
+def check_feasible(components: Iterable[Any], diagnosis: Diagnosis) -> None:
+    """Note a fault for each FMU that would refuse the communication step, and for results that are too large."""
+    blocks = list(components)
+    _check_size(sum(len(b.inputs) + len(b.outputs) for b in blocks), diagnosis)
+    _check_sampling(blocks, diagnosis)
+
+
+def _check_size(signals: int, diagnosis: Diagnosis) -> None:
+    scenario = diagnosis.file.scenario
+    rows = scenario.duration / scenario.step + 1.0
+    if rows * signals * BYTES > MOST_RESULTS:
+        size = f"{rows:.3g} rows of {signals} signals, {rows * signals * BYTES / 1e9:.3g} GB"
+        diagnosis.note(
+            ("duration",), f"leaves {size}, more than {MOST_RESULTS / 1e9:g} GB; run shorter or in longer steps"
+        )
+
+
+def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
     file, scenario = diagnosis.file, diagnosis.file.scenario
     stated = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (stated.line, stated.column) for f in file.faults):
