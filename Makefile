@@ -5,8 +5,9 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 
-.PHONY: run test refine bench blind check clean fmus
+.PHONY: run test refine bench blind fuzz check clean fmus
 N ?= 24
+EXAMPLES ?= 10000
 .DEFAULT_GOAL := run
 
 $(RUNTIME): pyproject.toml
@@ -37,6 +38,10 @@ refine: $(RUNTIME)
 
 blind: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N)
+
+# EXAMPLES in all; SEED of an earlier run finds the same again
+fuzz: $(TESTING)
+	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench
