@@ -287,8 +287,12 @@ def entry() -> None:
     except CosimError as error:
         typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         sys.exit(error.exit_code)
+    except MemoryError:
+        typer.echo("error: there is not enough memory; run shorter, in longer steps or with less recorded", err=True)
+        sys.exit(4)
     except OSError as error:  # a folder that cannot be written, a disk that is full
-        typer.echo(f"error: {error}", err=True)
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"error: {where}{error.strerror or error}", err=True)
         sys.exit(2)
     finally:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)

@@ -20,6 +20,7 @@ from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
 
 MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
+MOST_FAULTS = 100_000  # after which nothing more is read
 FAULTS_A_KIND = 5  # reported of the cells of a column, then their number
 LONGEST_LINE = 2_000_000  # bytes; of the header some 100 000 columns
 INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # the end of a name such as p.e[1]; a unit stands after a blank, or is no number
@@ -113,6 +114,11 @@ class Faults:
         self.counts[cell, kind] += 1
         if self.counts[cell, kind] <= FAULTS_A_KIND:
             self.note(line, cell, message)
+
+    @property
+    def many(self) -> bool:
+        """So many that reading on tells nothing new."""
+        return any(count > MOST_FAULTS for count in self.counts.values())
 
     def raise_any(self) -> None:
         """InputError where there is a fault."""
@@ -219,6 +225,9 @@ class _Reader:
             for row in rows:
                 if _filled(row):
                     self._row(rows.line_num, row)
+                if self.faults.many:
+                    self.faults.note(rows.line_num, 1, "nothing is read from here on")
+                    return
             self.table.whole = True
         except _NotText:
             self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")

@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cosim.errors import Fault, InputError
-from cosim.yaml_nodes import Document, Location, NotYaml
+from cosim.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -41,13 +41,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class YamlFile:
-    """A YAML document and where each of its parts stands."""
+    """A YAML document and where each of its parts stands; `root` is its data, not to be changed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         text = _text(path)
         try:
-            self._document = Document(text)
+            self._document = document_of(text)
         except NotYaml as error:
             raise InputError([Fault(path, error.line, error.column, str(error))]) from None
         self.root: Any = self._document.data

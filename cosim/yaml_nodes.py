@@ -7,6 +7,7 @@ aliases and merge keys are taken, as far as what they stand for stays small.
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -14,6 +15,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
 MOST_YAML, MOST_JSON = 800_000, 8_000_000  # characters that are read within seconds
+MOST_MARKS = 100_000  # commas, colons and lines of YAML, which take the time
 MOST_PARTS = 400_000  # keys and values, aliases followed
 DEEPEST = 60  # parts within parts
 MERGE = "<<"
@@ -28,6 +30,12 @@ class NotYaml(Exception):
     def __init__(self, line: int, column: int, problem: str) -> None:
         super().__init__(problem)
         self.line, self.column = line, column
+
+
+@lru_cache(maxsize=2)  # a file is looked at for its kind, and then read
+def document_of(text: str) -> Document:
+    """The document of a text; its data are shared and not to be changed."""
+    return Document(text)
 
 
 class Document:
@@ -49,8 +57,9 @@ class Document:
             else:
                 self._is_json = True
                 return data
-        if len(self._text) > MOST_YAML:
-            size = f"has {len(self._text) / 1e6:.1f} MB of YAML, more than the {MOST_YAML / 1e6:g} MB that are read"
+        if _is_large(self._text):
+            most = f"{MOST_YAML / 1e6:g} MB and about {MOST_MARKS} keys and values"
+            size = f"has {len(self._text) / 1e6:.1f} MB of YAML, of which at most {most} are read"
             raise NotYaml(1, 1, f"{size}; write it as JSON, which may have {MOST_JSON / 1e6:g} MB, or make it shorter")
         return _Plain(self._compose(), self).data
 
@@ -90,7 +99,7 @@ class Document:
 
         UNKNOWN in a file that is too large to look.
         """
-        if self._is_json and len(self._text) > MOST_YAML:
+        if self._is_json and _is_large(self._text):
             return UNKNOWN
         node, found = self._compose(), (1, 1)
         for depth, step in enumerate(location):
@@ -151,6 +160,10 @@ class _Plain:
     def _known(self, node: Any, kind: str) -> None:
         if node.tag is not None and str(node.tag) != f"tag:yaml.org,2002:{kind}":
             raise _fault(node, f'the tag "{_tag(node)}" means nothing here; leave it out')
+
+
+def _is_large(text: str) -> bool:
+    return len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
 
 
 def _tag(node: Any) -> str:

@@ -21,7 +21,7 @@ MOST_FILES = 20_000
 MOST_UNPACKED = 1_000_000_000  # bytes
 LARGE, MOST_RATIO = 50_000_000, 100.0  # bytes, from which a ratio of packing beyond this is a bomb
 MOST_XML = 20_000_000  # bytes of a description: some 100 000 variables
-DEEPEST = 60  # elements within elements
+DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100  # elements within elements, in all, attributes of one
 END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
 DIRECTORY = 100  # bytes of the directory for a file, and for its name as much again
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
@@ -149,22 +149,26 @@ def _check_sizes(members: list[zipfile.ZipInfo]) -> None:
 
 def _check_xml(name: str, text: bytes) -> None:
     """No document type, in which entities could grow without end or name files of this machine; not too deep."""
-    depth = 0
+    depth = count = 0
 
     def refuse(*_: object) -> None:
         raise BadArchive(f"its {name} has a DOCTYPE, which FMI knows nothing of; take it out")
 
-    def start(*_: object) -> None:
-        nonlocal depth
-        depth += 1
+    def start(_: str, attributes: list[str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
         if depth > DEEPEST:
             raise BadArchive(f"its {name} is nested too deep")
+        if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
+            most = f"{MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each"
+            raise BadArchive(f"its {name} has more than the {most} that are read")
 
     def end(_: str) -> None:
         nonlocal depth
         depth -= 1
 
     parser = expat.ParserCreate()
+    parser.ordered_attributes = True
     parser.StartDoctypeDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler = start, end
     try:

@@ -84,6 +84,8 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
         "DOCTYPE",
     ),
     "deep": (described(5000 * "<a>" + 5000 * "</a>"), "nested too deep"),
+    "elements": (described(f"<a>{600_000 * '<b/>'}</a>"), "more than the 500000 elements"),
+    "attributes": (described("<a " + " ".join(f'b{k}=""' for k in range(300)) + "/>"), "100 attributes each"),
     "large": (described(DESCRIPTION + 21_000_000 * " "), "21 MB, more than the 20 MB"),
     "cut": (described(DESCRIPTION[:300]), "is not XML"),
     "identifier": (described(DESCRIPTION.replace('Identifier="m"', 'Identifier="../../m"')), "is no name of a file"),
@@ -132,3 +134,54 @@ def test_initial_unknowns_are_judged_as_by_the_compliance_checker(tmp_path: Path
     assert "warning: ModelStructure/InitialUnknowns" in said
     with pytest.raises(InputError, match="ModelStructure/Outputs"):
         check_files(archive(tmp_path / "n.fmu", unlisted.replace('<Outputs><Unknown index="1"/></Outputs>', "")))
+
+
+def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_path: Path) -> None:
+    path = archive(tmp_path / "m.fmu")
+    raw = bytearray(path.read_bytes())
+    end = raw.rfind(b"PK\x05\x06")
+    raw[end + 10 : end + 12] = struct.pack("<H", 65_000)
+    path.write_bytes(bytes(raw))
+    with pytest.raises(BadArchive, match="more than 20000 files"):
+        check_archive(path)
+
+
+HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi"
+ENORMOUS = {
+    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: the line has more than 2 MB"),
+    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "nothing is read from here on"),
+    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "nothing is read from"),
+    "quote": ("a.csv", 'time,"' + 200_000 * "x", "is not CSV"),
+    "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
+    "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
+    "json": ("a.json", '{"a":' * 5000, "nested too deep"),
+    "bytes": ("a.yaml", 8_100_000 * "x", "8 MB, more than the 8 MB that are read"),
+    "results": (
+        "a.yaml",
+        "name: x\nduration: 1e6\nstep: 1\ncomponents:\n  a:\n    block: reference\n    signals: {"
+        + ", ".join(f"x{k}: {{}}" for k in range(2000)) + "}\n",
+        "1e+06 rows of 2000 signals, 16 GB",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ENORMOUS)
+def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) -> None:
+    name, text, words = ENORMOUS[kind]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as caught:
+        check_files(tmp_path / name)
+    assert caught.value.exit_code == 2
+    assert words in str(caught.value)
+    assert len(caught.value.faults) < 10
+
+
+def test_of_thousands_of_faults_in_a_scenario_the_first_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    lines = "".join(f"  - {{from: a.x, to: b.y{k}}}\n" for k in range(3000))
+    blocks = "".join(f"  {name}: {{block: reference, signals: {{x: {{}}}}}}\n" for name in "ab")
+    path.write_text(f"name: x\nduration: 1\nstep: 0.1\ncomponents:\n{blocks}connections:\n{lines}")
+    with pytest.raises(InputError) as caught:
+        check_files(path)
+    assert len(caught.value.faults) == 201
+    assert "the first 200 faults are shown" in str(caught.value)
