@@ -175,3 +175,7 @@ def _check_xml(name: str, text: bytes) -> None:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         raise BadArchive(f"its {name} is not XML (line {error.lineno}): {expat.ErrorString(error.code)}") from None
+    except (LookupError, ValueError) as error:
+        if isinstance(error, BadArchive):
+            raise
+        raise BadArchive(f"its {name} is in an encoding that is not known here; UTF-8 is") from None
