@@ -52,6 +52,8 @@ class Document:
         if self._text.lstrip("\ufeff \t\r\n")[:1] in {"{", "["} and len(self._text) <= MOST_JSON:
             try:
                 data = json.loads(self._text, object_pairs_hook=_once, parse_constant=_no_constant)
+                if "\\u" in self._text:
+                    json.dumps(data, ensure_ascii=False).encode()  # half a character is none
             except (ValueError, RecursionError):
                 pass  # YAML in braces, or a fault, which has a place in YAML
             else:
@@ -88,10 +90,10 @@ class Document:
                     if not isinstance(other, MappingNode):
                         raise _fault(value, "what is merged is a mapping, or a list of such")
                     merged = {**self._pairs_of(other, depth + 1), **merged}
-            elif key.value in own:
-                raise _fault(key, f'duplicate key "{key.value[:60]}"; keep one')
+            elif (name := _whole(key)) in own:
+                raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
             else:
-                own[key.value] = key, value
+                own[name] = key, value
         return {**merged, **own} if merged else own
 
     def place(self, location: Location, key: bool = False) -> Place:
@@ -142,7 +144,7 @@ class _Plain:
 
     def _scalar(self, node: Any) -> Any:
         kind = str(node.tag).removeprefix("tag:yaml.org,2002:")
-        text: str = node.value
+        text = _whole(node)
         match kind:
             case "null":
                 return None
@@ -164,6 +166,15 @@ class _Plain:
 
 def _is_large(text: str) -> bool:
     return len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
+
+
+def _whole(node: Any) -> str:
+    """The text of a scalar, its characters whole where they are written as JSON does, in two halves."""
+    text: str = node.value
+    try:
+        return text.encode("utf-16", "surrogatepass").decode("utf-16")
+    except UnicodeDecodeError:
+        raise _fault(node, "holds half a character") from None
 
 
 def _tag(node: Any) -> str:

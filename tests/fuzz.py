@@ -291,7 +291,8 @@ def description(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]
         a = draw(st.integers(0, len(data)))
         path.write_bytes(data[:a] + draw(st.binary(max_size=30)) + data[a + draw(st.integers(0, 30)) :])
     yield ["check", path.name]
-    start = {draw(st.sampled_from(("u", "k", "e", "s", "y", "z"))): draw(st.sampled_from(ODD[:20]))}
+    name = draw(st.sampled_from(("", "", "u", "k", "e", "s", "y", "z")))
+    start = {name: draw(st.sampled_from(ODD[:20]))} if name else {}
     content = {
         "name": "n", "duration": 0.1, "step": 0.05,
         "components": {"m": {"fmu": path.name, "start": start}, "r": {"block": "reference", "signals": {"x": {}}}},
@@ -368,10 +369,13 @@ def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list
         took = time.process_time() - began
         found.slowest = max(found.slowest, (took, f"{kind}: {arguments[0]}"))
         found.exits[-1 if code is None else code] += 1
+        moved = Path.cwd() != work.resolve()
+        os.chdir(work)
         left = everything(root, work) - outside
         reasons = [
             *([f"exit {code}"] if code not in EXITS else []),
             *(f"says {word!r}" for word in INTERNAL if code is not None and word in said),
+            *(["another folder"] if moved else []),
             *([f"{took:.1f} s"] if took > LONGEST else []),
             *([f"left {', '.join(map(str, sorted(left)[:3]))}"] if left else []),
         ]

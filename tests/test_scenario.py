@@ -10,6 +10,7 @@ from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+from cosim.yaml_file import YamlFile
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
 
@@ -204,6 +205,8 @@ def test_an_override_of_a_component_that_is_not_there_is_a_fault(project: Path) 
         ("name: 0x\nduration: 1_\n", "", "is missing"),
         (b"name: x\0", "1:1", "special characters"),
         ("--- a\n--- b\n", "2:1", "single document"),
+        ('name: x\n"\\ud83d": 1\n', "2:1", "half a character"),
+        ('{"name": "\\ude42"}', "1:10", "half a character"),
     ],
 )
 def test_odd_yaml_is_refused_with_its_place(tmp_path: Path, text: str | bytes, place: str, words: str) -> None:
@@ -233,6 +236,13 @@ def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:
     scenario = ScenarioFile(path).scenario
     assert scenario.components["b"] == scenario.components["a"]
     assert list(scenario.components["c"].signals) == ["v"]  # type: ignore[union-attr]
+
+
+def test_characters_in_two_halves_as_json_writes_them_are_made_whole(tmp_path: Path) -> None:
+    for text in ('name: "\\ud83d\\ude42"', '{"name": "\\ud83d\\ude42"}'):
+        path = tmp_path / "case.yaml"
+        path.write_text(text)
+        assert YamlFile(path).root == {"name": "\U0001f642"}
 
 
 def test_a_scenario_in_json_has_places_too(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 import shutil
 import tempfile
 from collections import deque
@@ -117,7 +118,7 @@ class FmuBlock:
         from fmpy.fmi2 import FMU2Slave
 
         self._time = start
-        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+        self._folder, here = Path(tempfile.mkdtemp(prefix="cosim-fmu-")), Path.cwd()
         try:
             unpack(self.path, self._folder)
             identifier = self.description.coSimulation.modelIdentifier
@@ -131,6 +132,8 @@ class FmuBlock:
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
             self._fmu = None
             raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+        finally:
+            os.chdir(here)  # FMPy loads from within the FMU's folder
         let_go_at_exit(self._folder)  # of what pythonfmu, if it made this FMU, releases twice
         self._component = self._fmu.component
         self._bare_functions()
