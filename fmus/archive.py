@@ -96,8 +96,6 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken]) -> Taken:
 
 def _reason(error: Exception) -> str:
     """Why something cannot be unpacked, without the names of Python."""
-    if isinstance(error, OSError):
-        return str(error.strerror or "it cannot be read")
     return str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
 
 
