@@ -25,8 +25,6 @@ from cosim.yaml_file import YamlFile
 from plant.model import Model
 from plant.traits import Traits
 
-UNKNOWNS = "ModelStructure/InitialUnknowns"  # of which exporters list what they like: hosts, the checker too, take it
-
 
 def check_files(files: FilePath | Iterable[FilePath], model: str = BASE) -> list[str]:
     """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
@@ -51,7 +49,9 @@ def _check(path: Path, model: str) -> list[str]:
         raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
     match kind_by_name(path):
         case kinds.FMU:
-            return check_fmu(path)
+            if faults := check_fmu(path):
+                raise InputError(faults)
+            return fmu_warnings(path)
         case kinds.LOG:
             return log_findings(path, load_model(model, Path()).model)
         case kinds.CODE:
@@ -84,18 +84,20 @@ def log_findings(path: Path, model: Model) -> list[str]:
     return [f.line for f in findings]
 
 
-def check_fmu(path: Path) -> list[str]:
-    """What FMPy's validation says that keeps no host from running an FMU, a line each; InputError with its faults."""
+def check_fmu(path: Path) -> list[Fault]:
+    """Why an FMU cannot be run; what only breaks a rule of FMI is told by `fmu_warnings`."""
     if not path.is_file():
-        raise InputError([Fault(path, 0, 0, "no such file")])
+        return [Fault(path, 0, 0, "no such file")]
     try:
         read_description(path)
     except FmuError as error:
-        raise InputError([Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]) from None
-    problems = validation(path)
-    if faults := [Fault(path, 0, 0, p, FmuError.exit_code) for p in problems if not p.startswith(UNKNOWNS)]:
-        raise InputError(faults)
-    return [f"warning: {problem} The compliance checker takes it as it is" for problem in problems]
+        return [Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]
+    return []
+
+
+def fmu_warnings(path: Path) -> list[str]:
+    """What FMPy's validation says of an FMU that can be read, a line each: other hosts and the checker take it."""
+    return [f"warning: {problem}" for problem in validation(path)]
 
 
 def check_scenario(path: Path) -> None:
