@@ -99,11 +99,14 @@ class Document:
     def place(self, location: Location, key: bool = False) -> Place:
         """Line and column, from 1, of the value at `location`, of its key if asked, or of the nearest part there is.
 
-        UNKNOWN in a file that is too large to look.
+        UNKNOWN in JSON that is too large to look, or no YAML.
         """
         if self._is_json and _is_large(self._text):
             return UNKNOWN
-        node, found = self._compose(), (1, 1)
+        try:
+            node, found = self._compose(), (1, 1)
+        except NotYaml:
+            return UNKNOWN
         for depth, step in enumerate(location):
             last = depth == len(location) - 1
             if isinstance(node, MappingNode) and step in (pairs := self.pairs(node)):

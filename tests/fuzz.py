@@ -11,6 +11,7 @@ import contextlib
 import copy
 import io
 import json
+import math
 import os
 import re
 import resource
@@ -442,7 +443,7 @@ def tried(arguments: list[str]) -> tuple[int | None, str]:
     return 0, said.getvalue()
 
 
-def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list[str]]) -> None:
+def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list[str]], longest: float) -> None:
     """Try the commands of one example."""
     before = set(work.iterdir())
     made: set[Path] = set()
@@ -461,7 +462,7 @@ def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list
             *([f"exit {code}"] if code not in EXITS else []),
             *(f"says {word!r}" for word in INTERNAL if code is not None and word in said),
             *(["another folder"] if moved else []),
-            *([f"{took:.1f} s"] if took > LONGEST else []),
+            *([f"{took:.1f} s"] if took > longest else []),
             *([f"left {', '.join(map(str, sorted(left)[:3]))}"] if left else []),
         ]
         if reasons:
@@ -477,8 +478,10 @@ def everything(root: Path, work: Path) -> set[Path]:
     return {p for p in root.rglob("*") if not p.is_relative_to(work / "out")}
 
 
-def fuzz(kind: str, count: int, number: int, folder: Path, plant: Path, most_wrong: int = 1) -> Found:
-    """Try `count` examples of a kind, drawn by a seed; it ends when enough is wrong."""
+def fuzz(
+    kind: str, count: int, number: int, folder: Path, plant: Path, most_wrong: int = 1, longest: float = math.inf
+) -> Found:
+    """Try `count` examples of a kind, drawn by a seed, each at most `longest` [s]; it ends when enough is wrong."""
     found, work = Found(), prepared(folder, plant)
 
     @seed(number)
@@ -492,7 +495,7 @@ def fuzz(kind: str, count: int, number: int, folder: Path, plant: Path, most_wro
     @given(st.data())
     def one(data: st.DataObject) -> None:
         if len(found.wrong) < most_wrong:
-            hold(found, kind, folder, work, KINDS[kind](data.draw, work))
+            hold(found, kind, folder, work, KINDS[kind](data.draw, work), longest)
 
     here, temporary = Path.cwd(), tempfile.tempdir
     try:
@@ -518,7 +521,13 @@ def main() -> None:
         plant = build(plant_recipe(), Path(folder) / "plant.fmu")
         for kind in kinds:
             found = fuzz(
-                kind, -(-total // len(kinds)) // SLOW.get(kind, 1), first, Path(folder) / kind, plant, most_wrong=20
+                kind,
+                -(-total // len(kinds)) // SLOW.get(kind, 1),
+                first,
+                Path(folder) / kind,
+                plant,
+                most_wrong=20,
+                longest=LONGEST,
             )
             exits = ", ".join(f"{code}: {n}" for code, n in sorted(found.exits.items()))
             slowest = f"slowest {found.slowest[0]:.2f} s"
@@ -527,8 +536,8 @@ def main() -> None:
                 flush=True,
             )
             wrong += found.wrong
-    for text in wrong:
-        print(f"\n{text}")
+            for text in found.wrong:
+                print(f"\n{text}", flush=True)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"seed {first}, {len(wrong)} wrong, at most {memory:.0f} MB")
     sys.exit(bool(wrong))

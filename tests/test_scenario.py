@@ -256,3 +256,10 @@ def test_a_scenario_in_json_has_places_too(tmp_path: Path) -> None:
 def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     path = project / "scenarios" / "regulate.yaml"
     read(path, "step=0.05", "components.controller.start.sample_time=0.05")
+
+
+def test_json_that_is_no_yaml_has_faults_without_places(tmp_path: Path) -> None:
+    path = tmp_path / "case.json"
+    path.write_text('{"name": "\x7f", "duration": 1, "step": 0.5, "components": {"a": {"blok": 1}}}')
+    with pytest.raises(InputError, match="a component has fmu"):
+        read(path)
