@@ -140,7 +140,7 @@ class Scenario(Part):
     @property
     def steps(self) -> int:
         """Number of communication steps."""
-        return round(self.duration / self.step)
+        return round(min(self.duration / self.step, 1e18))  # which nobody takes; beyond a double is no number
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
