@@ -5,9 +5,10 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 
-.PHONY: run test refine bench blind crash check clean fmus
+.PHONY: run test refine bench blind crash fuzz check clean fmus
 N ?= 24
 CRASHES ?= 200
+EXAMPLES ?= 10000
 .DEFAULT_GOAL := run
 
 $(RUNTIME): pyproject.toml
@@ -41,6 +42,10 @@ blind: $(TESTING)
 
 crash: $(TESTING)
 	$(BIN)/python -m tests.crash $(CRASHES)
+
+# EXAMPLES in all; SEED of an earlier run finds the same again
+fuzz: $(TESTING)
+	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import zipfile
 from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from cosim import kinds
 from cosim.blocks.fmu import read_description
+from cosim.blocks.guard import validation
 from cosim.errors import Crashed, Fault, FmuError, InputError, TimedOut
 from cosim.files import FilePath
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
+from cosim.kinds import kind_by_keys, kind_by_name
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
@@ -59,29 +61,32 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
     if path.exists() and not path.is_file():
         raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
-    if path.suffix == ".fmu" or zipfile.is_zipfile(path):
-        if faults := check_fmu(path, worker):
-            raise InputError(faults)
-        return []
-    if path.suffix in (".py", ".py:"):
-        only_model(Path(str(path).removesuffix(":")))
-        return []
+    match kind_by_name(path):
+        case kinds.FMU:
+            if faults := check_fmu(path, worker):
+                raise InputError(faults)
+            return fmu_warnings(path)
+        case kinds.LOG:
+            return log_findings(path, load_model(model, Path()).model)
+        case kinds.CODE:
+            only_model(path)
+            return []
     if path.suffix.startswith(".py:"):  # FILE.py:Class
-        load_model(str(path), Path())
+        text = str(path)
+        only_model(Path(text.removesuffix(":"))) if text.endswith(":") else load_model(text, Path())
         return []
-    if path.suffix == ".csv":
-        return log_findings(path, load_model(model, Path()).model)
-    keys = YamlFile(path).root.keys()
-    if keys >= {"verdict", "candidates"}:
-        raise InputError([Fault(path, 1, 1, "is an answer of `cosim refine`; check the study or model.yaml beside it")])
-    if keys & {"components", "scenario"}:
-        check_scenario(path, worker)
-    elif "logs" not in keys and keys & {"parameters", "sensors"}:
-        read_model(path)
-    elif keys & {"logs", "model", "candidates"}:
-        return [f"warning: {text}" for text in read_study(path).warnings]
-    else:
-        check_scenario(path, worker)
+    root = YamlFile(path).root
+    match kind_by_keys(root):
+        case kinds.ANSWER:
+            raise InputError([Fault(path, 1, 1, f"is {kinds.ANSWER}; check the study or model.yaml beside it")])
+        case kinds.MODEL:
+            read_model(path)
+        case kinds.STUDY:
+            return [f"warning: {text}" for text in read_study(path).warnings]
+        case None if root.keys() & {"model", "candidates"} and "step" not in root:
+            return [f"warning: {text}" for text in read_study(path).warnings]
+        case _:
+            check_scenario(path, worker)
     return []
 
 
@@ -94,18 +99,15 @@ def log_findings(path: Path, model: Model) -> list[str]:
 
 
 def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
-    """Faults FMPy's validation finds in an FMU; where there are none and a worker is given, why it does not run."""
+    """Why an FMU cannot be run, tried where a worker is given; what only breaks a rule of FMI: `fmu_warnings`."""
     if not path.is_file():
         return [Fault(path, 0, 0, "no such file")]
     try:
         description = read_description(path)
     except FmuError as error:
         return [Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]
-    from fmpy.validation import validate_fmu
-
-    faults = [Fault(path, 0, 0, problem, FmuError.exit_code) for problem in validate_fmu(str(path))]
-    if faults or worker is None:
-        return faults
+    if worker is None:
+        return []
     start, step = _experiment(description)
     content = {
         "name": path.stem, "start_time": start, "duration": step, "step": step,
@@ -118,6 +120,11 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
         return _run_once(ScenarioFile(scenario), path, worker)
     except InputError as error:
         return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
+
+
+def fmu_warnings(path: Path) -> list[str]:
+    """What FMPy's validation says of an FMU that can be read, a line each: other hosts and the checker take it."""
+    return [f"warning: {problem}" for problem in validation(path)]
 
 
 def _experiment(description: Any) -> tuple[float, float]:

@@ -145,6 +145,14 @@ def replay(
         Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
     ] = None,
     out: Out = Path("replayed"),
+    start: Annotated[
+        list[str] | None,
+        typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; measured_speed=motor.w."),
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     in_process: InProcess = False,
     limits: Annotated[
@@ -156,7 +164,10 @@ def replay(
     from cosim.residuals.workflow import replay as replay_log
 
     with progress_bar("replaying") as progress:
-        comparison = replay_log(log, out, plant, report=report, in_process=in_process, limits=limits, progress=progress)
+        comparison = replay_log(
+            log, out, plant, start=start or (), columns=column or (), report=report,
+            in_process=in_process, limits=limits, progress=progress,
+        )  # fmt: skip
     for finding in comparison.findings:
         if finding.severity == "warning":
             typer.echo(finding.line, err=True)
@@ -281,8 +292,14 @@ def stages() -> Iterator[Callable[[str, float], None] | None]:
 
     columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+        task = bar.add_task("starting", total=None)
+
+        def advance(stage: str, share: float) -> None:
+            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
+            bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
+            bar.update(task, description=stage, completed=share)
+
+        yield advance
 
 
 def entry() -> None:
@@ -303,8 +320,12 @@ def entry() -> None:
     except Terminated as ended:
         typer.echo(f"error: {ended}", err=True)
         sys.exit(ended.exit_code)
+    except MemoryError:
+        typer.echo("error: there is not enough memory; run shorter, in longer steps or with less recorded", err=True)
+        sys.exit(4)
     except OSError as error:  # a folder that cannot be written, a disk that is full
-        typer.echo(f"error: {error}", err=True)
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"error: {where}{error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
         for number, handler in before.items():

@@ -7,7 +7,7 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -20,7 +20,10 @@ from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
 
 MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
+MOST_FAULTS = 100_000  # after which nothing more is read
 FAULTS_A_KIND = 5  # reported of the cells of a column, then their number
+LONGEST_LINE = 2_000_000  # bytes; of the header some 100 000 columns
+INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # the end of a name such as p.e[1]; a unit stands after a blank, or is no number
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
@@ -112,6 +115,11 @@ class Faults:
         if self.counts[cell, kind] <= FAULTS_A_KIND:
             self.note(line, cell, message)
 
+    @property
+    def many(self) -> bool:
+        """So many that reading on tells nothing new."""
+        return any(count > MOST_FAULTS for count in self.counts.values())
+
     def raise_any(self) -> None:
         """InputError where there is a fault."""
         for (cell, kind), count in self.counts.items():
@@ -124,8 +132,11 @@ class Faults:
 # -- reading ------------------------------------------------------------------------------------
 
 
-def read_columns(path: Path) -> Table:
-    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault."""
+def read_columns(path: Path, names: Container[str] = ()) -> Table:
+    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault.
+
+    names: that are known, so that brackets in them are no unit
+    """
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
@@ -136,21 +147,24 @@ def read_columns(path: Path) -> Table:
         what = "the time" if heading.name == "time" else "a column played back"
         return Column(heading, known=what) if heading.name else None
 
-    table = read_table(faults, choose, "signals", "leave out columns or rows")
+    table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
         faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()
     return table
 
 
-def read_table(faults: Faults, choose: Choose, holds: str, shorter: str, *, timed: bool = True) -> Table:
+def read_table(
+    faults: Faults, choose: Choose, holds: str, shorter: str, *, timed: bool = True, names: Container[str] = ()
+) -> Table:
     """Read a CSV as far as it goes and note its faults; `timed`: its first column is `time`, which increases.
 
     choose:  how the column below a heading is read; None where it is not, a fault noted if that is one
     holds:   what its columns are beside the time, for a file that is empty
     shorter: what to do about one that is too large
+    names:   that are known, so that brackets in them are no unit
     """
-    path, reader = faults.path, _Reader(faults, choose, timed)
+    path, reader = faults.path, _Reader(faults, choose, timed, names)
     try:
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
@@ -162,6 +176,8 @@ def read_table(faults: Faults, choose: Choose, holds: str, shorter: str, *, time
                 reader.read(stream, holds)
     except OSError as error:
         faults.note(0, 0, f"cannot be read: {error.strerror}")
+    except ValueError:  # a name that no file may have
+        faults.note(0, 0, "no such file")
     return reader.table
 
 
@@ -169,9 +185,15 @@ class _NotText(Exception):
     """A line that is not UTF-8."""
 
 
+class _TooLong(Exception):
+    """A line that no CSV has."""
+
+
 def _lines(stream: BinaryIO) -> Iterator[str]:
     """Lines of text; the first may begin with a byte order mark."""
-    for raw in stream:
+    while raw := stream.readline(LONGEST_LINE + 1):
+        if len(raw) > LONGEST_LINE:
+            raise _TooLong
         try:
             yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
         except UnicodeDecodeError:
@@ -181,8 +203,8 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 class _Reader:
     """Fills a table while the header and then the cells are read."""
 
-    def __init__(self, faults: Faults, choose: Choose, timed: bool) -> None:
-        self.faults, self.choose, self.timed = faults, choose, timed
+    def __init__(self, faults: Faults, choose: Choose, timed: bool, names: Container[str]) -> None:
+        self.faults, self.choose, self.timed, self.names = faults, choose, timed, names
         self.table = Table()
         self.width = 0  # of the header
         self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
@@ -203,9 +225,14 @@ class _Reader:
             for row in rows:
                 if _filled(row):
                     self._row(rows.line_num, row)
+                if self.faults.many:
+                    self.faults.note(rows.line_num, 1, "nothing is read from here on")
+                    return
             self.table.whole = True
         except _NotText:
             self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
+        except _TooLong:
+            self.faults.note(rows.line_num + 1, 1, f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?")
         except csv.Error as error:
             self.faults.note(rows.line_num, 1, f"is not CSV: {error}")
 
@@ -216,8 +243,7 @@ class _Reader:
             self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
             return
         for cell, text in enumerate(header, 1):
-            name, _, unit = text.partition("[")
-            self._heading(Heading(self.table.header, cell, name.strip(), unit.rstrip().removesuffix("]").strip()))
+            self._heading(Heading(self.table.header, cell, *parted(text, self.names)))
         columns, values = self.table.columns, self.table.values
         self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1 or not self.timed]
 
@@ -229,8 +255,13 @@ class _Reader:
         elif name in self.table.columns:
             first = self.table.columns[name].cell
             self.faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
-        elif (column := self.choose(heading)) is not None:
-            self.table.columns[name], self.table.values[name] = column, array("d")
+        elif (column := self.choose(heading)) is None:
+            pass
+        elif column.name in self.table.columns:  # by another name
+            first = self.table.columns[column.name].cell
+            self.faults.note(line, cell, f'column "{name}" is {column.name}, as column {first} is; keep one')
+        else:
+            self.table.columns[column.name], self.table.values[column.name] = column, array("d")
 
     def _row(self, line: int, row: list[str]) -> None:
         if len(row) != self.width:
@@ -269,6 +300,19 @@ class _Reader:
             message = f"{column.name} has no value here; {known}"
             self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
         return value * column.factor
+
+
+def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
+    """Name and unit of a header's cell, `name [unit]`; brackets of a known name, or of an index, are its own.
+
+    The unit is "" where none is written.
+    """
+    whole = text.strip()
+    name, bracket, unit = whole.rpartition("[")
+    name, unit = name.strip(), unit.removesuffix("]").strip()
+    if not bracket or whole in names or "]" in unit:
+        return whole, ""
+    return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
 
 
 def _no_number(text: str, column: Column) -> tuple[str, str]:

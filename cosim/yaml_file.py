@@ -2,81 +2,66 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from cosim.errors import Fault, InputError
+from cosim.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
-Location = tuple[str | int, ...]
+MOST_BYTES = 8_000_000  # of a file
+MOST_FAULTS = 200  # shown of a file
+LONGEST = 80  # characters of a name or value that are shown
+WORDS, LONGEST_WORD = 2000, 100  # among which one is sought that was meant
 M = TypeVar("M", bound=BaseModel)
+
+
+def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
+    """The known word that is closest, "" where none is `alike` (1 is equal)."""
+    if len(word) > LONGEST_WORD:
+        return ""
+    likely = [w for w in islice(known, WORDS) if len(w) <= LONGEST_WORD]
+    return next(iter(difflib.get_close_matches(word, likely, n=1, cutoff=alike)), "")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """`; did you mean "…"?` where a known word is close, else an empty string."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f'; did you mean "{close[0]}"?' if close else ""
+    close = closest(word, known)
+    return f'; did you mean "{close}"?' if close else ""
 
 
 class YamlFile:
-    """A YAML document and where each of its parts stands."""
+    """A YAML document and where each of its parts stands; `root` is its data, not to be changed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        yaml = YAML(typ="rt", pure=True)
-        yaml.allow_duplicate_keys = False
+        text = _text(path)
         try:
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise InputError([Fault(path, 0, 0, "no such file")]) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError([Fault(path, 0, 0, f"cannot be read as text: {error}")]) from None
-        try:
-            self.root: Any = yaml.load(text)
-        except MarkedYAMLError as error:
-            raise InputError([self._yaml_fault(error)]) from None
-        except RecursionError:
-            raise InputError([Fault(path, 1, 1, "is nested too deep")]) from None
-        except (YAMLError, ValueError) as error:
-            raise InputError([Fault(path, 1, 1, f"is not YAML: {str(error).splitlines()[0]}")]) from None
-        if not isinstance(self.root, CommentedMap):
+            self._document = document_of(text)
+        except NotYaml as error:
+            raise InputError([Fault(path, error.line, error.column, str(error))]) from None
+        self.root: Any = self._document.data
+        self._within: Location = ()
+        if not isinstance(self.root, dict):
             raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
-    def _yaml_fault(self, error: MarkedYAMLError) -> Fault:
-        mark = error.problem_mark or error.context_mark
-        problem = " ".join(str(error.problem or error.context or "is not YAML").split())
-        if "duplicate key" in problem:
-            problem = problem.split(" with value")[0].replace("found duplicate key", "duplicate key") + "; keep one"
-        else:
-            problem = f"not YAML: {problem}"
-        return Fault(self.path, mark.line + 1 if mark else 1, mark.column + 1 if mark else 1, problem)
+    def enter(self, key: str) -> None:
+        """Take the part under a key for the document."""
+        self.root, self._within = self.root[key], (*self._within, key)
 
     def place(self, location: Location, key: bool = False) -> tuple[int, int]:
         """Line and column of the value at `location`, of its key if asked, or of the nearest part that exists."""
-        node, found = self.root, (1, 1)
-        for depth, step in enumerate(location):
-            if isinstance(node, CommentedMap) and step in node:
-                last = depth == len(location) - 1
-                line, column = (node.lc.key if key and last else node.lc.value)(step)
-                value = node[step]
-                if isinstance(value, (CommentedMap, CommentedSeq)) and not (key and last):
-                    line, column = node.lc.key(step) if not last else (line, column)
-            elif isinstance(node, CommentedSeq) and isinstance(step, int) and step < len(node):
-                line, column = node.lc.item(step)
-            else:
-                break
-            found, node = (line + 1, column + 1), node[step]
-        return found
+        return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
         """A fault at a place of this file."""
@@ -84,76 +69,157 @@ class YamlFile:
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
         """The document, or what stands `at` a place of it, as a pydantic model; InputError with every fault."""
+        data = self.root if data is None else data
         try:
-            return model.model_validate(plain(self.root) if data is None else data)
+            return model.model_validate(data)
         except ValidationError as error:
-            raise InputError([self._pydantic_fault(model, e, at) for e in error.errors()]) from None
+            raise InputError(self._faults(model, error, data, at)) from None
 
     def partly(self, model: type[M]) -> tuple[M | None, list[Fault]]:
         """The document without its faulty parts, so that the rest can be checked too, and their faults.
 
         None where it cannot do without them, or where a key at its top is at fault, on which the rest depends.
         """
-        data = plain(self.root)
+        data = copy.deepcopy(self.root)
         try:
             return model.model_validate(data), []
         except ValidationError as error:
-            errors = error.errors()
-        faults = [self._pydantic_fault(model, e) for e in errors]
-        if any(len(e["loc"]) < 2 for e in errors):
+            wrong = error
+        faults = self._faults(model, wrong, data)
+        places = [location_in(data, e["loc"], e["type"]) for e in wrong.errors(include_url=False)]
+        if any(len(place) < 2 for place in places):
             return None, faults
-        for e in errors:
-            _leave_out(data, tuple(p for p in e["loc"] if not _is_tag(p)))
+        for place in places:
+            _leave_out(data, place)
         try:
             return model.model_validate(data), faults
         except ValidationError:
             return None, faults
 
-    def _pydantic_fault(self, model: type[BaseModel], error: Any, at: Location = ()) -> Fault:
-        within: Location = tuple(p for p in error["loc"] if not _is_tag(p))
-        location = (*at, *within)
-        name = ".".join(map(str, location))
+    def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
+        errors = error.errors(include_url=False)
+        faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
+        if len(errors) > MOST_FAULTS:
+            faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
+        return faults
+
+    def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location = ()) -> Fault:
         kind, given = error["type"], error.get("input")
+        within = location_in(data, error["loc"], kind)
+        location = (*at, *within)
+        name = ".".join(short(part) for part in location)
         if kind == "extra_forbidden":
             known = _known_keys(model, within[:-1])
-            message = f'unknown key "{location[-1]}"{did_you_mean(str(location[-1]), known)}'
+            message = f'unknown key "{short(location[-1])}"{did_you_mean(str(location[-1]), known)}'
             return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
         if kind == "missing":
             return self.fault(location[:-1], f'"{name}" is missing; add it')
-        detail = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "it should be")
-        if kind.startswith("bool"):
-            detail = "it is on or off"
-        shown = repr(given) if isinstance(given, (str, int, float, bool)) or given is None else type(given).__name__
-        return self.fault(location, f"{name} is {shown}: {detail[:1].lower() + detail[1:]}")
+        of_key = "[key]" in error["loc"][len(within) :]
+        detail = _in_words(kind, str(error["msg"]), error.get("ctx") or {})
+        return self.fault(location, f"{name or 'it'} is {shown(given)}: {detail}", key=of_key)
+
+
+def _text(path: Path) -> str:
+    """The text of a file; InputError where there is none."""
+    try:
+        if not path.is_file():
+            raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+        if (size := path.stat().st_size) > MOST_BYTES:
+            most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
+            raise InputError([Fault(path, 0, 0, f"has {size / 1e6:.0f} MB, {most}")])
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError([Fault(path, 0, 0, "is not UTF-8 text")]) from None
+    except OSError as error:
+        raise InputError([Fault(path, 0, 0, f"cannot be read: {error.strerror}")]) from None
+    except ValueError:  # a name that no file may have
+        raise InputError([Fault(Path(shown(str(path))), 0, 0, "no such file")]) from None
+
+
+def shown(value: Any) -> str:
+    """A value as one writes it, shortened where it is long."""
+    match value:
+        case None:
+            return "empty"
+        case bool():
+            return str(value).lower()
+        case str():
+            return repr(short(value))
+        case float():
+            return repr(value)
+        case int():
+            return str(value) if abs(value) < 10**LONGEST else "a very large number"
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+    return "of another kind"
+
+
+def short(text: object) -> str:
+    """A text that may be long, for a message."""
+    whole = str(text)
+    return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
+
+
+def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
+    """Pydantic's message without the names of Python."""
+    if kind.startswith("bool"):
+        return "it is on or off"
+    if kind == "string_pattern_mismatch":  # of the two patterns there are
+        dotted = "component.variable, the component's name" if "\\." in str(more.get("pattern")) else "a name"
+        return f"it should be {dotted} of letters, digits and _ that begins with no digit"
+    if kind in _WORDS:
+        return _WORDS[kind]
+    detail = message.removeprefix("Value error, ").replace("Input should be", "it should be")
+    detail = re.sub(r"Input should have", "it should have", detail)
+    return detail[:1].lower() + detail[1:]
+
+
+_WORDS = {
+    "dict_type": "it should be a mapping of keys to values",
+    "model_type": "it should be a mapping of keys to values",
+    "model_attributes_type": "it should be a mapping of keys to values",
+    "list_type": "it should be a list",
+    "tuple_type": "it should be a list",
+    "string_type": "it should be text",
+    "float_type": "it should be a valid number",
+    "int_type": "it should be a whole number",
+    "int_parsing_size": "it should be a smaller number",
+    "string_unicode": "it should be text",
+}
+
+
+def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
+    """Where in the data a fault is: pydantic puts names of a union's branches between, which are no part of it.
+
+    kind: of the fault; a key that is missing is not in the data either.
+    """
+    found: list[str | int] = []
+    for k, part in enumerate(places):
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and _among(part, data)
+        if inside:
+            data = data[part]
+            found.append(part)
+        elif kind in {"missing", "extra_forbidden"} and k == len(places) - 1:
+            found.append(part)
+    return tuple(found)
+
+
+def _among(part: str | int, data: list[Any]) -> bool:
+    return isinstance(part, int) and 0 <= part < len(data)
 
 
 def _leave_out(data: Any, location: Location) -> None:
     """Take a part out of plain data; a list goes as a whole, or those behind would move up."""
     for step in location[:-1]:
+        if not isinstance(data, dict):
+            return
         if not isinstance(data.get(step), dict):
             data.pop(step, None)
             return
         data = data[step]
     data.pop(location[-1], None)
-
-
-def plain(node: Any) -> Any:
-    """A YAML document as plain dictionaries, lists, strings and numbers."""
-    if isinstance(node, dict):
-        return {str(k): plain(v) for k, v in node.items()}
-    if isinstance(node, (list, tuple)):
-        return [plain(v) for v in node]
-    if isinstance(node, bool) or node is None:
-        return node
-    for kind in (int, float, str):
-        if isinstance(node, kind):
-            return kind(node)
-    return node
-
-
-def _is_tag(part: str | int) -> bool:
-    """Pydantic puts the name of a union's branch into the location; it is no part of the file."""
-    return isinstance(part, str) and (part.endswith(("]", "»")) or part in {"float", "str", "bool"})
 
 
 def _known_keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
+from xml.etree.ElementTree import Element, SubElement
 
+from fmus.sampled import TOOL, own_annotation
 from plant.planar import PlanarFrame
 from plant.traits import Traits
 
-TOOL = "cosim"
 FRAME = ("x", "y", "heading", "forward", "right")
 
 
@@ -30,12 +29,7 @@ def annotation(traits: Traits) -> Element:
 
 def traits_of(fmu: Path) -> Traits | None:
     """What the FMU says of its signals; None where it is not one of ours."""
-    try:
-        with zipfile.ZipFile(fmu) as archive:
-            root = fromstring(archive.read("modelDescription.xml"))
-    except (OSError, KeyError, zipfile.BadZipFile, ParseError):
-        return None
-    node = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Traits")
+    node = own_annotation(fmu, "Traits")
     if node is None:
         return None
     frame = node.find("PlanarFrame")

@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 from fmus.annotation import annotation
 from fmus.ports import Port
+from fmus.sampled import sampled
 from fmus.units import DISPLAY, unit_definitions
 from plant.traits import Traits
 
@@ -17,7 +18,10 @@ AUTHOR, LICENCE = "The cosim authors", "MIT"
 
 @dataclass(frozen=True)
 class Description:
-    """What a model description says beside the variables' names and start values."""
+    """What a model description says beside the variables' names and start values.
+
+    sampled: parameter that states the only communication step it takes [s], "" of one that takes any
+    """
 
     description: str
     ports: Sequence[Port]
@@ -27,6 +31,7 @@ class Description:
     stop: float
     variable_step: bool
     traits: Traits | None = None
+    sampled: str = ""
 
 
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
@@ -52,6 +57,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
     )
     more = [] if about.traits is None else [annotation(about.traits)]
+    more += [sampled(about.sampled)] if about.sampled else []
     for element in (experiment, *more):
         root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):

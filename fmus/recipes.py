@@ -52,6 +52,7 @@ def controller_recipe() -> Recipe:
         step=settings.sample_time,
         stop=10.0,
         variable_step=False,
+        sampled="sample_time",
     )
     text = documented(Loop, discrete_model, HovercraftController)
     designing = ("controller/synthesis.py", "controller/designer.py")

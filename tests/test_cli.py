@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.checks import check_files
+from cosim.cli import stages
 from cosim.errors import InputError
 from cosim.refinement.study import read_study
 from tests.conftest import ROOT
@@ -92,4 +93,28 @@ def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
     missing, item = told(tmp_path / "study.yaml")
     assert "none.csv: no such file" in missing
-    assert "study.yaml:1:14: candidates.0 is list" in item
+    assert "study.yaml:1:14: candidates.0 is a list" in item
+
+
+@pytest.mark.parametrize(("share", "counted"), [(0.0, False), (0.4, True), (1.0, False)])
+def test_a_stage_that_has_counted_to_its_end_shows_no_full_bar(
+    monkeypatch: pytest.MonkeyPatch, share: float, counted: bool
+) -> None:
+    from rich import progress
+
+    bars: list[progress.Progress] = []
+
+    class Watched(progress.Progress):
+        def __enter__(self) -> Watched:
+            bars.append(self)
+            return self
+
+    monkeypatch.setattr(progress, "Progress", Watched)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with stages() as report:
+        assert report is not None
+        report("fitting", 0.9)
+        report("fitting", share)
+        (task,) = bars[0].tasks
+        assert (task.total is not None) is counted  # without one the bar only moves
+        assert not task.finished

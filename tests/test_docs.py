@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from cosim.cli import app
+from cosim.refinement.report.page import use_command
+from fmus.build import build
+from fmus.recipes import plant_recipe
 from plant.effects import CATALOGUE
+from plant.hovercraft import Hovercraft
 from plant.quantities import parameters_of
 
 ROOT = Path(__file__).parent.parent
@@ -56,6 +62,51 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
         if command.startswith("run") and "--out again" in command:
             results = [project / folder / "results.csv" for folder in ("results", "again")]
             assert results[0].read_bytes() == results[1].read_bytes()
+
+
+def command(project: Path, line: str) -> subprocess.CompletedProcess[str]:
+    """A command as a document shows it."""
+    arguments = [sys.executable, "-m", "cosim.cli", *shlex.split(line, comments=True)[1:]]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(arguments, cwd=project, env=environment, capture_output=True, text=True, timeout=120)
+
+
+def refined_craft(folder: Path) -> None:
+    """What a refine leaves that claims yaw damping and dry friction, and would go further in its nearest model."""
+    folder.mkdir(parents=True)
+    found = {"yaw_damping.coefficient": 0.006, "coulomb_friction.force": 0.05}
+    for name, values in (("model.yaml", found), ("nearest.yaml", {**found, "friction": 0.26})):
+        given = "".join(f"  {key}: {value}\n" for key, value in values.items())
+        (folder / name).write_text(f"schema_version: 1\nmodel: hovercraft\nparameters:\n{given}")
+        build(plant_recipe(values), folder / {"model.yaml": "plant.fmu"}.get(name, "nearest.fmu"))
+    (folder / "refine.json").write_text('{"grade": "part"}')
+
+
+def test_the_recipes_for_a_refined_model_run_and_overwrite_no_fmu_of_a_scenario(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refined_craft(project / "refined")
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "refined.md").read_text(), re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("cosim ")]
+    assert [line.split()[1] for line in lines] == ["run", "run", "build", "excite", "build", "run", "run"]
+    before = (project / "build" / "plant.fmu").read_bytes()
+    monkeypatch.chdir(project)
+    short = ["--no-report", "--set", "duration=1", "--set", "criteria={}"]
+    for line in lines:
+        if "excite" not in line:  # tests/test_excite.py has it
+            arguments = shlex.split(line, comments=True)[1:]
+            app([*arguments, *(short if "run" in arguments else ())], standalone_mode=False)
+    assert (project / "build" / "plant.fmu").read_bytes() == before
+
+
+def test_the_command_that_a_refine_report_shows_meets_all_criteria_of_the_manoeuvre(project: Path) -> None:
+    refined_craft(project / "re fined")
+    line = shlex.join(use_command(Hovercraft, project / "re fined")).replace(
+        "scenario.yaml", "scenarios/manoeuvre.yaml"
+    )
+    done = command(project, line)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("met: ") == 6
 
 
 def test_the_scenario_of_the_readme_is_part_of_the_one_we_ship() -> None:

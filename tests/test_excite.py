@@ -10,6 +10,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from cosim.cli import app
 from cosim.errors import InputError
 from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
-from cosim.experiment.excite import Excitation, excite
+from cosim.experiment.excite import Excitation, _merit, excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.attribution import Attributor
@@ -102,6 +103,26 @@ def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitatio
 def test_the_excitation_separates_better_than_the_manoeuvre(told_apart: tuple[Excitation, Path]) -> None:
     found, _ = told_apart
     assert found.apart[RIVALS] > 1.2 * found.usual[RIVALS]  # the best of eight; of 48 it is four times
+
+
+def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(tmp_path: Path) -> None:
+    for seed in range(3):  # one draw each: a poor one gives way to steps of the input
+        wide = ["force=60", "position=10 m"]
+        found = excite(f"{DRIVE}:Drive", tmp_path, limits=wide, duration=5.0, experiments=1, seed=seed)
+        assert found.usually.beyond(found.question.limits) <= 1.0
+        assert _merit(found.apart) >= _merit(found.usual)
+        assert "separates better" not in found.warning
+
+
+def test_it_is_said_where_the_manoeuvre_separates_better_but_leaves_the_limits(
+    told_apart: tuple[Excitation, Path],
+) -> None:
+    found, _ = told_apart
+    assert found.usually.beyond(found.question.limits) > 1.0  # 3 m on a table of 2 m
+    assert "separates better" not in found.warning
+    poor = replace(found, apart={pair: 0.5 * distance for pair, distance in found.usual.items()})
+    assert "the manoeuvre separates better" in poor.warning
+    assert "times as far as --limit allows" in poor.warning
 
 
 def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path], tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
+from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from cosim.residuals.drive import model_signals
-from cosim.table import FAULTS_A_KIND
+from cosim.table import FAULTS_A_KIND, parted
 from fmus.units import alternatives, factor
 from plant.hovercraft import INPUTS, OUTPUTS
 from plant.traits import rate_of
@@ -146,12 +147,11 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
     [
         ("", ":1:1", "is empty"),
         ("\r\n , \n\n", ":1:1", "is empty"),
-        ("\n\n" + HEADER.replace("psi_dot", "psi_dott") + "\n" + ROWS, ":3:7", 'did you mean "psi_dot"?'),
+        ("\n\n" + HEADER.replace("tilt_left", "tilt_lef") + "\n" + ROWS, ":3:5", 'did you mean "tilt_left", which'),
         (HEADER + "\n", ":2:1", "no row"),
         (HEADER + "\n" + ROWS.splitlines()[0], ":2:1", "one row"),
         (HEADER.replace(",tilt_left", "") + "\n0,6,6,0,0,0\n1,6,6,0,0,0\n", ":1:1", 'input "tilt_left" is missing'),
-        (HEADER.replace("psi_dot", "psi_dott") + "\n" + ROWS, ":1:7", 'did you mean "psi_dot"?'),
-        (HEADER.replace("psi_dot", "plant.psi_dot") + "\n" + ROWS, ":1:7", 'did you mean "psi_dot"?'),
+        (HEADER.replace("psi,psi_dot", "spsi,psidot") + "\n" + ROWS, ":1:1", 'did you mean "psi_dot"?'),
         (HEADER.replace("psi_dot", "psi") + "\n" + ROWS, ":1:7", "stands twice"),
         (HEADER.replace("time", "Time") + "\n" + ROWS, ":1:1", 'did you mean "time"?'),
         (HEADER.replace("psi_dot", "psi_dot [m]") + "\n" + ROWS, ":1:7", "known here: rad/s, deg/s"),
@@ -184,8 +184,62 @@ def test_a_fault_is_told_with_its_place_and_cure(tmp_path: Path, text: str | byt
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     text = HEADER.replace("psi,", "psy,").replace("duty_left", "duty_lft") + "\n" + ROWS.replace("0.02,", "0,", 1)
     told = faults(tmp_path / "a.csv", text + "0.06,6,6,0,0,0,-\n")
-    # duty_lft is unknown and duty_left missing, psy is unknown, a time stands still, a cell is no number
-    assert [t.split(":")[1:3] for t in told] == [["1", "1"], ["1", "3"], ["1", "6"], ["3", "1"], ["5", "7"]]
+    # duty_left is written duty_lft, a time stands still, a cell is no number; psy is not read, which is no fault
+    assert [t.split(":")[1:3] for t in told] == [["1", "3"], ["3", "1"], ["5", "7"]]
+
+
+def test_columns_that_the_model_does_not_have_are_not_read_which_is_noted(tmp_path: Path) -> None:
+    rows = "".join(f"{0.02 * k:.2f},6.4,6.4,0.1,0.1,0.1,0.2,x,,9\n" for k in range(3))
+    log = read(tmp_path / "a.csv", HEADER + ",plant.psi_dt,,battery [V]\n" + rows)
+    assert list(log.outputs) == ["psi", "psi_dot"]
+    assert list(log.unread) == ["plant.psi_dt", "", "battery"]
+    found = {f.severity: f.whole for f in gate(log, None) if f.kind == "unread"}
+    assert (
+        found["note"]
+        == "3 columns not read, for the model has none of this name: plant.psi_dt, one without a name, battery"
+    )
+    close = read(tmp_path / "b.csv", HEADER.replace("psi_dot", "psi_dt") + "\n" + ROWS)
+    (warning,) = (f.line for f in gate(close, None) if f.kind == "unread")
+    assert warning == 'warning: psi_dt is not read: the model has none of this name; did you mean "psi_dot"?'
+
+
+def test_columns_may_be_mapped_to_names_of_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(HEADER.replace("psi_dot", "gyro [z] [deg/s]").replace("duty_left", "left") + "\n" + ROWS)
+    columns = {"gyro [z]": "psi_dot", "left": "duty_left"}
+    log = read_log(path, INPUTS, OUTPUTS, columns=columns)
+    assert log.outputs["psi_dot"] == pytest.approx(
+        math.radians(1.0) * read(tmp_path / "b.csv", HEADER + "\n" + ROWS).outputs["psi_dot"]
+    )
+    for wrong, words in (
+        ({"lef": "duty_left"}, 'has no column "lef"; did you mean "left"? (it is to be duty_left)'),
+        ({"left": "duty_lft"}, '"left" is to be duty_lft, which the model does not have; did you mean "duty_left"?'),
+        ({"left": "duty_right"}, "keep one"),
+    ):
+        with pytest.raises(InputError) as refused:
+            read_log(path, INPUTS, OUTPUTS, columns=wrong)
+        assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "name", "unit"),
+    [
+        ("ax [m/s2]", (), "ax", "m/s2"),
+        ("psi[deg]", (), "psi", "deg"),
+        ("p_Crane.e[1]", (), "p_Crane.e[1]", ""),
+        ("p_Crane.e[1] [N]", (), "p_Crane.e[1]", "N"),
+        ("m[1, 2]", (), "m[1, 2]", ""),
+        ("share[1]", ("share",), "share", "1"),
+        ("share [1]", (), "share", "1"),
+        ("a b [kg]", ("a b [kg]",), "a b [kg]", ""),
+        ("der(x[1]) it's", (), "der(x[1]) it's", ""),
+        ("time [s", (), "time", "s"),
+    ],
+)  # fmt: skip
+def test_brackets_of_a_name_are_told_from_those_of_a_unit(
+    text: str, names: tuple[str, ...], name: str, unit: str
+) -> None:
+    assert parted(text, names) == (name, unit)
 
 
 def test_thousands_of_faulty_cells_are_counted_not_listed(tmp_path: Path) -> None:

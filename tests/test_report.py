@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from cosim.arrays import Array
-from cosim.report.data import Series
+from cosim.report.data import Series, to_json
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import make_axis, thin
 from cosim.results import Results
@@ -27,6 +28,7 @@ from cosim.simulation.report.craft.topview import pose, reference_track, true_tr
 from cosim.simulation.report.page import signal_panels
 from cosim.simulation.report.recorded import Run
 
+ROOT = Path(__file__).parent.parent
 PLANT = """x y x_world y_world psi phi vx vy psi_dot phi_dot ax thrust_right thrust_left tilt_right_actual
     tilt_left_actual duty_right duty_left tilt_right tilt_left"""
 CONTROLLER = """psi psi_dot ax x_ref psi_ref duty_right duty_left tilt_right tilt_left x_hat vx_hat psi_hat
@@ -247,7 +249,48 @@ def test_settling_is_measured_from_the_last_step() -> None:
 
 def test_a_craft_that_never_arrives_is_not_settled(tmp_path: Path) -> None:
     text = page(tmp_path, craft_run(off=0.4), manifest())
-    assert "<dd>not settled</dd>" in text
+    assert "<dd>not within ±0.02\xa0m</dd>" in text
+
+
+def test_a_tile_goes_by_the_band_of_the_criterion_so_that_it_does_not_contradict_it(tmp_path: Path) -> None:
+    asked = {"kind": "settling_time", "of": "plant.x", "band": 0.5, "value": 1.25, "max": 4.0, "unit": "s", "met": True}
+    text = page(tmp_path, craft_run(off=0.4), manifest(criteria=[asked]))  # 0.4 m off for good, within 0.5 m
+    assert "The criterion was met." in text
+    tile = text.split("Settling of x</dt>")[1].split("</div>")[0]
+    assert "1.25\xa0s" in tile
+    assert "±0.5\xa0m" in tile
+    assert "not settled" not in text
+
+
+READ_OUT = """
+const data = %s, cells = [{dataset: {key: "k0"}, textContent: ""}], row = {hidden: true, textContent: ""};
+globalThis.CustomEvent = class {};
+globalThis.location = {hash: "#t=%s"};
+globalThis.document = {
+  getElementById: () => ({textContent: JSON.stringify(data)}),
+  querySelector: (s) => (s === "#row" ? row : null),
+  querySelectorAll: (s) => (s === "[data-key]" ? cells : []),
+  documentElement: {style: {setProperty() {}}}, dispatchEvent() {}, body: {classList: {add() {}}},
+};
+%s
+console.log(JSON.stringify([cells[0].textContent, row.hidden, row.textContent]));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node to run the page's script")
+@pytest.mark.parametrize(("t", "nearest"), [("33.3", 3), ("46.9", 5), ("50", 5)])
+def test_a_read_out_is_of_a_recorded_row_and_names_it(t: str, nearest: int) -> None:
+    time = np.arange(5001) * 0.01
+    values = np.where(np.arange(5001) % 1000 == 0, 7.5, -100.0)  # between the rows in the page all is otherwise
+    series = Series(np.arange(0, 5001, 1000))
+    series.add(Panel("Rate", "°/s", [Trace("a", values, "true")]))
+    script = (ROOT / "cosim/report/templates/report.js").read_text()
+    code = READ_OUT % (to_json(time, series), t, script)
+    done = subprocess.run(["node", "-e", code], capture_output=True, text=True, check=True, timeout=60)
+    shown, hidden, told = json.loads(done.stdout)
+    assert shown == "7.5"
+    assert not hidden
+    assert told.startswith(f"numbers: row {1000 * nearest + 1} of 5001, t = {10 * nearest} s; 6 of the rows are in")
 
 
 def test_saturation_is_the_share_of_time_at_the_limit(tmp_path: Path) -> None:

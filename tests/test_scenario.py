@@ -10,6 +10,7 @@ from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+from cosim.yaml_file import YamlFile
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
 
@@ -44,10 +45,11 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("step: 0.02", "step: 1e-9", "1e-9", "steps are more than"),
         ("x_start: 1,", "x_start: 1" + 400 * "0" + ",", "1" + 400 * "0", "finite number"),
         ("Q: [1, 0.5, 0.1, 0.01, 0]", "Q: [0, 0.5, 0.1, 0.01, 0]", None, "no stabilising gain"),
-        ("step: 0.02", "step: true", "true", "step is True"),
+        ("step: 0.02", "step: true", "true", "step is true"),
         ("step: 0.02", "step: .nan", ".nan", "finite"),
         ("step: 0.02", "step: 0.03", "0.03", "step is 0.03 s; use a whole divisor of duration 10 s"),
         ("step: 0.02\n", "", None, '"step" is missing; add it'),
+        ("step: 0.02", "step: 0.05", "0.05", "step is 0.05 s; controller is sampled at 0.02 s (sample_time): set"),
         ("noise: on", "noise: perhaps", "perhaps", "it is on or off"),
         ("plant.fmu", "plnt.fmu", "../build/plnt.fmu", "no such FMU"),
         ("x_start: 1,", "x_strt: 1,", "1, psi_start", 'plant has no variable "x_strt"; did you mean "x_start"?'),
@@ -120,8 +122,8 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         (b"\x00\x01", ":1:1", "not YAML"),
         (b"[" * 3000, ":1:1", "nested too deep"),
         (b"{scenario: 5, schema_version: 1}", ":1:1", "is missing"),
-        (b"connections: 5", ":1:14", "valid list"),
-        (b"\xff\xfe\x00", "", "cannot be read as text"),
+        (b"connections: 5", ":1:14", "it should be a list"),
+        (b"\xff\xfe\x00", "", "is not UTF-8 text"),
     ],
 )
 def test_what_is_not_yaml_is_said_to_be_so(tmp_path: Path, content: bytes, place: str, words: str) -> None:
@@ -180,3 +182,84 @@ def test_swap_differs_from_regulate_in_one_line_of_the_system() -> None:
     differing = [(a, b) for a, b in zip(*system_of, strict=True) if a != b]
     assert len(differing) == 1
     assert "fmu:" in differing[0][0]
+
+
+def test_an_override_of_a_component_that_is_not_there_is_a_fault(project: Path) -> None:
+    for path in ("components.plnt.fmu", "components.plnt"):
+        (fault,) = faults_of(project, GOOD, f"{path}=../build/plant.fmu")
+        assert 'component "plnt", which is not in the scenario; did you mean "plant"?' in fault
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        ("name: x\n? {a: b}\n: 1\n", "2:3", "a key is text"),
+        ("name: x\n? [a]\n: 1\n", "2:3", "a key is text"),
+        ('name: x\n"x]": 1\n', "2:1", 'unknown key "x]"'),
+        ('name: x\n"«fmu»": 1\n', "2:1", 'unknown key "«fmu»"'),
+        ('components:\n  "[key]": 1\n', "2:3", "components.[key] is"),
+        ("name: !!python/object:os.system x\n", "1:7", 'the tag "!!python/object:os.system" means nothing here'),
+        ("name: &a [*a]\n", "1:7", "nested too deep"),
+        ("name: " + 400 * "[" + "\n", "2:1", "not YAML"),
+        ("name: " + 80 * "[" + 80 * "]" + "\n", "", "nested too deep"),
+        ("name: 0x\nduration: 1_\n", "", "is missing"),
+        (b"name: x\0", "1:1", "special characters"),
+        ("--- a\n--- b\n", "2:1", "single document"),
+        ('name: x\n"\\ud83d": 1\n', "2:1", "half a character"),
+        ('{"name": "\\ude42"}', "1:10", "half a character"),
+    ],
+)
+def test_odd_yaml_is_refused_with_its_place(tmp_path: Path, text: str | bytes, place: str, words: str) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert any(str(f).startswith(f"{path}:{place}") and words in f.message for f in caught.value.faults), caught.value
+
+
+def test_an_alias_bomb_is_refused_before_it_is_spread_out(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]
+    path = tmp_path / "bomb.yaml"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="aliases followed"):
+        read(path)
+
+
+def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        "name: x\nduration: 1\nstep: 0.5\ncomponents:\n"
+        "  a: &a {block: reference, signals: {u: {start: 1}}}\n  b: *a\n"
+        "  c: {<<: *a, signals: {v: {start: 2}}}\n"
+    )
+    scenario = ScenarioFile(path).scenario
+    assert scenario.components["b"] == scenario.components["a"]
+    assert list(scenario.components["c"].signals) == ["v"]  # type: ignore[union-attr]
+
+
+def test_characters_in_two_halves_as_json_writes_them_are_made_whole(tmp_path: Path) -> None:
+    for text in ('name: "\\ud83d\\ude42"', '{"name": "\\ud83d\\ude42"}'):
+        path = tmp_path / "case.yaml"
+        path.write_text(text)
+        assert YamlFile(path).root == {"name": "\U0001f642"}
+
+
+def test_a_scenario_in_json_has_places_too(tmp_path: Path) -> None:
+    path = tmp_path / "case.json"
+    path.write_text('{"name": "x", "duration": 1, "step": 0.5,\n "components": {"a": {"blok": 1}}}')
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}:2:")
+
+
+def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
+    path = project / "scenarios" / "regulate.yaml"
+    read(path, "step=0.05", "components.controller.start.sample_time=0.05")
+
+
+def test_json_that_is_no_yaml_has_faults_without_places(tmp_path: Path) -> None:
+    path = tmp_path / "case.json"
+    path.write_text('{"name": "\x7f", "duration": 1, "step": 0.5, "components": {"a": {"blok": 1}}}')
+    with pytest.raises(InputError, match="a component has fmu"):
+        read(path)

@@ -113,8 +113,8 @@ def test_logs_that_hold_different_inputs_are_told_which_is_missing_where(tmp_pat
     study = "model: tank.py:Tank\nlogs: {estimation: [a.csv, c.csv], validation: [b.csv]}\n"
     assert told(tmp_path, tanks | {"b.csv": without, "c.csv": strange}, study) == [
         'b.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow',
-        'c.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow',
-        'c.csv:1:2: unknown column "inflw"; did you mean "inflow"? (the model has inflow, level)',
+        'c.csv:1:2: "inflw" is no column of the model; did you mean "inflow", which is missing? '
+        "A log holds every input of the model: inflow",
     ]
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import sys
-import zipfile
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
+from cosim.blocks.guard import check_fmu_file, check_identifiers, reason_of
 from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
@@ -24,18 +24,16 @@ def read_description(path: Path) -> Any:
     """
     import fmpy
 
+    check_fmu_file(path)
     slips: tuple[str, ...] = ()
     try:
         try:
             description = fmpy.read_model_description(str(path))
         except fmpy.model_description.ValidationError as error:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
-    except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: it is not a zip archive") from None
-    except KeyError:
-        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml") from None
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+        raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
+    check_identifiers(path, description)
     if not ways(description):
         raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
     _slips[description] = slips

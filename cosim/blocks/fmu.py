@@ -30,12 +30,14 @@ from cosim.blocks.description import (
     ways,
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
+from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import EndedEarly, Row
 from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
+from fmus.archive import unpack
 from fmus.lifetime import let_go_at_exit
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
@@ -213,16 +215,14 @@ class FmuBlock:
 
     def last_words(self) -> str:
         """The FMU's last log message, on one line."""
-        return " ".join(self.log[-1].split()) if self.log else ""
+        return without_wrapping(" ".join(self.log[-1].split())) if self.log else ""
 
     # -- life ---------------------------------------------------------------------------------
 
     def _unpack(self) -> None:
-        import fmpy
-
         self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
-            fmpy.extract(str(self.path), str(self._folder))
+            unpack(self.path, self._folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
             raise FmuError(f"{self.path} does not load: {error}") from None
 

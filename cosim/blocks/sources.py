@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +65,13 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
     return Source(name, signals)
 
 
-def playback(name: str, path: Path) -> Source:
+def playback(name: str, path: Path, names: Container[str] = ()) -> Source:
     """Columns of a CSV file whose first column is `time` [s]; header cells are `name` or `name [unit]`.
 
+    names: that connections use, so that brackets in them are no unit
     Degrees become radians; InputError with every fault of the file.
     """
-    table = read_columns(path)
+    table = read_columns(path, names)
     times, signals = table.values["time"], {}
     for column in (c for c in table.columns.values() if c.name != "time"):
         unit, factor = computed_in(column.heading.unit)

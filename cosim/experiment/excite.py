@@ -41,6 +41,7 @@ class Excitation:
     """An experiment, played by the model and by its rivals.
 
     apart, usual: how far it, and what is usually played, drive each pair apart [standard deviations]
+    usually:      what is usually played
     """
 
     question: Question
@@ -49,6 +50,7 @@ class Excitation:
     rivals: Mapping[str, Trial]
     apart: Mapping[Pair, float]
     usual: Mapping[Pair, float]
+    usually: Trial
 
     @property
     def score(self) -> tuple[int, float]:
@@ -79,7 +81,21 @@ class Excitation:
 
     @property
     def warning(self) -> str:
-        """The pairs it does not separate, empty where there are none."""
+        """The pairs it does not separate, and what separates more but leaves the limits; empty without either."""
+        return "; ".join(filter(None, (self._inseparable, self._surpassed)))
+
+    @property
+    def _surpassed(self) -> str:
+        """What is usually played, where it separates better: it then goes beyond the limits."""
+        beyond = self.usually.beyond(self.question.limits)
+        if not 1.0 < beyond < np.inf or _merit(self.usual) <= _merit(self.apart):
+            return ""
+        (count, least), pairs = _merit(self.usual), counted(len(self.apart), "pair")
+        what = f"{count} of {pairs}, the nearest {least:.1f} standard deviations apart"
+        return f"{self.rig.usual} separates better ({what}) but goes {beyond:.1f} times as far as --limit allows"
+
+    @property
+    def _inseparable(self) -> str:
         if not (left := [pair for pair in self._hardest_first if self.apart[pair] < SEPARATED]):
             return ""
         named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
@@ -153,20 +169,22 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """The best of `count` experiments; None where all go too far."""
     model, base = question.loaded.model, question.base
-    usual = rig.play(model, rig.usual_signals(time)).log(model, question.measured)
-    problem = build_problem(base.model, [usual], noise=question.noise, sensors=base.values)
+    usually = rig.play(model, rig.usual_signals(time))
+    log = usually.log(model, question.measured)
+    problem = build_problem(base.model, [log], noise=question.noise, sensors=base.values)
     separation = Separation(base.model, problem, question.rivals, question.pairs)
-    usually = separation.of(usual)
+    usual = separation.of(log)
     best: Excitation | None = None
-    for k in range(count):
-        report("trying experiments", k / count)
-        trial = _within(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
-        if trial is None:
+    for k in range(-1, count):  # first what is usually played: none that is worse is preferred
+        report("trying experiments", max(0, k) / count)
+        drawn = k >= 0 and draw_signals(np.random.default_rng([seed, k]), rig.axes, time)
+        trial = _within(question, rig, drawn) if drawn else usually
+        if trial is None or trial.beyond(question.limits) > 1.0:
             continue
-        apart = separation.of(trial.log(model, question.measured))
+        apart = separation.of(trial.log(model, question.measured)) if drawn else usual
         if best is None or _merit(apart) > best.score:
             rivals = _rivals_played(question, rig, trial) if len(question.rivals) <= FEW else {}
-            other = Excitation(question, rig, trial, rivals, apart, usually)
+            other = Excitation(question, rig, trial, rivals, apart, usual, usually)
             best = other if best is None or other.score > best.score else best
     return best and replace(best, rivals=_rivals_played(question, rig, best.trial))
 

@@ -148,7 +148,7 @@ def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
     logs = []
     for name in study.logs.estimation:
         try:
-            logs.append(read_log(folder / name, model.inputs, model.outputs))
+            logs.append(read_log(folder / name, model.inputs, model.outputs, columns=study.columns))
         except InputError:
             continue
     return seen_in(logs)

@@ -12,7 +12,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
-from cosim.logs.log import MISSING, Log
+from cosim.logs.log import MISSING, Log, named
 from cosim.logs.noise import noise_level
 from cosim.logs.spikes import SCALE, out_of_line
 from cosim.logs.tables import table_findings
@@ -39,9 +39,9 @@ def gate(
     traits: what the model says of its signals, None where none is known
     """
     if log.table:
-        return sorted(table_findings(log, traits), key=lambda f: ORDER.index(f.severity))
+        return sorted((*table_findings(log, traits), *_unread(log)), key=lambda f: ORDER.index(f.severity))
     clock = [*_timing(log), *_rate(log, rate, strict)]
-    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits)]
+    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits), *_unread(log)]
     if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
         found = [f for f in found if f.kind != "scale"]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
@@ -61,6 +61,16 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
         for f in findings
         if f.severity == "fault"
     ]
+
+
+def _unread(log: Log) -> Iterator[Finding]:
+    """Columns that the model does not have; a warning of each whose name is close to one that it has."""
+    for name, hint in ((n, h) for n, h in log.unread.items() if h):
+        yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
+    others = [name or "one without a name" for name, hint in log.unread.items() if not hint]
+    if others:
+        text = f"{counted(len(others), 'column')} not read, for the model has none of this name: {named(others)}"
+        yield Finding("note", "unread", "", text, {"columns": len(others)})
 
 
 # -- the clock --------------------------------------------------------------------------------

@@ -6,18 +6,19 @@ Of a model without states it is a table: no `time`, and each row stands for itse
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.table import Column, Faults, Heading, read_table
-from cosim.yaml_file import did_you_mean
+from cosim.yaml_file import closest, did_you_mean
 from fmus.units import alternatives, factor
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
@@ -28,6 +29,8 @@ BEYOND = 1e6  # times the usual size of a column, from which a value is none
 ORDINARY = 1e9  # in any SI unit, up to which a column that mostly rests may jump
 NEVER = 1e30  # in any SI unit
 TURN = 2.0 * math.pi
+ALIKE = 0.85  # of two names of which one may be meant by the other; what a logger adds resembles much
+HINTS, SHOWN = 50, 40  # columns, of which it is said what may have been meant, and names in a message
 MISSING = 1.5  # steps from row to row, from which one is missing in between
 
 
@@ -56,6 +59,8 @@ class Log:
     step:      usual time between rows [s], see `usual_step`
     unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
     header:    line of the file that names the columns
+    called:    name in the file → name in the model, where they differ
+    unread:    columns that the model does not have → what may have been meant, "" where nothing is close
     """
 
     path: Path
@@ -67,6 +72,8 @@ class Log:
     written: Mapping[str, str]
     unwrapped: Mapping[str, tuple[float, ...]]
     header: int = 1
+    unread: Mapping[str, str] = field(default_factory=dict)
+    called: Mapping[str, str] = field(default_factory=dict)
     table: bool = False  # rows stand each for itself, in no order; `time` is their number
 
     @property
@@ -95,20 +102,37 @@ class Log:
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
-def read_log(path: Path, inputs: Sequence[SignalLike], outputs: Sequence[SignalLike], *, table: bool = False) -> Log:
-    """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault."""
-    return _Reader(path, {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}, not table).log()
+def read_log(
+    path: Path,
+    inputs: Sequence[SignalLike],
+    outputs: Sequence[SignalLike],
+    *,
+    table: bool = False,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> Log:
+    """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault.
+
+    columns: name in the file → name in the model, where they differ
+    """
+    known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
+    return _Reader(path, *known, not table, columns).log()
 
 
 class _Reader:
     """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
-    def __init__(self, path: Path, inputs: dict[str, str], outputs: dict[str, str], timed: bool) -> None:
+    def __init__(
+        self, path: Path, inputs: dict[str, str], outputs: dict[str, str], timed: bool, columns: Mapping[str, str]
+    ) -> None:
         self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
+        self.called = columns
         self.faults = Faults(path)
-        self.unread = 0  # cell of a time that a table does not need
+        self.timeless = 0  # cell of a time that a table does not need
+        self.unread: dict[str, str] = {}
+        self.seen: dict[str, int] = {}  # column → its cell
         shorter = "cut it into pieces and list them as logs of one study"
-        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, timed=timed)
+        names = frozenset((*self.known, *columns))
+        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names)
 
     def log(self) -> Log:
         """The log, or InputError."""
@@ -127,26 +151,49 @@ class _Reader:
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
         inputs, units = {n: columns[n] for n in self.inputs}, {n: self.known[n] for n in columns}
         written = {name: column.heading.unit for name, column in self.table.columns.items()}
-        if self.unread:
+        if self.timeless:
             names = list(written)
-            names.insert(self.unread - 1, "time")
+            names.insert(self.timeless - 1, "time")
             written = {name: written.get(name, "") for name in names}
         step = usual_step(time)
         path, header = self.faults.path, self.table.header
-        return Log(path, time, inputs, outputs, units, step, written, unwrapped, header, not self.timed)
+        return Log(
+            path,
+            time,
+            inputs,
+            outputs,
+            units,
+            step,
+            written,
+            unwrapped,
+            header,
+            self._unread(),
+            self.called,
+            not self.timed,
+        )
+
+    def _unread(self) -> dict[str, str]:
+        """Columns that are not read → one that may have been meant: of the model, and not in the file."""
+        missing = [name for name in self.known if name not in self.table.columns]
+        close = (
+            closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
+            for name in islice(self.unread, HINTS)
+        )
+        hints = (f'; did you mean "{name}"?' if name else "" for name in close)
+        return {**self.unread, **dict(zip(self.unread, hints, strict=False))}
 
     # -- header -------------------------------------------------------------------------------
 
     def _column(self, heading: Heading) -> Column | None:
         """How a column is read: in the unit of the model."""
+        self.seen.setdefault(heading.name, heading.cell)
+        written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
         if not self.timed and name == "time":
-            self.unread = heading.cell
+            self.timeless = heading.cell
             return None
         if not is_time and name not in self.known:
-            hint = did_you_mean(name, self.known) or did_you_mean(name.rpartition(".")[2], self.known)
-            message = f'unknown column "{name}"{hint} (the model has {", ".join(self.known)})'
-            self.faults.note(heading.line, heading.cell, message)
+            self.unread[written] = ""
             return None
         wanted = "s" if is_time else self.known[name]
         scale = factor(heading.unit, wanted)
@@ -160,14 +207,28 @@ class _Reader:
     def _check_header(self) -> None:
         """Every input of the model, and one output at least."""
         line, columns = self.table.header, self.table.columns
+        for name, meant in self.called.items():
+            if meant not in self.known:
+                message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
+                self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
+            elif name not in self.seen and meant not in columns:
+                message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
+                self.faults.note(line, 1, message)
         missing = [name for name in self.inputs if name not in columns]
         for name in missing:
             what = "log" if self.timed else "table"
-            message = f'input "{name}" is missing; a {what} holds every input of the model: {", ".join(self.inputs)}'
-            self.faults.note(line, 1, message)
+            every = f"a {what} holds every input of the model: {named(self.inputs)}"
+            if close := closest(name, self.unread):
+                message = (
+                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? {every[:1].upper()}'
+                )
+                self.faults.note(line, self.seen[close], message + every[1:])
+            else:
+                self.faults.note(line, 1, f'input "{name}" is missing; {every}')
         if not missing and not any(name in columns for name in self.outputs):
-            one = f"at least one of {', '.join(self.outputs)} is measured"
-            self.faults.note(line, 1, f"holds no output of the model; {one}")
+            hints = "".join(dict.fromkeys(self._unread().values()))
+            one = f"at least one of {named(self.outputs)} is measured"
+            self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
 
     # -- rows ---------------------------------------------------------------------------------
 
@@ -195,6 +256,12 @@ class _Reader:
         for row in _absurd(values):
             message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
             self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)
+
+
+def named(names: Collection[str]) -> str:
+    """Names in a line, the first of very many."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(islice(names, SHOWN)) + more
 
 
 def _absurd(values: Array) -> Rows:

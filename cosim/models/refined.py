@@ -48,6 +48,6 @@ def _grade(answer: Path) -> object:
     """`claimed`, `part` or `nearest`, as a refine.json has it; None of one that says nothing of it."""
     try:
         content = json.loads(answer.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return content.get("grade") if isinstance(content, dict) else None

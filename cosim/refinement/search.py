@@ -149,6 +149,7 @@ class Search:
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
     ) -> list[Hypothesis]:
         """Fit hypotheses further, from where they are, noise of the sensors and all; `only` from there."""
+        self.progress("fitting the best further", 0.0)
 
         def one(h: Hypothesis) -> Hypothesis:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
@@ -162,6 +163,7 @@ class Search:
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
         """Fit hypotheses to the end, from where they are and with the noise of another."""
+        self.progress("fitting what comes near the best", 0.0)
 
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Dis
 from cosim.errors import Fault, InputError
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
+from cosim.kinds import STUDY, kind_by_keys, kind_by_name, refuse_other
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
@@ -85,6 +86,7 @@ class StudyFile(BaseModel):
         Annotated[Between, Tag("«all»")] | Annotated[dict[str, Between], Tag("«by name»")], Discriminator(_by_name)
     ] = "held"
     candidates: list[str] | None = None
+    columns: dict[str, str] = {}  # name in the logs → name in the model, where they differ
     per_log: list[str] | None = None
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None  # of each call of an FMU in its replays
@@ -138,15 +140,18 @@ class Study:
         """Read the validation logs; called once, when everything is decided."""
         model = self.loaded.model
         paths = (self.path.parent / name for name in self.content.logs.validation)
-        logs = (read_log(path, model.inputs, model.outputs, table=model.static) for path in paths)
+        logs = (
+            read_log(path, model.inputs, model.outputs, table=model.static, columns=self.content.columns)
+            for path in paths
+        )
         return tuple(stretch for log in logs for stretch in judged(_clean(log)[0], model.horizon))
 
 
 def read_study(path: Path) -> Study:
     """Read a study and its logs; InputError with every fault of all of them."""
-    if not path.is_file() and path.exists():
-        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
+    refuse_other(path, kind_by_name(path), STUDY)
     yaml = YamlFile(path)
+    refuse_other(path, kind_by_keys(yaml.root), STUDY)
     content, faults = yaml.partly(StudyFile)
     if content is None:
         raise InputError(faults)
@@ -167,7 +172,7 @@ def read_study(path: Path) -> Study:
     warnings: list[str] = []
     for part, name in _entries(content.logs):
         try:
-            log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static)
+            log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
         except InputError as error:
             faults += error.faults
             continue

@@ -61,7 +61,11 @@ class Series:
 
 
 def to_json(time: Array, series: Series, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element."""
-    data = {"t": rounded(time[series.rows], 6), "series": series.entries, **more}
+    """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element.
+
+    `row` and `of`: the rows that are here, counted from 1, and how many there are in all.
+    """
+    rows = {"row": (series.rows + 1).tolist(), "of": int(time.size)}
+    data = {"t": rounded(time[series.rows], 6), **rows, "series": series.entries, **more}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

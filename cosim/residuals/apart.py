@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 from cosim.arrays import Array
@@ -35,13 +36,14 @@ class Loaded:
     log: Log
     fmu: Path
     interpolated: frozenset[str]
+    given: Mapping[str, Any]
     table: Path
 
 
 def load(asked: Loaded) -> None:
     """Have a drive ready; its FMU is loaded at the first run."""
     here.left.append(asked.table.parent)
-    drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated)
+    drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
     here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
     _drives[asked.number] = drive
@@ -79,8 +81,9 @@ class DriveApart(Drive):
         progress: Callable[[int], None] | None = None,
         interpolated: Container[str] = (),
         limits: Limits | None = None,
+        given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        super().__init__(log, fmu, progress, interpolated)
+        super().__init__(log, fmu, progress, interpolated, given)
         self._worker, self._limits, self._interpolated = worker, limits or Limits(), interpolated
         self._number, self._process = next(self._numbers), 0
         self._full = log  # of which others are made
@@ -185,7 +188,7 @@ class DriveApart(Drive):
     def _load(self) -> None:
         allocate(self._file, 8 * self._most * len(self.outputs))
         between = frozenset(name for name in self.inputs if name in self._interpolated)
-        asked = Loaded(self._number, self._full, self.fmu.resolve(), between, self._file)
+        asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)
         self._worker.call(load, asked, watch=self._watch(()))
         self._process = self._worker.starts
 

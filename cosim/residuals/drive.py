@@ -7,6 +7,7 @@ import ctypes
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -18,6 +19,7 @@ from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
+from cosim.kinds import LOG, kind_of, refuse_other
 from cosim.logs.log import Log, SignalLike, read_log
 from cosim.yaml_file import did_you_mean
 from fmus.annotation import traits_of
@@ -37,8 +39,12 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
     return block.inputs, block.outputs
 
 
-def log_of_fmu(path: Path, fmu: Path) -> Log:
-    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault."""
+def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
+    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault.
+
+    columns: name in the log → name in the FMU, where they differ
+    """
+    refuse_other(path, kind_of(path), LOG)
     try:
         signals = model_signals(fmu)
     except FmuError as error:
@@ -49,7 +55,7 @@ def log_of_fmu(path: Path, fmu: Path) -> Log:
     if (traits := traits_of(fmu)) is not None and traits.static:
         cure = "list the table in a study, `cosim refine` holds each row against the model"
         raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
-    return read_log(path, *signals)
+    return read_log(path, *signals, columns=columns)
 
 
 class StoppedReplay(SimulationError):
@@ -78,7 +84,9 @@ class Drive:
         fmu: Path,
         progress: Callable[[int], None] | None = None,
         interpolated: Container[str] = (),
+        given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
+        self.given = given  # start values of every run, under those that a run brings
         self.log, self.fmu, self.progress = log, fmu, progress
         self.description = read_description(fmu)
         self.traits = traits_of(fmu)  # None of an FMU that is not ours
@@ -235,7 +243,7 @@ class Drive:
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
         self._check_start(start)
-        self.block.begin(start, float(self.log.time[row]), stop)
+        self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
             self.block.put()

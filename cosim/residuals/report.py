@@ -48,6 +48,16 @@ class TableRow:
     follows: str
 
 
+def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
+    """What makes this replay again."""
+    options = [] if passing else ["--plant", str(drive.fmu)]
+    for name, value in drive.given.items():
+        options += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
+    for name, meant in log.called.items():
+        options += ["--column", f"{name}={meant}"]
+    return ["cosim", "replay", str(log.path), *options]
+
+
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
     """Everything the template names."""
     log, drive = comparison.log, comparison.drive
@@ -85,7 +95,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
-        "repeat": shlex.join(["cosim", "replay", str(log.path), *([] if passing else ["--plant", str(drive.fmu)])]),
+        "repeat": shlex.join(_command(log, drive, passing)),
         "data": to_json(log.time, series),
         "version": __version__,
     }

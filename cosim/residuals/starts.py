@@ -115,14 +115,15 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     """Start of the free run: what fits the first second best; states nobody measured start where the FMU does."""
     log = drive.log
     seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
-    start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()}
+    given = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
+    start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()} | given
     sigma = noise_levels(log)
     last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
         corrected = _correct(log, carrier, sigma, state, 0, np.arange(last + 1), drive.frame)
-        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in corrected}
+        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in corrected} | given
     return start
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from cosim.report.template import render
 from cosim.residuals.apart import MODULES, DriveApart
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, log_of_fmu
+from cosim.residuals.given import renamed, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import free_run
@@ -39,6 +41,8 @@ def replay(
     folder: FilePath,
     fmu: FilePath | None = None,
     *,
+    start: Sequence[str] = (),
+    columns: Sequence[str] = (),
     report: bool = True,
     in_process: bool = False,
     limits: str = "",
@@ -46,6 +50,8 @@ def replay(
 ) -> Comparison:
     """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
 
+    start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
+    columns: of the log under other names than the FMU's, `measured_speed=motor.w`
     Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
     in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
@@ -57,11 +63,12 @@ def replay(
             worker.start()  # it gets ready while files are read
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-replay-"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
-        read = log_of_fmu(Path(log), driven)
+        read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
         return write_replay(
             Path(folder),
             read,
             driven,
+            given=start_values(driven, start),
             report=report,
             passing=fmu is None,
             worker=worker,
@@ -76,6 +83,7 @@ def write_replay(
     fmu: Path,
     *,
     start: Mapping[str, Any] | None = None,
+    given: Mapping[str, Any] = MappingProxyType({}),
     rate: float | None = None,
     report: bool = True,
     passing: bool = False,
@@ -85,6 +93,8 @@ def write_replay(
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
 
+    start:   of the free run, in place of what its first rows show
+    given:   start values and parameters of every run
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
     worker: where the FMU runs, within limits; in this process without.
@@ -97,7 +107,8 @@ def write_replay(
             progress(min(done, total), total)
 
     told = None if progress is None else tell
-    with Drive(log, fmu, told) if worker is None else DriveApart(worker, log, fmu, told, limits=limits) as drive:
+    apart = None if worker is None else DriveApart(worker, log, fmu, told, limits=limits, given=given)
+    with apart or Drive(log, fmu, told, given=given) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))

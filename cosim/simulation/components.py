@@ -45,7 +45,8 @@ def _component(
     if isinstance(component, ReferenceComponent):
         return reference(name, component.signals)
     if isinstance(component, PlaybackComponent):
-        return playback(name, file.resolve(component.file))
+        sources = (connection.source.partition(".") for connection in file.scenario.connections)
+        return playback(name, file.resolve(component.file), {v for owner, _, v in sources if owner == name})
     return _fmu(file, name, component, designed, diagnosis)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from cosim.errors import Fault, InputError
 from cosim.simulation.scenario_file import ScenarioFile
+from cosim.yaml_file import MOST_FAULTS
 
+LONGEST = 2000  # characters of a message
 Place = tuple[str | int, ...]  # keys that lead to a part of the scenario
 
 
@@ -17,8 +19,11 @@ class Diagnosis:
         self.warnings: list[str] = []
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Note a fault at a place of the scenario."""
-        self.found.append(self.file.fault(where, message, exit_code=exit_code))
+        """Note a fault at a place of the scenario; of very many the first are enough, and InputError ends the rest."""
+        shown = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
+        self.found.append(self.file.fault(where, shown, exit_code=exit_code))
+        if len(self.found) >= MOST_FAULTS:
+            raise InputError([*self.found, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
 
     def raise_any(self) -> None:
         """InputError where there is a fault."""

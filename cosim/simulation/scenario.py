@@ -20,7 +20,7 @@ from cosim.yaml_file import NotNegative, Number, Part, Positive
 
 LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-Variable = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.\S+$")]
+Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
 def _scalar(value: Any) -> Any:
@@ -190,7 +190,7 @@ class Scenario(Part):
     @property
     def steps(self) -> int:
         """Number of communication steps."""
-        return round(self.duration / self.step)
+        return round(min(self.duration / self.step, 1e18))  # which nobody takes; beyond a double is no number
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from cosim.errors import Fault, InputError
+from cosim.kinds import MANIFEST, SCENARIO, kind_by_keys, kind_by_name, refuse_other
 from cosim.simulation.scenario import Scenario
-from cosim.yaml_file import YamlFile, plain
+from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
+from cosim.yaml_nodes import Document, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative slack when a duration is divided into steps
@@ -27,12 +30,14 @@ class ScenarioFile:
 
     def __init__(self, path: Path, overrides: Sequence[str] = ()) -> None:
         self.path = path
+        refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
         self.yaml = YamlFile(path)
-        data = plain(self.yaml.root)
+        refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None
-        if isinstance(data.get("scenario"), dict) and "schema_version" in data:
-            self.manifest, data = data, data["scenario"]
-            self.yaml.root = self.yaml.root["scenario"]
+        if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:
+            self.manifest = self.yaml.root
+            self.yaml.enter("scenario")
+        data = copy.deepcopy(self.yaml.root)
         for override in overrides:
             _override(path, data, override)
         self.broken: set[str] = set()
@@ -53,7 +58,7 @@ class ScenarioFile:
             try:
                 scenario = Scenario.model_validate(left.data)
             except ValidationError as error:
-                left.drop([e["loc"] for e in error.errors()])
+                left.drop([location_in(left.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
             else:
                 self.broken, self.connection_lines = left.broken, left.connection_lines
                 self.stands_in = left.stands_in
@@ -126,11 +131,11 @@ class Salvage:
     def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
         """Leave out the part at each location, as little as will do."""
         connections: set[int] = set()
-        for first, *rest in locations:
+        for first, *rest in filter(None, locations):
             if first == "connections" and rest and isinstance(rest[0], int):
                 connections.add(rest[0])
             elif first == "components" and rest:
-                self._drop_from_component(str(rest[0]), [p for p in rest[1:] if not str(p).endswith("»")])
+                self._drop_from_component(str(rest[0]), rest[1:])
             elif first == "criteria" and rest:
                 self.data["criteria"].pop(rest[0], None)
             elif first in STAND_INS:
@@ -145,10 +150,11 @@ class Salvage:
 
     def _drop_from_component(self, name: str, rest: list[int | str]) -> None:
         component = self.data["components"].get(name)
+        start = component.get("start") if isinstance(component, dict) else None
         if isinstance(component, dict) and len(rest) == 1 and rest[0] in component and rest[0] not in {"fmu", "block"}:
             del component[rest[0]]
-        elif isinstance(component, dict) and len(rest) == 2 and rest[0] == "start":
-            component["start"].pop(rest[1], None)
+        elif isinstance(start, dict) and len(rest) == 2 and rest[0] == "start":
+            start.pop(rest[1], None)
         else:
             self.data["components"].pop(name, None)
             self.broken.add(name)
@@ -168,31 +174,52 @@ def _place(key: str, node: list[Any]) -> int | None:
 
 def _override(path: Path, data: dict[str, Any], text: str) -> None:
     """Put one `path=value` into the data; the value is read as YAML (JSON included)."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     target, sign, value = text.partition("=")
+
+    def refused(why: str) -> InputError:
+        return InputError([Fault(path, 0, 0, f'--set "{short(text)}" {why}')])
+
     if not sign or not target.strip():
-        raise InputError([Fault(path, 0, 0, f'--set "{text}" is not path=value; for example --set noise=off')])
-    try:
-        parsed = plain(YAML(typ="safe", pure=True).load(value))
-    except YAMLError:
-        parsed = value
+        raise refused("is not path=value; for example --set noise=off")
     node: Any = data
-    keys = target.strip().split(".")
-    # a variable's name may hold dots itself: components.plant.start.coulomb_friction.force
-    if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
-        keys = [*keys[:3], ".".join(keys[3:])]
-    for key in keys[:-1]:
+    keys = _keys(target.strip())
+    for depth, key in enumerate(keys[:-1]):
         if isinstance(node, list) and _place(key, node) is not None:
             node = node[_place(key, node) or 0]
-        elif isinstance(node, dict):
+        elif isinstance(node, dict) and (key in node or depth not in NAMED.get(keys[0], ())):
             node = node.setdefault(key, {})
         else:
-            raise InputError([Fault(path, 0, 0, f'--set "{text}": there is no {target} in the scenario')])
-    if isinstance(node, dict):
-        node[keys[-1]] = parsed
-    elif isinstance(node, list) and _place(keys[-1], node) is not None:
-        node[_place(keys[-1], node) or 0] = parsed
+            break
     else:
-        raise InputError([Fault(path, 0, 0, f'--set "{text}": there is no {target} in the scenario')])
+        last = keys[-1]
+        if isinstance(node, dict) and (last in node or len(keys) - 1 not in NAMED.get(keys[0], ())):
+            node[last] = _value(value)
+            return
+        if isinstance(node, list) and (place := _place(last, node)) is not None:
+            node[place] = _value(value)
+            return
+    if keys[0] == "components" and isinstance(components := data.get("components"), dict):
+        known = ", ".join(map(short, islice(components, 20)))
+        hint = did_you_mean(keys[1], components)
+        what = f'component "{short(keys[1])}", which is not in the scenario{hint}'
+        raise refused(f"is for {what} (its components: {known})")
+    raise refused(f"leads nowhere: there is no {short(target)} in the scenario")
+
+
+NAMED = {"components": (1,)}  # at which depth a path names what the scenario must have
+
+
+def _keys(target: str) -> list[str]:
+    """The keys of a path; a variable's name may hold dots: components.plant.start.coulomb_friction.force."""
+    keys = target.split(".")
+    if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
+        return [*keys[:3], ".".join(keys[3:])]
+    return keys
+
+
+def _value(text: str) -> Any:
+    """What a value of --set means; where it is no YAML, the text itself."""
+    try:
+        return Document(text).data
+    except NotYaml:
+        return text

@@ -15,6 +15,7 @@ from cosim.blocks.interface import Component, Signal
 from cosim.simulation.components import Designed, build_components
 from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.events import Events, changes
+from cosim.simulation.feasible import check_feasible
 from cosim.simulation.scenario import FmuComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.schedule import Schedule, Stage, schedule
@@ -54,6 +55,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     _check_design(file, diagnosis)
+    check_feasible(components.values(), diagnosis)
     if whole:
         _check_criteria(scenario, layout.columns, diagnosis)
     plan = Schedule()

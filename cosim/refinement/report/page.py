@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import platform
 import shlex
@@ -14,6 +15,7 @@ import numpy as np
 
 from cosim.files import atomic_write
 from cosim.logs.log import Log
+from cosim.models.refined import REFINED
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import error_tables, horizon, horizon_table, second_sentence
 from cosim.refinement.report.innovations import innovations, modes
@@ -22,10 +24,12 @@ from cosim.refinement.report.plots import against_signal, axis_label, over_time,
 from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
 from cosim.refinement.report.tables import table_parts
 from cosim.refinement.report.terms import Shown, shown
+from cosim.registry import known
 from cosim.report.tables import Badge, Row
 from cosim.report.template import render
 from cosim.text import MISSING, counted, percent, plain
 from cosim.version import __version__
+from plant.model import Model
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
@@ -66,7 +70,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
         "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
-        "use": shlex.join(["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={_fmu(r)}"]),
+        "use": shlex.join(use_command(type(r.study.loaded.model), r.folder)),
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
         "provenance": _provenance(r),
         "version": __version__,
@@ -275,9 +279,15 @@ def _inputs(r: Refinement) -> list[Row]:
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
 
 
-def _fmu(r: Refinement) -> Path:
-    """In full: the paths in a scenario start at the scenario."""
-    return (r.folder / "plant.fmu").resolve()
+def use_command(kind: type[Model], folder: Path) -> list[str]:
+    """What runs a scenario with the model that a refine left, and with a controller made for it where one is designed.
+
+    Paths are whole: those in a scenario start at the scenario.
+    """
+    model, fmu = ((folder / name).resolve() for name in REFINED)
+    command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
+    entry = known(kind)
+    return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
 
 
 def _parts(r: Refinement) -> Sequence[Any]:

@@ -26,18 +26,24 @@
     return [low, Math.min(1, Math.max(0, (t - time[low]) / (time[high] - time[low])))];
   }
 
-  // A value between two rows; commands hold, and where the next row has none the last one stays.
+  // Where a drawing stands between two rows; where the next row has none the last one stays. No number is shown of it.
   function between(values, row, share, held) {
     const a = values[row], b = values[row + 1];
     return a == null || b == null || held ? a : a + share * (b - a);
   }
 
   const cells = all("[data-key]").map((cell) => [cell, data.series[cell.dataset.key]]);
-  function readOut(row, share) {
+  const shown = one("#row");
+  // Numbers are those of a row that was recorded, the nearest in the page, and never made up between two.
+  function readOut(row) {
     for (const [cell, series] of cells) {
-      const value = between(series.v, row, share, series.h);
+      const value = series.v[row];
       cell.textContent = value == null ? "\u2013" : fixed(value, series.d);
     }
+    if (!shown || !cells.length) return;
+    shown.hidden = false;
+    shown.textContent = `numbers: row ${data.row[row]} of ${data.of}, t = ${time[row]} s`
+      + (data.of > time.length ? `; ${time.length} of the rows are in this page, all are in results.csv` : "");
   }
 
   let now = last, playing = false, stamp = 0;
@@ -46,8 +52,9 @@
     now = Math.min(last, Math.max(first, t));
     const [row, share] = locate(now), along = (now - first) / span;
     document.documentElement.style.setProperty("--cursor", (100 * along).toFixed(3) + "%");
-    readOut(row, share);
-    document.dispatchEvent(new CustomEvent("moment", { detail: { data, row, share, between, fixed } }));
+    const nearest = share < 0.5 ? row : row + 1;
+    readOut(nearest);
+    document.dispatchEvent(new CustomEvent("moment", { detail: { data, row, share, nearest, between, fixed } }));
     if (!play) return;
     scrub.value = 1000 * along;
     scrub.setAttribute("aria-valuetext", now.toFixed(2) + " seconds");

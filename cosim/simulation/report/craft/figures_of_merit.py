@@ -10,15 +10,16 @@ import numpy as np
 
 from cosim.report.tables import Grid, Row
 from cosim.simulation.report.craft.account import SYMBOLS
-from cosim.simulation.report.craft.judgement import Response, effort, error_rms, responses, saturation
+from cosim.simulation.report.craft.judgement import BAND, Response, effort, error_rms, responses, saturation
 from cosim.simulation.report.craft.lines import QUANTITIES
 from cosim.simulation.report.craft.roles import SIDES, Craft
-from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.recorded import Run, mappings, number
 from cosim.simulation.report.verdicts import failed
 from cosim.text import MISSING, amount, length, percent
 
 SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
 MOST_RESPONSES = 16
+SETTLING = "settling_time"  # the criterion
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     for variable in ("x", "psi"):
         answers = responses(crafts[0], variable) if crafts and not failed(run) else []
         if answers:
-            band = "±0.02 m" if variable == "x" else "±0.02 rad"
-            found.append(Row(f"Settling of {SYMBOLS[variable]}", _settling(answers[-1].settling), f"last step, {band}"))
+            found.append(_settling_asked(run, crafts[0], variable) or _settling_here(answers[-1]))
     if found and crafts and (answers := responses(crafts[0], "x")):
         found.append(
             Row("Final error of x", length(answers[-1].final).replace("less than", "<"), "craft against reference")
@@ -53,10 +53,29 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     return found
 
 
-def _settling(value: float) -> str:
+def _settling_asked(run: Run, craft: Craft, variable: str) -> Row | None:
+    """The last settling that the scenario itself asks of a signal, in its own band; None where it asks none."""
+    column = f"{craft.name}.{variable}"
+    asked = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
+    if not asked:
+        return None
+    value, band = asked[-1].get("value"), amount(number(asked[-1].get("band")), SI[variable], None)
+    told = amount(number(value), "s") if value is not None else f"not within ±{band}"
+    return Row(f"Settling of {SYMBOLS[variable]}", told, f"last criterion, ±{band}")
+
+
+def _settling_here(answer: Response) -> Row:
+    unit = "m" if answer.variable == "x" else "rad"
+    return Row(
+        f"Settling of {SYMBOLS[answer.variable]}", _settling(answer.settling, unit), f"last step, ±{BAND:g} {unit}"
+    )
+
+
+def _settling(value: float, unit: str) -> str:
+    """The time; where the last row is outside, that it is, for a wider band may be met all the same."""
     if math.isnan(value):
         return MISSING
-    return amount(value, "s") if math.isfinite(value) else "not settled"
+    return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
 
 
 def response_rows(craft: Craft) -> list[ResponseRow]:
@@ -71,8 +90,8 @@ def _response_row(answer: Response) -> ResponseRow:
     ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
     sizes = (amount(value, unit, 2) for value in (answer.overshoot, answer.rms, answer.final))
     return ResponseRow(
-        SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, _settling(answer.settling),
-        _settling(answer.believed), *sizes,
+        SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, _settling(answer.settling, unit),
+        _settling(answer.believed, unit), *sizes,
     )  # fmt: skip
 
 

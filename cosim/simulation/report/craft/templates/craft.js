@@ -38,7 +38,7 @@
     return [u, v];
   }
 
-  function drawBody(body, row, share) {
+  function drawBody(body, row, share, nearest) {
     const { entry } = body;
     const at = place(body.craft, entry, "", row, share);
     if (body.ghost && entry.gu) place(body.ghost, entry, "g", row, share);
@@ -49,13 +49,13 @@
       one(`[data-arrow="${side}"]`, body.craft).setAttribute("d", force == null ? "" : arrow(force * entry.scale));
       if (tilt == null || !body.dials) continue;
       one(`[data-tilt="${side}"]`, body.dials).setAttribute("transform", `rotate(${tilt.toFixed(2)})`);
-      one(`[data-tilt-text="${side}"]`, body.dials).textContent = fixed(tilt, 1) + "°";
+      one(`[data-tilt-text="${side}"]`, body.dials).textContent = fixed(entry["tilt_" + side][nearest] ?? tilt, 1) + "°";
     }
   }
 
   document.addEventListener("moment", ({ detail }) => {
     ({ between, fixed } = detail);
     bodies ??= bodiesOf(detail.data);
-    for (const body of bodies) drawBody(body, detail.row, detail.share);
+    for (const body of bodies) drawBody(body, detail.row, detail.share, detail.nearest);
   });
 })();

@@ -1,0 +1,64 @@
+"""Keeps what others made from doing harm while it is read, and their tools' words from reaching the user raw."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import FmuError
+from fmus.archive import BadArchive, check_archive, check_identifier
+
+WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
+PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
+
+
+def check_fmu_file(path: Path) -> None:
+    """FmuError where the archive would fill the disk, leave its folder, or is none."""
+    try:
+        check_archive(path)
+    except BadArchive as error:
+        raise FmuError(f"{path} is no FMU: {error}") from None
+    except OSError as error:
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def reason_of(error: Exception) -> str:
+    """Why FMPy does not take a description, in a line, without the names of Python."""
+    if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
+        return "its modelDescription.xml lacks what FMI demands, or has it in the wrong place"
+    if isinstance(error, ValueError):
+        return "a value in its modelDescription.xml is of the wrong kind"
+    return " ".join(str(error).split())[:2000]
+
+
+def check_identifiers(path: Path, description: Any) -> None:
+    """FmuError where the name of a library leads out of the FMU."""
+    try:
+        for way in filter(None, (description.coSimulation, description.modelExchange)):
+            check_identifier(way.modelIdentifier)
+    except BadArchive as error:
+        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+
+
+def without_wrapping(words: str) -> str:
+    """What an exception in an FMU made of Python says, without how pythonfmu and the interpreter wrap it."""
+    wrapped = WRAPPED.match(words)
+    if wrapped is None:
+        return words
+    kind, text = wrapped["kind"], wrapped["text"].strip("'\"")
+    return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
+
+
+def validation(path: Path) -> list[str]:
+    """What FMPy's validation says of the names of variables and of the model structure."""
+    import fmpy
+    from fmpy.model_description import ValidationError
+
+    try:
+        fmpy.read_model_description(str(path), validate_variable_names=True, validate_model_structure=True)
+    except ValidationError as error:
+        return [" ".join(str(problem).split()) for problem in error.problems]
+    except Exception as error:  # as in `read_description`
+        return [reason_of(error)]
+    return []

@@ -1,0 +1,88 @@
+"""Start values and parameters that a replay is given as NAME=VALUE, in the type and unit of their FMU variable."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.blocks.description import read_description, unit_of
+from cosim.errors import Fault, InputError
+from cosim.yaml_file import did_you_mean, short
+from fmus.units import factor
+
+Given = Mapping[str, float | int | bool | str]
+NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
+
+
+def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | bool | str]:
+    """Values by variable of texts such as `gain=0.9`, `angle=12 deg`; InputError with every fault."""
+    if not texts:
+        return {}
+    variables = {v.name: v for v in read_description(fmu).modelVariables}
+    found: dict[str, float | int | bool | str] = {}
+    faults = []
+    for text in texts:
+        try:
+            name, value = _given(variables, text)
+        except ValueError as error:
+            faults.append(Fault(fmu, 0, 0, f'--start "{short(text)}": {error}'))
+        else:
+            found[name] = value
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
+    """Column of the log → variable of the FMU, of texts such as `measured_speed=motor.w`; InputError."""
+    parts = [(text, *text.partition("=")) for text in texts]
+    if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
+        cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
+        raise InputError([Fault(log, 0, 0, f'--column "{short(t)}" {cure}') for t in wrong])
+    return {name.strip(): meant.strip() for _, name, _, meant in parts}
+
+
+def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | bool | str]:
+    """Name and value; ValueError says what is wrong."""
+    name, sign, value = (part.strip() for part in text.rpartition("=") if part is not None)
+    if not (name and sign and value):
+        raise ValueError("it is NAME=VALUE, as in gain=0.9")
+    variable = variables.get(name)
+    if variable is None:
+        raise ValueError(f"the FMU has no such variable{did_you_mean(name, variables)}")
+    if variable.variability == "constant" or not (
+        variable.causality == "input" or variable.initial in {"exact", "approx"}
+    ):
+        raise ValueError("FMI lets nobody set it before a run")
+    if variable.type == "String":
+        return name, value
+    if variable.type == "Boolean":
+        if value.lower() not in SWITCHES:
+            raise ValueError("it is true or false")
+        return name, SWITCHES[value.lower()]
+    number = _number(value, unit_of(variable))
+    low, high = (s * math.inf if v is None else float(v) for v, s in ((variable.min, -1), (variable.max, 1)))
+    if not low <= number <= high:
+        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
+    if variable.type in {"Real", "Float32", "Float64"}:
+        return name, number
+    if number != math.floor(number):
+        raise ValueError("it is a whole number")
+    return name, int(number)
+
+
+def _number(text: str, wanted: str) -> float:
+    match = NUMBER.fullmatch(text)
+    if match is None:
+        raise ValueError(f"it is a number [{wanted or '1'}]")
+    scale = factor(match[2], wanted) if match[2] else 1.0
+    if scale is None or (match[2] and not wanted):
+        raise ValueError(f'"{short(match[2])}" is no unit of it, which is in {wanted or "1"}')
+    number = float(match[1]) * scale
+    if not math.isfinite(number):
+        raise ValueError("it is a finite number")
+    return number

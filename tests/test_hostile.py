@@ -1,0 +1,190 @@
+"""Files that mean harm, or are merely enormous: refused at once, with a reason, and nothing written."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.checks import check_files
+from cosim.errors import InputError
+from fmus.archive import BadArchive, check_archive, unpack
+
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">
+<CoSimulation modelIdentifier="m"/><ModelVariables>
+<ScalarVariable name="y" valueReference="0" causality="output"><Real/></ScalarVariable>
+</ModelVariables><ModelStructure><Outputs><Unknown index="1"/></Outputs>
+<InitialUnknowns><Unknown index="1"/></InitialUnknowns></ModelStructure></fmiModelDescription>
+"""
+
+
+def archive(path: Path, description: str | None = DESCRIPTION, **members: bytes) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        if description is not None:
+            packed.writestr("modelDescription.xml", description)
+        for name, data in members.items():
+            packed.writestr(name, data)
+    return path
+
+
+def bomb(path: Path) -> None:
+    """60 MB of zeros in 60 kB."""
+    with zipfile.ZipFile(archive(path), "a", zipfile.ZIP_DEFLATED) as packed:
+        zeros = bytes(1_000_000)
+        with packed.open("resources/zeros", "w") as stream:
+            for _ in range(60):
+                stream.write(zeros)
+
+
+def overlapping(path: Path) -> None:
+    """A directory that names one file's bytes thousands of times."""
+    archive(path, **{"resources/z": bytes(1_000_000)})
+    raw = path.read_bytes()
+    end = raw.rfind(b"PK\x05\x06")
+    count, size, offset = struct.unpack_from("<HII", raw, end + 10)
+    directory = raw[offset : offset + size]
+    last = directory[directory.rfind(b"PK\x01\x02") :]
+    more = directory + last * 2000
+    tail = struct.pack("<4sHHHHIIH", b"PK\x05\x06", 0, 0, count + 2000, count + 2000, len(more), offset, 0)
+    path.write_bytes(raw[:offset] + more + tail)
+
+
+def linked(path: Path) -> None:
+    archive(path)
+    with zipfile.ZipFile(path, "a") as packed:
+        link = zipfile.ZipInfo("binaries/linux64/m.so")
+        link.external_attr = 0o120777 << 16
+        packed.writestr(link, "/etc/passwd")
+
+
+def described(text: str) -> Callable[[Path], object]:
+    return lambda path: archive(path, text)
+
+
+ENTITIES = DESCRIPTION.replace(
+    "<fmiModelDescription",
+    "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'>"
+    + "".join(f"<!ENTITY {b} '{10 * f'&{a};'}'>" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
+    + "]>\n<fmiModelDescription",
+).replace('modelName="m"', 'modelName="&i;"')
+HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "bomb": (bomb, "a zip bomb"),
+    "overlapping": (overlapping, "a zip bomb"),
+    "link": (linked, "is a link"),
+    "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
+    "absolute": (lambda p: archive(p, **{"/tmp/evil": b""}), "outside its folder"),
+    "drive": (lambda p: archive(p, **{"C:/evil": b""}), "outside its folder"),
+    "entities": (described(ENTITIES), "DOCTYPE"),
+    "external": (
+        described(DESCRIPTION.replace("<fmi", '<!DOCTYPE x SYSTEM "file:///etc/passwd">\n<fmi', 1)),
+        "DOCTYPE",
+    ),
+    "deep": (described(5000 * "<a>" + 5000 * "</a>"), "nested too deep"),
+    "elements": (described(f"<a>{600_000 * '<b/>'}</a>"), "more than the 500000 elements"),
+    "attributes": (described("<a " + " ".join(f'b{k}=""' for k in range(300)) + "/>"), "100 attributes each"),
+    "large": (described(DESCRIPTION + 21_000_000 * " "), "21 MB, more than the 20 MB"),
+    "encoding": (described(DESCRIPTION.replace("UTF-8", "UF-8")), "an encoding that is not known"),
+    "cut": (described(DESCRIPTION[:300]), "is not XML"),
+    "identifier": (described(DESCRIPTION.replace('Identifier="m"', 'Identifier="../../m"')), "is no name of a file"),
+    "none": (described(DESCRIPTION.replace('fmiVersion="2.0"', "")), "is not a valid FMU"),
+    "value": (described(DESCRIPTION.replace('Reference="0"', 'Reference="zero"')), "is not a valid FMU"),
+    "empty": (lambda p: archive(p, None), "has no modelDescription.xml"),
+    "text": (lambda p: p.write_text("no archive"), "is not a zip archive"),
+    "nothing": (lambda p: p.write_bytes(b""), "is not a zip archive"),
+}
+INTERNALS = ("NoneType", "object has no", "Traceback", "Error:", "KeyError", "[Errno", "invalid literal", "argument of")
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_hostile_archive_is_refused_with_a_reason(tmp_path: Path, kind: str) -> None:
+    make, words = HOSTILE[kind]
+    path = tmp_path / "m.fmu"
+    make(path)
+    with pytest.raises(InputError) as caught:
+        check_files(path)
+    assert caught.value.exit_code == 3
+    assert words in str(caught.value)
+    assert not any(word in str(caught.value) for word in INTERNALS), caught.value
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_sound_archive_is_unpacked_whole(tmp_path: Path) -> None:
+    path = archive(tmp_path / "m.fmu", **{"resources/a b/c.txt": b"data"})
+    check_archive(path)
+    unpack(path, tmp_path / "out")
+    assert (tmp_path / "out/resources/a b/c.txt").read_bytes() == b"data"
+
+
+def test_an_archive_with_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = archive(tmp_path / "m.fmu", **{"resources/data": bytes(range(256)) * 40})
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"resources/data") + len(b"resources/data") + 8
+    raw[at : at + 40] = bytes(40)
+    path.write_bytes(bytes(raw))
+    with pytest.raises(BadArchive, match="is damaged"):
+        unpack(path, tmp_path / "out")
+
+
+def test_what_breaks_a_rule_and_keeps_no_host_from_running_it_is_a_warning(tmp_path: Path) -> None:
+    unlisted = DESCRIPTION.replace('<InitialUnknowns><Unknown index="1"/></InitialUnknowns>', "")
+    (said,) = check_files(archive(tmp_path / "m.fmu", unlisted), load=False)
+    assert "warning: ModelStructure/InitialUnknowns" in said
+    without = unlisted.replace('<Outputs><Unknown index="1"/></Outputs>', "")
+    assert any(
+        "ModelStructure/Outputs" in line for line in check_files(archive(tmp_path / "n.fmu", without), load=False)
+    )
+
+
+def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_path: Path) -> None:
+    path = archive(tmp_path / "m.fmu")
+    raw = bytearray(path.read_bytes())
+    end = raw.rfind(b"PK\x05\x06")
+    raw[end + 10 : end + 12] = struct.pack("<H", 65_000)
+    path.write_bytes(bytes(raw))
+    with pytest.raises(BadArchive, match="more than 20000 files"):
+        check_archive(path)
+
+
+HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi"
+ENORMOUS = {
+    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: the line has more than 2 MB"),
+    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "nothing is read from here on"),
+    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "nothing is read from"),
+    "quote": ("a.csv", 'time,"' + 200_000 * "x", "is not CSV"),
+    "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
+    "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
+    "json": ("a.json", '{"a":' * 5000, "nested too deep"),
+    "bytes": ("a.yaml", 8_100_000 * "x", "8 MB, more than the 8 MB that are read"),
+    "results": (
+        "a.yaml",
+        "name: x\nduration: 1e6\nstep: 1\ncomponents:\n  a:\n    block: reference\n    signals: {"
+        + ", ".join(f"x{k}: {{}}" for k in range(2000)) + "}\n",
+        "1e+06 rows of 2000 signals, 16 GB",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ENORMOUS)
+def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) -> None:
+    name, text, words = ENORMOUS[kind]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as caught:
+        check_files(tmp_path / name)
+    assert caught.value.exit_code == 2
+    assert words in str(caught.value)
+    assert len(caught.value.faults) < 10
+
+
+def test_of_thousands_of_faults_in_a_scenario_the_first_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    lines = "".join(f"  - {{from: a.x, to: b.y{k}}}\n" for k in range(3000))
+    blocks = "".join(f"  {name}: {{block: reference, signals: {{x: {{}}}}}}\n" for name in "ab")
+    path.write_text(f"name: x\nduration: 1\nstep: 0.1\ncomponents:\n{blocks}connections:\n{lines}")
+    with pytest.raises(InputError) as caught:
+        check_files(path)
+    assert len(caught.value.faults) == 201
+    assert "the first 200 faults are shown" in str(caught.value)
