@@ -49,7 +49,9 @@ SCENARIO: dict[str, Any] = {
     "name": "small", "description": "two references and an FMU", "duration": 0.4, "step": 0.02, "start_time": 0,
     "seed": 1, "algorithm": "gauss-seidel", "noise": True,
     "components": {
-        "plant": {"fmu": "plant.fmu", "start": {"mass": 0.8, "psi_start": "12 deg"}},
+        "plant": {
+            "fmu": "plant.fmu", "start": {"mass": 0.8, "psi_start": "12 deg"}, "step": 0.04, "tolerance": 1e-5,
+        },
         "steps": {"block": "reference", "signals": {
             "duty": {"unit": "%", "start": 6.4, "changes": [{"at": 0.1, "to": 6.5}, {"at": 0.2, "to": 6.4, "rate": 1}]},
             "tilt": {"unit": "deg", "start": 1},
@@ -60,7 +62,13 @@ SCENARIO: dict[str, Any] = {
         {"from": "steps.duty", "to": "plant.duty_right", "noise": {"variance": 1e-6, "bias": 0.01}},
         {"from": "steps.duty", "to": "plant.duty_left"},
         {"from": "steps.tilt", "to": "plant.tilt_right"},
-        {"from": "log.tilt_left", "to": "plant.tilt_left"},
+    ],
+    "record": ["plant.mass", "plant.*_start"], "limits": {"step": "5 s", "total": 20, "memory": "2 GB"},
+    "events": [{"at": 0.1, "set": {"plant.tilt_left": 0.1}}],
+    "faults": [
+        {"on": "plant.duty_right", "kind": "bias", "value": 0.1, "from": 0.1, "to": 0.2},
+        {"on": "plant.tilt_right", "kind": "dropout", "probability": 0.5}, {"on": "plant.duty_left", "kind": "freeze"},
+        {"on": "plant.tilt_right", "kind": "delay", "delay": 0.04},
     ],
     "criteria": {
         "settling_time": {"of": "plant.psi", "to": 0.2, "band": 1, "max": 5},

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 Through = Callable[[int, Any], Any]  # communication point and value → value
+MOST = 1e18  # steps, which nobody takes
 
 
 def disturbed(
@@ -74,6 +75,11 @@ def _delayed(first: int, last: int, delay: int) -> Through:
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:
     """First and last communication point from one time to another [s]."""
-    first = 0 if begin is None else math.ceil((begin - start) / step - 1e-9)
-    last = count - 1 if end is None else math.floor((end - start) / step + 1e-9)
+    first = 0 if begin is None else math.ceil(steps_in(begin - start, step) - 1e-9)
+    last = count - 1 if end is None else math.floor(steps_in(end - start, step) + 1e-9)
     return first, last
+
+
+def steps_in(time: float, step: float) -> float:
+    """Steps in a time; very many where they are beyond a double."""
+    return min(max(time / step, -MOST), MOST)

@@ -24,12 +24,13 @@ class Ports:
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         supported = [v for v in description.modelVariables if v.type in self.kinds]
         inputs = [v for v in supported if v.causality == "input"]
-        fed = [v for v in inputs if not connected.isdisjoint({v.name, *element_names(v)})]
+        meant = [not connected.isdisjoint({v.name, *element_names(v)}) for v in inputs]
+        fed, unfed = ([v for v, is_fed in zip(inputs, meant, strict=True) if is_fed is way] for way in (True, False))
         outputs = [v for v in supported if v.causality == "output"]
         others = [v for v in supported if v.name in recorded and v.causality not in {"input", "output"}]
         self._outputs = frozenset(name for v in outputs for name in element_names(v))
         self.fed = self._exchanges(fed)
-        self.unfed = self._exchanges([v for v in inputs if all(v is not f for f in fed)])
+        self.unfed = self._exchanges(unfed)
         self.read = self._exchanges([*outputs, *others])
         self.inward = (*self.fed, *self.unfed)
         self.inputs = self._signals(e for e in self.inward if not e.kind.beside)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from cosim.blocks.faults import steps_in
 from cosim.blocks.fmu import FmuBlock
 from cosim.simulation.diagnosis import Diagnosis
 from cosim.simulation.scenario_file import ScenarioFile
@@ -20,7 +21,7 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
     scenario = file.scenario
     found: dict[int, dict[str, dict[str, Any]]] = {}
     for k, event in enumerate(scenario.events):
-        point = math.ceil((event.at - scenario.start_time) / scenario.step - 1e-9)
+        point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
             diagnosis.note(("events", k, "at"), f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s")

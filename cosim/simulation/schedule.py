@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cosim.blocks.faults import steps_in
 from cosim.blocks.interface import Component
 from cosim.simulation.diagnosis import Diagnosis
 from cosim.simulation.order import AlgebraicLoop, Edge, stages
@@ -65,7 +66,7 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
     step: float | None = getattr(scenario.components[name], "step", None)
     if step is None:
         return 1
-    count = step / scenario.step
+    count = steps_in(step, scenario.step)
     if round(count) < 1 or abs(count - round(count)) > 1e-9 * count:
         cure = f"use a whole multiple, {max(1, round(count)) * scenario.step:g} s for one"
         message = f"step is {step:g} s, that of the scenario {scenario.step:g} s; {cure}"

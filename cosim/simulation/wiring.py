@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.faults import Through, disturbed, points
+from cosim.blocks.faults import Through, disturbed, points, steps_in
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
@@ -75,7 +75,7 @@ class Transfer:
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
-            delay = 0 if fault.delay is None else max(1, round(fault.delay / step))
+            delay = 0 if fault.delay is None else max(1, round(steps_in(fault.delay, step)))
             given = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
 
