@@ -168,7 +168,7 @@ class _Reader:
             unwrapped,
             header,
             self._unread(),
-            self.called,
+            dict(self.called),
             not self.timed,
         )
 
