@@ -185,11 +185,17 @@ def test_what_happens_in_a_process_of_its_own_is_told_as_elsewhere(
 # -- a run that is stopped ------------------------------------------------------------------------
 
 
+def listening() -> None:
+    """Also where the suite runs in the background of a shell, which has its children ignore these."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def started(folder: Path, deed: str) -> subprocess.Popen[str]:
     """A run in a process of its own that has made rows."""
     path = deeds_scenario(folder, "DoStep", deed, 0 if deed == "slow" else 3, duration=1000.0)
     command = [*COMMAND, str(path), "--out", str(folder / "out"), "--no-report"]
-    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
     waited_for(lambda: [*(folder / "out").glob(".rows-*/rows")])
     time.sleep(0.8)  # for its worker to load the FMUs
     return process
