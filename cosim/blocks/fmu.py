@@ -14,6 +14,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -102,17 +103,23 @@ class FmuBlock:
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
-        declared = True
-        for unknown in self.description.outputs:
-            if outputs is not None and not any(
-                n in outputs for n in (unknown.variable.name, *element_names(unknown.variable))
-            ):
-                continue
-            if unknown.dependencies is None:
-                declared = False
-            elif any(other is variable for other in unknown.dependencies):
-                return True
+        needed, declared = self._needed if outputs is None else self._needed_for(outputs)
+        if id(variable) in needed:
+            return True
         return False if declared and self.description.fmiVersion != "1.0" else None
+
+    @cached_property
+    def _needed(self) -> tuple[frozenset[int], bool]:
+        """Variables, by their id, on which some output depends, and whether every output says on which."""
+        return self._needed_for(None)
+
+    def _needed_for(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
+        known = [
+            unknown.dependencies
+            for unknown in self.description.outputs
+            if outputs is None or any(n in outputs for n in (unknown.variable.name, *element_names(unknown.variable)))
+        ]
+        return frozenset(id(v) for needed in known if needed is not None for v in needed), None not in known
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         exact = len(self.exact_inputs) + len(self.exact_outputs)
