@@ -86,9 +86,9 @@ def run(
     for criterion in outcome.manifest["criteria"]:
         say(sentence(criterion))
     if coupling:
-        from cosim.simulation.coupling import coupling_error_of
+        from cosim.simulation.coupling import coupling_error
 
-        say(coupling_error_of(scenario, overrides).sentence)
+        say(coupling_error(scenario, overrides, nearest=nearest, in_process=in_process).sentence)
     say(f"results: {out / 'results.csv'}")
     if report:
         say(f"report:  {out / 'report.html'}")

@@ -24,6 +24,7 @@ from cosim.isolation.scratch import LOCK, scratch, sweep
 from cosim.residuals.apart import DriveApart
 from cosim.residuals.drive import StoppedReplay, log_of_fmu
 from cosim.residuals.workflow import replay
+from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.table import read_columns
 from tests.conftest import ROOT
@@ -351,6 +352,15 @@ def test_one_worker_drives_fmu_after_fmu_and_is_there_again_after_a_crash(tmp_pa
         assert worker.starts == 2
     assert (tables[0] == tables[2]).all()
     assert (tables[1] == tables[0][:150]).all()
+
+
+def test_a_crash_at_half_the_step_is_told_and_takes_nothing_with_it(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "segfault", 12)
+    error = coupling_error(path)
+    assert error.of == {}
+    assert error.sentence.startswith(
+        "coupling error not known: with half the step bad at t = 0.55 s: fmi2DoStep crashed"
+    )
 
 
 def test_check_loads_an_fmu_and_steps_it_once_in_a_process_of_its_own(tmp_path: Path) -> None:

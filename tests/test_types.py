@@ -347,6 +347,18 @@ def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) 
     errors = []
     for step in (0.02, 0.01):
         path = scenario(tmp_path, {"a": ball, "b": ball}, wires, duration=0.4, step=step, algorithm="jacobi")
-        errors.append(coupling_error(ScenarioFile(path)).of["a.h"])
+        errors.append(coupling_error(path).of["a.h"])
     assert 1e-5 < errors[1] < errors[0]
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)  # of first order
+
+
+def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    fault = {"on": "a.r_in", "kind": "delay", "delay": 0.1}
+    path = scenario(tmp_path, {"a": {**fmu, "step": 0.2}, "b": fmu}, (("b.r_out", "a.r_in"),), faults=[fault])
+    assert any("is of a component with a step of its own" in told for told in faults_of(path))
+
+
+def test_a_number_that_is_no_item_of_an_enumeration_is_a_fault(tmp_path: Path) -> None:
+    path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": 7}}})
+    assert any("a.e_in is 7; it is one of first (1), second (2)" in told for told in faults_of(path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import mmap
 import os
 import pickle
@@ -39,7 +40,9 @@ class BesideFile:
 
     def append(self, row: tuple[Any, ...]) -> None:
         """Keep one more; OSError where there is no room."""
-        self._stream.write(pickle.dumps(row))
+        content = pickle.dumps(row)
+        if self._stream.write(content) < len(content):
+            raise OSError(errno.ENOSPC, "no room for what stands beside a row")
 
     def close(self) -> None:
         """No more is kept."""

@@ -109,6 +109,12 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
         if not is_full(error.__context__):
             raise
         return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
+    except OSError as error:
+        if not is_full(error):
+            raise
+        now = system.start + file.scenario.step * max(0, progress.made[0] - 1)
+        full = f"the disk is full: {_too_few(progress.made[0], steps + 1)}"
+        return Ended(said_of(system), DiskFull("the run", now, full))
     finally:
         beside.close()
     return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)

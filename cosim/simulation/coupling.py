@@ -6,16 +6,21 @@ of the run itself for p = 1, the order of Gauss-Seidel and Jacobi with inputs th
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from cosim.errors import Interrupted
 from cosim.files import FilePath
+from cosim.isolation.process import Worker
 from cosim.results import Results
+from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
 from cosim.simulation.design import designed_values
-from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
 
@@ -39,22 +44,21 @@ class CouplingError:
         return f"coupling error, by halving the step, at most: {shown or 'nothing is connected'}"
 
 
-def coupling_error_of(scenario: FilePath, overrides: Sequence[str] = ()) -> CouplingError:
-    """The coupling error of a scenario file. Raises InputError, FmuError."""
-    file = ScenarioFile(Path(scenario), overrides)
-    return coupling_error(file, designed_values(file))
+def coupling_error(
+    scenario: FilePath, overrides: Sequence[str] = (), *, nearest: bool = False, in_process: bool = False
+) -> CouplingError:
+    """Compare a scenario, without noise, at its step and at half of it; in a worker process, within its limits.
 
-
-def coupling_error(file: ScenarioFile, designed: Mapping[str, Mapping[str, float]] | None = None) -> CouplingError:
-    """Compare the scenario, without noise and faults by chance, at its step and at half of it."""
-    whole = _results(file, designed, 1)
-    halved = _results(file, designed, 2)
-    for results in (whole, halved):
+    Raises InputError, FmuError, Interrupted.
+    """
+    with ExitStack() as stack:
+        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        made = [_results(Path(scenario), tuple(overrides), nearest, parts, worker) for parts in (1, 2)]
+    for results in made:
         if isinstance(results, str):
             return CouplingError({}, results)
-    assert isinstance(whole, Results)
-    assert isinstance(halved, Results)
-    names = dict.fromkeys(c.source for c in file.scenario.connections)
+    whole, halved = (results for results in made if not isinstance(results, str))
+    names = dict.fromkeys(c.source for c in ScenarioFile(Path(scenario), overrides).scenario.connections)
     return CouplingError(differences(whole, halved, list(names)))
 
 
@@ -69,14 +73,26 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
     return found
 
 
-def _results(file: ScenarioFile, designed: Mapping[str, Mapping[str, float]] | None, parts: int) -> Results | str:
+def _results(path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None) -> Results | str:
     """Rows with steps of one of `parts` of the scenario's, or why there are none."""
-    scenario = file.scenario
-    step = scenario.step / parts
-    file.scenario = scenario.model_copy(update={"step": step, "noise": False})
-    try:
-        return simulate(build_system(file, designed), scenario.steps * parts, step)
-    except StoppedRun as stopped:
-        return str(stopped.error)
-    finally:
-        file.scenario = scenario
+    given = ScenarioFile(path, overrides)
+    step, steps = given.scenario.step / parts, given.scenario.steps * parts
+    overrides = (*overrides, "noise=off", f"step={step!r}")
+    file = ScenarioFile(path, overrides)
+    for one in (given, file):
+        if nearest:
+            take_nearest(one)
+    designed = designed_values(given)
+    system = build_system(file, designed)
+    if worker is None:
+        stepped = simulate_here(system, steps, step)
+    else:
+        recipe, beside = Recipe(file.path, overrides, nearest, designed), Path(tempfile.gettempdir())
+        stepped = simulate_apart(worker, recipe, system, steps, step, beside, file.scenario.limits)
+    if isinstance(stepped.failure, Interrupted):
+        raise stepped.failure
+    if stepped.failure is not None:
+        return str(stepped.failure)
+    if len(stepped.results.time) <= steps:
+        return f"the run ends early, at t = {stepped.results.time[-1]:g} s"
+    return stepped.results

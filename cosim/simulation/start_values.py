@@ -71,6 +71,8 @@ def _typed(description: Any, variable: Any, given: Any) -> Any:
         return Misfit(f"it is a number [{unit_of(variable) or '1'}]")
     if kind.low is not None and given != int(given):
         return Misfit("it is a whole number")
+    if variable.type == "Enumeration" and (items := _items(variable)) and int(given) not in items.values():
+        return Misfit(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
     low, high = _bounds(variable, kind)
     if not low <= given <= high:
         return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
@@ -88,9 +90,14 @@ def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
     return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
 
 
+def _items(variable: Any) -> dict[str, int]:
+    """Names and numbers of an enumeration's items, where it declares them."""
+    return {i.name: int(i.value) for i in variable.declaredType.items or ()} if variable.declaredType else {}
+
+
 def _named(variable: Any, text: str) -> int | Misfit:
     """The number of an enumeration's item."""
-    items = {i.name: int(i.value) for i in variable.declaredType.items} if variable.declaredType else {}
+    items = _items(variable)
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 

@@ -203,13 +203,16 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """An injected fault is on a connection, has what its kind needs, and acts within the run."""
     scenario = file.scenario
-    targets = [c.target for c in scenario.connections]
+    targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
     needs["dropout"] = "probability"
     for k, fault in enumerate(scenario.faults):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {', '.join(targets) or 'none'})"
             diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+        if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
+            cure = "faults act on components that step with the scenario"
+            diagnosis.note(("faults", k, "on"), f"{fault.on} is of a component with a step of its own; {cure}")
         needed = needs.get(fault.kind)
         if needed is not None and getattr(fault, needed) is None:
             diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
