@@ -50,7 +50,7 @@ SCENARIO: dict[str, Any] = {
     "seed": 1, "algorithm": "gauss-seidel", "noise": True,
     "components": {
         "plant": {
-            "fmu": "plant.fmu", "start": {"mass": 0.8, "psi_start": "12 deg"}, "step": 0.04, "tolerance": 1e-5,
+            "fmu": "plant.fmu", "start": {"mass": 0.8, "psi_start": "12 deg"}, "tolerance": 1e-5,
         },
         "steps": {"block": "reference", "signals": {
             "duty": {"unit": "%", "start": 6.4, "changes": [{"at": 0.1, "to": 6.5}, {"at": 0.2, "to": 6.4, "rate": 1}]},
