@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from cosim.blocks.faults import steps_in
@@ -20,6 +20,8 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
     """Events by the communication point at which they act: the first that is not before their time."""
     scenario = file.scenario
     found: dict[int, dict[str, dict[str, Any]]] = {}
+    connected = {c.target for c in scenario.connections}
+    variables = {name: {v.name: v for v in block.description.modelVariables} for name, block in blocks.items()}
     for k, event in enumerate(scenario.events):
         point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
         if not 0 <= point <= scenario.steps:
@@ -28,7 +30,7 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
             continue
         for target, given in event.set.items():
             name, _, variable = target.partition(".")
-            value = _value(file, blocks, target, given)
+            value = _value(blocks, variables, connected, target, given)
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
             else:
@@ -36,13 +38,19 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
     return found
 
 
-def _value(file: ScenarioFile, blocks: Mapping[str, FmuBlock], target: str, given: Any) -> Any:
+def _value(
+    blocks: Mapping[str, FmuBlock],
+    variables_of: Mapping[str, Mapping[str, Any]],
+    connected: Collection[str],
+    target: str,
+    given: Any,
+) -> Any:
     """The value as FMI takes it, or why it cannot be set."""
     name, _, variable_name = target.partition(".")
     block = blocks.get(name)
     if block is None:
         return Misfit(f'no FMU "{name}" among the components{did_you_mean(name, blocks)}')
-    variables = {v.name: v for v in block.description.modelVariables}
+    variables = variables_of[name]
     variable = variables.get(variable_name)
     if variable is None:
         known = [n for n, v in variables.items() if changeable(v)]
@@ -50,7 +58,7 @@ def _value(file: ScenarioFile, blocks: Mapping[str, FmuBlock], target: str, give
     if not changeable(variable):
         what = f"a {variable.variability} {variable.causality}"
         return Misfit(f"{target} is {what}; inputs and tunable parameters change while it runs")
-    if any(c.target in (target, target.partition("[")[0]) for c in file.scenario.connections):
+    if target in connected or target.partition("[")[0] in connected:
         return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
     value = typed(block.description, variable, given)
     return Misfit(f"{target} is {given!r}; {value.reason}") if isinstance(value, Misfit) else value
