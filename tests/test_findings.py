@@ -11,6 +11,7 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
+from statistics import NormalDist
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -19,13 +20,13 @@ import pytest
 
 from cosim.estimation.candidates import Candidate, Free, candidates
 from cosim.estimation.fit import Fit, fit, inverse
-from cosim.estimation.noise_model import Noise
+from cosim.estimation.noise_model import Noise, noise_range
 from cosim.estimation.posing import build_problem, coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.evidence import scattered
+from cosim.refinement.evidence import best_of, scattered
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
 from cosim.refinement.measure import first_rows
@@ -459,3 +460,23 @@ def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_
     count = sum(n.startswith("unnamed.") for n in problem.layout.parameters)
     assert left.cost == pytest.approx(0.5 * math.log(problem.samples) + 3.0 + math.log(count))
     assert left.terms == ()  # of nothing
+
+
+# -- 2 and 10, of the rules themselves ------------------------------------------------------------
+
+
+def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
+    """What lasts a hundred times as long raises the variance of innovations a hundred times as much."""
+
+    def variances(power: Rows, longest: bool) -> Rows:
+        return np.array([1.0 + (100.0 if longest else 1.0) * math.exp(power[0])])
+
+    found = noise_range(variances, 1)
+    assert found.smallest[0] == pytest.approx(math.log(1e-3 / 100.0), abs=0.5)  # between points of a grid of 4
+    assert found.plain[0] == pytest.approx(math.log(0.04), abs=0.5)
+
+
+def test_the_best_of_many_must_gain_more_than_one_alone() -> None:
+    assert best_of(3.0, 1) == pytest.approx(3.0)
+    normal = NormalDist()
+    assert normal.cdf(-best_of(3.0, 15)) == pytest.approx(normal.cdf(-3.0) / 15)

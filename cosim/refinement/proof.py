@@ -35,17 +35,13 @@ ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 def held_against_replays(study: Study, a: Attribution, verdict: Verdict, found: Found, problem: Problem) -> Verdict:
     """The verdict, its claim or that nothing is missing compared with replays of the estimation logs."""
-    within = _within_tolerances(a.base.fit)
+    within, single = _within_tolerances(a.base.fit), False
     if verdict.name == "no_effect":
         error, floor = _replay_errors(study, a, verdict, problem, found.heard)
         if missed := _missed(error["before"], floor):
             explained = within and not _missed(error["recalibrated"], floor)
             verdict = verdict if explained else standing(verdict, a, study.loaded.model, found, missed)
-        if verdict.claimed is None:
-            return verdict
-        error, floor = _replay_errors(study, a, verdict, problem, found.heard)
-        if doubt := _still_missed(error, floor):
-            return _withdrawn(verdict, doubt)
+            single = True
     elif verdict.name == "parameter_error" and verdict.claimed and (others := _beyond(verdict.claimed.fit)):
         said = verdict.sentence + further(verdict.claimed.fit, others)
         otherwise = standing(verdict, a, study.loaded.model, found, {})
@@ -53,6 +49,8 @@ def held_against_replays(study: Study, a: Attribution, verdict: Verdict, found: 
     if verdict.claimed is None:
         return verdict
     error, floor = _replay_errors(study, a, verdict, problem, found.heard)
+    if single and (doubt := _still_missed(error, floor)):
+        return _withdrawn(verdict, doubt)
     return proven(verdict, error, floor, a.support, recalibrated=within)
 
 
