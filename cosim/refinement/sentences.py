@@ -197,6 +197,11 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
     return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
 
 
+def perhaps(names: Sequence[str]) -> str:
+    """That parts more would gain, but too little."""
+    return f" Perhaps {' and '.join(names)} too: what that gains may be chance." if names else ""
+
+
 def left_over(term: Unnamed | None, gained: float) -> str:
     """What a claim leaves, where that is plain: how much of the log-likelihood it gained a term without a name adds."""
     if term is None:
