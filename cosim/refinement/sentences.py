@@ -52,7 +52,8 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, model: Mode
     """What rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if model.static else "; `cosim excite` designs it, and says whether any would"
-    return f"{opening} cannot tell {' from '.join(names)}. This may: {experiment}{designed}."
+    apart = f"{' from '.join(names)}" if len(names) < 3 else f"these apart: {', or '.join(names)}"
+    return f"{opening} cannot tell {apart}. This may: {experiment}{designed}."
 
 
 def unexplained(
