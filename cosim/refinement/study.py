@@ -152,7 +152,7 @@ def read_study(path: Path) -> Study:
     refuse_other(path, kind_by_name(path), STUDY)
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
-    content, faults = yaml.partly(StudyFile)
+    content, faults = yaml.partly(StudyFile, "model")
     if content is None:
         raise InputError(faults)
     try:
@@ -171,6 +171,10 @@ def read_study(path: Path) -> Study:
     digests: dict[str, str] = {}
     warnings: list[str] = []
     for part, name in _entries(content.logs):
+        if not os.path.exists(path.parent / name):
+            place = ("logs", part, getattr(content.logs, part).index(name))
+            faults.append(yaml.fault(place, f"{name}: no such file beside the study; its logs are named from there"))
+            continue
         try:
             log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
         except InputError as error:
