@@ -7,8 +7,6 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +14,8 @@ import typer
 
 from cosim.errors import CosimError, CriterionMissed, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
+from cosim.verbs import register
+from cosim.verbs.terminal import progress_bar, say, stages
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -28,12 +28,6 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the comm
 InProcess = Annotated[
     bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
 ]
-LONG_RUN = 2000  # steps from which a progress bar is shown
-
-
-def say(text: str) -> None:
-    """A line for the user."""
-    typer.echo(text)
 
 
 def _version(asked: bool) -> None:
@@ -251,55 +245,7 @@ def bench() -> None:
     say(json.dumps(measure()))
 
 
-@contextmanager
-def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
-    """A bar for long runs on a terminal; nothing where nobody watches."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True,
-    )  # fmt: skip
-    task = None
-
-    def advance(done: int, total: int) -> None:
-        nonlocal task
-        if total < LONG_RUN:
-            return
-        if task is None:
-            bar.start()
-            task = bar.add_task(what, total=total)
-        bar.update(task, completed=done)
-
-    try:
-        yield advance
-    finally:
-        bar.stop()
-
-
-@contextmanager
-def stages() -> Iterator[Callable[[str, float], None] | None]:
-    """The stage in words, with its share done, on a terminal; nothing where nobody watches."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-
-        def advance(stage: str, share: float) -> None:
-            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
-            bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
-            bar.update(task, description=stage, completed=share)
-
-        yield advance
+register(app)
 
 
 def entry() -> None:

@@ -15,7 +15,8 @@ LOG, FMU, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE = (
 )  # fmt: skip
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
-    FMU: "`cosim check {file}` checks it, a scenario names it as fmu:, `cosim replay LOG.csv --plant {file}` drives it",
+    FMU: "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check {file}` checks it, "
+    "a scenario names it as fmu:, `cosim replay LOG.csv --plant {file}` drives it",
     SCENARIO: "`cosim run {file}` runs it",
     MANIFEST: "`cosim run {file}` repeats its run",
     STUDY: "`cosim refine {file}` refines its model",
@@ -67,3 +68,19 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
     if kind is not None and kind not in wanted and path.is_file():
         cure = READ_BY[kind].format(file=path)
         raise InputError([Fault(path, 0, 0, f"is {kind}, not {' or '.join(wanted)}: {cure}")])
+
+
+def check_given(path: Path, *wanted: str) -> None:
+    """InputError where what is given is missing, a folder, empty, or a file of another kind than is wanted."""
+    what = " or ".join(wanted)
+    if path.is_dir():
+        left = [name for name in ("manifest.json", "refine.json", "residual.csv") if (path / name).is_file()]
+        cure = f"; `cosim report {path}` makes its page again, `cosim compare` holds it against another" if left else ""
+        raise InputError([Fault(path, 0, 0, f"is a folder{' of results' if left else ''}, not {what}{cure}")])
+    if not path.exists():
+        raise InputError([Fault(path, 0, 0, f"no such file; give {what}")])
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
+    if not path.stat().st_size:
+        raise InputError([Fault(path, 0, 0, f"is empty; give {what}")])
+    refuse_other(path, kind_of(path), *wanted)

@@ -1,0 +1,164 @@
+"""What an FMU says of itself, for people and for scripts: variables, capabilities, platforms, default experiment."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.blocks.description import PLATFORMS, read_description, slips_of, unit_of, ways
+from cosim.errors import Fault, FmuError, InputError
+from cosim.kinds import FMU, check_given
+
+CAPABILITIES = (
+    "canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canGetAndSetFMUstate", "canSerializeFMUState",
+    "canSerializeFMUstate", "providesDirectionalDerivative", "providesDirectionalDerivatives", "canInterpolateInputs",
+    "canBeInstantiatedOnlyOncePerProcess", "needsExecutionTool", "canNotUseMemoryManagementFunctions",
+    "hasEventMode", "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate", "providesEvaluateDiscreteStates",
+    "completedIntegratorStepNotNeeded", "fixedInternalStepSize", "maxOutputDerivativeOrder",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable: start as the FMU writes it, limits in its unit, `items` of an enumeration."""
+
+    name: str
+    causality: str
+    variability: str
+    type: str
+    unit: str = ""
+    display_unit: str = ""
+    start: str | None = None
+    min: str | None = None
+    max: str | None = None
+    description: str = ""
+    dimensions: list[int] = field(default_factory=list)
+    items: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """An FMU at a glance.
+
+    ways:         co-simulation, model-exchange: as it can be run here
+    capabilities: way → the flags and numbers of FMI that it sets
+    experiment:   start, stop, step [s] and tolerance, of those that it declares
+    states:       names of its continuous states
+    slips:        where its description breaks FMI's schema and runs all the same
+    """
+
+    file: str
+    name: str
+    fmi_version: str
+    tool: str
+    description: str
+    ways: list[str]
+    capabilities: dict[str, dict[str, Any]]
+    platforms: list[str]
+    experiment: dict[str, float]
+    states: list[str]
+    variables: list[Variable]
+    slips: list[str]
+
+    def of(self, *causalities: str) -> list[Variable]:
+        """Variables of these causalities, in the order of the file."""
+        return [v for v in self.variables if v.causality in causalities]
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, as plain data."""
+        return asdict(self)
+
+
+def read_fmus(paths: Sequence[Path]) -> list[Any]:
+    """Descriptions of FMUs; InputError with what is wrong with every one of them."""
+    faults: list[Fault] = []
+    found = []
+    for path in paths:
+        try:
+            check_given(path, FMU)
+            found.append(read_description(path))
+        except InputError as error:
+            faults += error.faults
+        except FmuError as error:
+            faults.append(Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code))
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def summaries(paths: Sequence[Path]) -> list[Summary]:
+    """What FMUs say of themselves; InputError with what is wrong with every one of them."""
+    return [summary_of(path, description) for path, description in zip(paths, read_fmus(paths), strict=True)]
+
+
+def summary_of(path: Path, description: Any) -> Summary:
+    """What an FMU says of itself, of its description."""
+    return Summary(
+        file=str(path),
+        name=description.modelName or path.stem,
+        fmi_version=description.fmiVersion,
+        tool=description.generationTool or "",
+        description=" ".join((description.description or "").split()),
+        ways=list(ways(description)),
+        capabilities=_capabilities(description),
+        platforms=_platforms(path),
+        experiment=experiment_of(description),
+        states=_states(description),
+        variables=[_variable(v) for v in description.modelVariables],
+        slips=[" ".join(str(s).split()) for s in slips_of(description)],
+    )
+
+
+def experiment_of(description: Any) -> dict[str, float]:
+    """start, stop, step [s] and tolerance of the default experiment, those that are declared and numbers."""
+    named = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
+    found = {}
+    for key, attribute in named.items():
+        try:
+            found[key] = float(getattr(description.defaultExperiment, attribute))
+        except (AttributeError, TypeError, ValueError):
+            continue
+    return found
+
+
+def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
+    parts = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    return {
+        way: {
+            name: value
+            for name in CAPABILITIES
+            if (value := getattr(part, name, None)) is not None and value is not False and value != 0
+        }
+        for way, part in parts.items()
+        if part is not None
+    }
+
+
+def _platforms(path: Path) -> list[str]:
+    """Platforms with a library; `c-code` where the sources are there too."""
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
+    found = {platform for platform, _, file in parts if file.endswith((".so", ".dll", ".dylib"))}
+    return [*sorted(found), *(["c-code"] if any(n.startswith("sources/") and n.endswith(".c") for n in names) else [])]
+
+
+def _states(description: Any) -> list[str]:
+    derivatives = (unknown.variable.derivative for unknown in description.derivatives)
+    return [state.name for state in derivatives if state is not None]
+
+
+def _variable(v: Any) -> Variable:
+    declared = v.declaredType
+    display = v.displayUnit or getattr(declared, "displayUnit", None)
+    items = {i.name: int(i.value) for i in declared.items or ()} if v.type == "Enumeration" and declared else {}
+    limits = (getattr(v, end) if getattr(v, end) is not None else getattr(declared, end, None) for end in ("min", "max"))
+    low, high = (None if limit is None else str(limit) for limit in limits)
+    return Variable(
+        v.name, v.causality or "local", v.variability or "continuous", v.type, unit_of(v), display or "",
+        None if v.start is None else str(v.start), low, high, " ".join((v.description or "").split()),
+        list(v.shape or ()), items,
+    )  # fmt: skip

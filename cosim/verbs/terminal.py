@@ -1,0 +1,124 @@
+"""What commands say on a terminal, and what they show while they work."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import webbrowser
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+LONG_RUN = 2000  # steps from which a progress bar is shown
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
+Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
+
+
+@dataclass
+class Manner:
+    """How much is said: quiet says what is wrong alone, verbose what else is known."""
+
+    quiet: bool = False
+    verbose: bool = False
+
+
+MANNER = Manner()  # of this process, set by the options -q and -v of any command
+
+
+def say(text: str) -> None:
+    """A line for the user."""
+    if not MANNER.quiet:
+        typer.echo(text)
+
+
+def say_more(text: str) -> None:
+    """A line for a user who asked for more."""
+    if MANNER.verbose:
+        typer.echo(text, err=True)
+
+
+def say_json(value: Any) -> None:
+    """JSON for a script, said also where all else is quiet."""
+    typer.echo(json.dumps(value, indent=2, ensure_ascii=False))
+
+
+def warn(text: str) -> None:
+    """A warning, on stderr."""
+    typer.echo(f"warning: {text}", err=True)
+
+
+def judged(met: bool, text: str) -> str:
+    """A line in green or red; plain where NO_COLOR is set, or nobody looks."""
+    return text if os.environ.get("NO_COLOR") else typer.style(text, fg="green" if met else "red")
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, each column as wide as its widest cell, columns that are all empty left out."""
+    kept = [k for k in range(len(header)) if any(row[k] for row in rows)]
+    cells = [[line[k] for k in kept] for line in (header, *rows)]
+    widths = [max(len(line[k]) for line in cells) for k in range(len(kept))]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
+    return [line.rstrip() for line in lines]
+
+
+def show(report: Path) -> None:
+    """Open a report in the browser."""
+    webbrowser.open(report.resolve().as_uri())
+
+
+@contextmanager
+def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
+    """A bar for long runs on a terminal; nothing where nobody watches."""
+    if MANNER.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
+        console=Console(stderr=True), transient=True,
+    )  # fmt: skip
+    task = None
+
+    def advance(done: int, total: int) -> None:
+        nonlocal task
+        if total < LONG_RUN:
+            return
+        if task is None:
+            bar.start()
+            task = bar.add_task(what, total=total)
+        bar.update(task, completed=done)
+
+    try:
+        yield advance
+    finally:
+        bar.stop()
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, float], None] | None]:
+    """The stage in words, with its share done, on a terminal; nothing where nobody watches."""
+    if MANNER.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def advance(stage: str, share: float) -> None:
+            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
+            bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
+            bar.update(task, description=stage, completed=share)
+
+        yield advance
