@@ -12,10 +12,11 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, FmuError, InputError, SimulationError, Terminated
+from cosim.errors import CosimError, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
 from cosim.verbs import register
-from cosim.verbs.terminal import progress_bar, say, stages
+from cosim.verbs.outcome import told
+from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, stages
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -48,7 +49,10 @@ def main(
 @app.command()
 def run(
     scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or a manifest.json to repeat that run.")],
-    out: Out = Path("results"),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the scenario without."),
+    ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. noise=off.")
     ] = None,
@@ -59,6 +63,9 @@ def run(
         bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
     ] = False,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     in_process: InProcess = False,
     coupling: Annotated[
@@ -66,28 +73,19 @@ def run(
     ] = False,
 ) -> None:
     """Co-simulate a scenario: results.csv, manifest.json and report.html."""
-    from cosim.simulation.criteria import sentence
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with progress_bar() as progress:
         outcome = run_scenario(
-            scenario, out, overrides, nearest=nearest, report=report, figures=figures, in_process=in_process,
-            progress=progress,
+            scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
+            in_process=in_process, progress=progress,
         )  # fmt: skip
-    for warning in outcome.manifest["warnings"]:
-        typer.echo(f"warning: {warning}", err=True)
-    for criterion in outcome.manifest["criteria"]:
-        say(sentence(criterion))
     if coupling:
         from cosim.simulation.coupling import coupling_error
 
         say(coupling_error(scenario, overrides, nearest=nearest, in_process=in_process).sentence)
-    say(f"results: {out / 'results.csv'}")
-    if report:
-        say(f"report:  {out / 'report.html'}")
-    if outcome.missed:
-        raise CriterionMissed(f"{len(outcome.missed)} of {len(outcome.manifest['criteria'])} criteria missed")
+    told(outcome, report=report, open_=open_, as_json=as_json)
 
 
 @app.command()

@@ -9,8 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.arrays import Array
-from cosim.table import write_table
+from cosim.errors import Fault, InputError
+from cosim.table import MOST_BYTES, parted, write_table
+from cosim.text import counted
 from fmus.files import draft_of
 
 CHUNK = 1000  # rows
@@ -92,3 +96,52 @@ def cell(value: Any) -> str:
     if not isinstance(value, str):
         return repr(value)
     return '"' + value.replace('"', '""') + '"' if any(c in value for c in ',"\r\n') else value
+
+
+# -- read back ------------------------------------------------------------------------------------
+
+
+def read_results(path: Path, units: Mapping[str, str] | None = None) -> Results:
+    """Results that were written, or any CSV whose first column is `time`; InputError where it is none.
+
+    units: of columns whose header says none
+    """
+    header, rows = _cells(path)
+    named = [parted(text, units or {}) for text in header]
+    if not named or named[0][0] != "time":
+        first = named[0][0] if named else ""
+        raise InputError([Fault(path, 1, 1, f'the first column is "{first}"; it must be "time" [s]')])
+    wrong = next((k for k, row in enumerate(rows, 2) if len(row) != len(header)), None)
+    if wrong is not None:
+        count = len(rows[wrong - 2])
+        raise InputError([Fault(path, wrong, 1, f"has {counted(count, 'cell')}, the header {len(header)}")])
+    numbers: dict[str, Array] = {}
+    exact: dict[str, list[str]] = {}
+    for (name, _), cells in zip(named, zip(*rows, strict=True) if rows else ((),) * len(named), strict=True):
+        try:
+            numbers[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
+        except ValueError:
+            exact[name] = list(cells)
+    if "time" not in numbers:
+        raise InputError([Fault(path, 2, 1, "a time is no number")])
+    time = numbers.pop("time")
+    values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
+    return Results(time, tuple(numbers), values, {**dict(named), **(units or {})}, exact)
+
+
+def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The header and the rows of a CSV as text."""
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+    if path.stat().st_size > MOST_BYTES:
+        raise InputError([Fault(path, 0, 0, f"has more than the {MOST_BYTES / 1e6:.0f} MB that are read")])
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            rows = [row for row in csv.reader(stream) if row]
+    except UnicodeDecodeError:
+        raise InputError([Fault(path, 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")]) from None
+    except csv.Error as error:
+        raise InputError([Fault(path, 1, 1, f"is not CSV: {error}")]) from None
+    if not rows:
+        raise InputError([Fault(path, 1, 1, "is empty; the first line names the columns: time, then signals")])
+    return rows[0], rows[1:]

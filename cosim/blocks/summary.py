@@ -16,8 +16,9 @@ CAPABILITIES = (
     "canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canGetAndSetFMUstate", "canSerializeFMUState",
     "canSerializeFMUstate", "providesDirectionalDerivative", "providesDirectionalDerivatives", "canInterpolateInputs",
     "canBeInstantiatedOnlyOncePerProcess", "needsExecutionTool", "canNotUseMemoryManagementFunctions",
-    "hasEventMode", "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate", "providesEvaluateDiscreteStates",
-    "completedIntegratorStepNotNeeded", "fixedInternalStepSize", "maxOutputDerivativeOrder",
+    "hasEventMode", "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate",
+    "providesEvaluateDiscreteStates", "completedIntegratorStepNotNeeded", "fixedInternalStepSize",
+    "maxOutputDerivativeOrder",
 )  # fmt: skip
 
 
@@ -155,7 +156,9 @@ def _variable(v: Any) -> Variable:
     declared = v.declaredType
     display = v.displayUnit or getattr(declared, "displayUnit", None)
     items = {i.name: int(i.value) for i in declared.items or ()} if v.type == "Enumeration" and declared else {}
-    limits = (getattr(v, end) if getattr(v, end) is not None else getattr(declared, end, None) for end in ("min", "max"))
+    limits = (
+        getattr(v, end) if getattr(v, end) is not None else getattr(declared, end, None) for end in ("min", "max")
+    )
     low, high = (None if limit is None else str(limit) for limit in limits)
     return Variable(
         v.name, v.causality or "local", v.variability or "continuous", v.type, unit_of(v), display or "",

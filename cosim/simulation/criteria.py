@@ -50,4 +50,6 @@ def sentence(outcome: dict[str, Any]) -> str:
     value = "never" if outcome["value"] is None else f"{outcome['value']:.4g} {outcome['unit']}".rstrip()
     verdict = "met" if outcome["met"] else "MISSED"
     limit = f"{outcome['max']:.4g} {outcome['unit']}".rstrip()
-    return f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']} is {value}, at most {limit} allowed"
+    window = "".join(f" {word} {outcome[word]:g} s" for word in ("after", "until") if outcome.get(word))
+    what = f"{outcome['kind'].replace('_', ' ')} of {outcome['of']}{window}"
+    return f"{verdict}: {what} is {value}, at most {limit} allowed"

@@ -11,21 +11,30 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.blocks.description import takes_any_step, unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.interface import Signal
 from cosim.blocks.summary import experiment_of, read_fmus
 from cosim.errors import Fault, InputError
+from cosim.files import check_writable
+from cosim.kinds import LOG, check_given
+from cosim.simulation.folder import check_ours
 from cosim.simulation.matching import Match, Matches, Port, matched, text
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.start_values import settable
 from cosim.simulation.system import System, build_system
+from cosim.table import read_columns
 from cosim.text import counted
 from fmus.files import draft_of
 from fmus.sampled import sampled_by
+from fmus.units import computed_in
 
 STOP, STEPS = 1.0, 500  # [s] where no FMU says how long; steps where none says how fine
 MOST_STEPS = 20_000  # of a first run, which is to answer soon
+MOST_OF_ONE = 1_000_000  # of one FMU, which was asked for by its own times
+BY = "# Written by `cosim {}`."
 PARAMETERS = 12  # shown of each FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
 
@@ -81,7 +90,9 @@ def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> l
     return found
 
 
-def times_of(parts: Sequence[Part], stop: float | None = None, step: float | None = None, most: int = MOST_STEPS) -> Times:
+def times_of(
+    parts: Sequence[Part], stop: float | None = None, step: float | None = None, most: int = MOST_STEPS
+) -> Times:
     """Times of a run of these FMUs, by their default experiments where nothing else is given."""
     experiments = {p.name: experiment_of(p.description) for p in parts}
     start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
@@ -107,8 +118,8 @@ def times_of(parts: Sequence[Part], stop: float | None = None, step: float | Non
         h = duration / steps
     else:
         duration = float(f"{steps * h:.12g}")
-    own = {n: s for n, s in needed.items() if s > h * (1 + 1e-9)}
-    return Times(start, duration, float(f"{h:.12g}"), own, why_duration, why_step)
+    coarser = {n: own for n, own in needed.items() if own > h * (1 + 1e-9)}
+    return Times(start, duration, float(f"{h:.12g}"), coarser, why_duration, why_step)
 
 
 def _own_step(part: Part) -> float:
@@ -141,6 +152,86 @@ class Draft:
     warnings: tuple[str, ...]
 
 
+def write_single(
+    folder: Path,
+    fmu: Path,
+    start: Mapping[str, Any],
+    recorded: Path | None = None,
+    *,
+    stop: float | None = None,
+    step: float | None = None,
+    record: Sequence[str] = (),
+    force: bool = False,
+) -> tuple[Path, tuple[str, ...]]:
+    """Write scenario.yaml into a folder, a run of one FMU; its path, and warnings.
+
+    recorded: a CSV whose columns are played to the inputs of their names
+    stop, step: [s], in place of those of its default experiment
+    Raises InputError where the FMU cannot be read or set so, no column is of an input, or the folder is another's.
+    """
+    (part,) = parts_of([fmu], start)
+    path = folder / "scenario.yaml"
+    check_ours(folder, part.name, force=force)
+    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(BY.format("simulate")):
+        cure = "is a scenario of yours and would be written over; give another folder as --out"
+        raise InputError([Fault(path, 0, 0, cure)])
+    played = _played(recorded, part) if recorded is not None else None
+    ends = stop if stop is not None or played is None else played.end
+    fine = step if step is not None or played is None or experiment_of(part.description).get("step") else played.step
+    began = experiment_of(part.description).get("start", 0.0)
+    if ends is not None and ends <= began:
+        raise InputError(
+            [Fault(recorded or fmu, 0, 0, f"ends at {ends:g} s, the run begins at {began:g} s; give a later --stop")]
+        )
+    times = times_of([part], ends, fine, most=MOST_OF_ONE)
+    check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
+    lines = _text(
+        folder, [part], played.matches if played else Matches((), ()), times, "gauss-seidel", played, "simulate"
+    )
+    names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
+    lines += f"record: {json.dumps(names)}\n" if names else ""
+    with draft_of(path) as made:
+        made.write_text(lines, encoding="utf-8")
+        try:
+            build_system(ScenarioFile(made))
+        except InputError as error:
+            raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+    return path, played.notes if played else ()
+
+
+@dataclass(frozen=True)
+class Played:
+    """A recording played to the inputs of an FMU: its end and step [s], what goes where, what goes nowhere."""
+
+    path: Path
+    end: float
+    step: float
+    matches: Matches
+    notes: tuple[str, ...]
+
+
+def _played(path: Path, part: Part) -> Played:
+    check_given(path, LOG)
+    inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
+    log = read_columns(path, inputs)
+    columns = [c for c in log.columns.values() if c.name != "time"]
+    fed = [c for c in columns if c.name in inputs]
+    if not fed:
+        names = f"its columns: {', '.join(c.name for c in columns) or 'none'}; "
+        names += f"inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names})")])
+    source = "recorded" if part.name != "recorded" else "played"
+    found = []
+    for c in fed:
+        unit, _ = computed_in(c.heading.unit)
+        found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
+    missed = [c.name for c in columns if c.name not in inputs]
+    notes = (f"{path.name}: not inputs of {part.name}, so not played: {', '.join(missed)}",) if missed else ()
+    time = log["time"]
+    between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS
+    return Played(path, float(time[-1]), float(f"{between:.6g}"), Matches(tuple(found), ()), notes)
+
+
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     """Write a commented scenario of these FMUs, connected by name and unit, guesses marked; never over a file.
 
@@ -162,9 +253,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     return Draft(path, parts, matches, times, algorithm, system.warnings)
 
 
-def _that_runs(
-    made: Path, folder: Path, parts: Sequence[Part], matches: Matches, times: Times
-) -> tuple[str, System]:
+def _that_runs(made: Path, folder: Path, parts: Sequence[Part], matches: Matches, times: Times) -> tuple[str, System]:
     """The algorithm under which the scenario can be put together, the file written, and what it makes."""
     for algorithm in ("gauss-seidel", "jacobi"):
         made.write_text(_text(folder, parts, matches, times, algorithm), encoding="utf-8")
@@ -184,12 +273,19 @@ def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
     return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by type and unit"
 
 
-def _text(folder: Path, parts: Sequence[Part], matches: Matches, times: Times, algorithm: str) -> str:
-    guesses = sum(bool(m.guess) for m in matches.found)
+def _text(
+    folder: Path,
+    parts: Sequence[Part],
+    matches: Matches,
+    times: Times,
+    algorithm: str,
+    played: Played | None = None,
+    verb: str = "init",
+) -> str:
     lines = [
-        "# Written by `cosim init`. It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
+        BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
         "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
-        *([f"# {counted(guesses, 'connection')} below {'is a guess' if guesses == 1 else 'are guesses'}, marked so: look there first."] if guesses else []),
+        *_guessed(sum(bool(m.guess) for m in matches.found)),
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {times.step:.12g} # s: {times.why_step}",
@@ -200,8 +296,19 @@ def _text(folder: Path, parts: Sequence[Part], matches: Matches, times: Times, a
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)
+    if played is not None:
+        lines += [
+            f"  {matches.found[0].source[0]}:",
+            "    block: playback",
+            f"    file: {scalar(relative(played.path, folder))}",
+        ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"
+
+
+def _guessed(count: int) -> list[str]:
+    what = f"{counted(count, 'connection')} below {'is a guess' if count == 1 else 'are guesses'}"
+    return [f"# {what}, marked so: look there first."] if count else []
 
 
 def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
@@ -219,7 +326,9 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
         yield "    # start:"
     for v in [v for v in given if v.name not in part.start][:PARAMETERS]:
         about = ", ".join(filter(None, (unit_of(v), " ".join((v.description or "").split())[:80])))
-        value = scalar("" if v.start is None else v.start if v.type == "String" else str(v.start).strip(), v.type != "String")
+        value = scalar(
+            "" if v.start is None else v.start if v.type == "String" else str(v.start).strip(), v.type != "String"
+        )
         yield f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
     if len(given) > PARAMETERS:
         yield f"    #   … and {len(given) - PARAMETERS} more: cosim info {_comment(part.path.name)}"
@@ -231,7 +340,10 @@ def _connections(matches: Matches) -> list[str]:
         lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
     for port, candidates in matches.left:
         start = f", {unit}" if (unit := port[1].unit) else ""
-        lines.append(f"  # {_comment(text(port))}{start}: not connected, stays at its start value" + ("; fits:" if candidates else ""))
+        lines.append(
+            f"  # {_comment(text(port))}{start}: not connected, stays at its start value"
+            + ("; fits:" if candidates else "")
+        )
         lines += [f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates]
     return lines
 
@@ -267,7 +379,17 @@ def scalar(value: Any, literal: bool = False) -> str:
     """A value as YAML in flow style; text in quotes where it needs them, but not what is `literal`."""
     if not isinstance(value, str):
         return json.dumps(value)
-    plain = PLAIN.fullmatch(value) and value.lower() not in {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+    plain = PLAIN.fullmatch(value) and value.lower() not in {
+        "true",
+        "false",
+        "yes",
+        "no",
+        "on",
+        "off",
+        "null",
+        "y",
+        "n",
+    }
     return value if plain or (literal and value) else json.dumps(value, ensure_ascii=False)
 
 

@@ -23,7 +23,7 @@ Port = tuple[str, Signal]  # component, signal
 
 @dataclass(frozen=True)
 class Match:
-    """A connection that was found; `guess` says on what it rests where names are not the same, `others` what else fits."""
+    """A connection that was found; `guess`: on what it rests where names are not the same; `others`: what else fits."""
 
     source: Port
     target: Port
@@ -61,7 +61,7 @@ def matched(outputs: Sequence[Port], inputs: Sequence[Port]) -> Matches:
     used = {text(m.source) for m in found.values()}
     open_ = [i for i in inputs if text(i) not in found]
     while best := _best(open_, fits, used):
-        score, target, source, others = best
+        _, target, source, others = best
         why = "similar name" + (", same unit" if _units_agree(source[1], target[1]) else "")
         found[text(target)] = Match(source, target, why, others)
         used.add(text(source))
@@ -119,7 +119,12 @@ def _best(
             score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
             scored.append((score + USED * (text(source) in used), score, source))
         scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
-        if scored and scored[0][1] >= ENOUGH and scored[0][0] >= ENOUGH / 2 and (best is None or scored[0][0] > best[0]):
+        if (
+            scored
+            and scored[0][1] >= ENOUGH
+            and scored[0][0] >= ENOUGH / 2
+            and (best is None or scored[0][0] > best[0])
+        ):
             others = tuple(text(s) for _, score, s in scored[1:MOST] if score >= ENOUGH)
             best = scored[0][0], target, scored[0][2], others
     return best

@@ -19,6 +19,7 @@ from cosim.results import Results
 from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
+from cosim.simulation.folder import check_ours, folder_named
 from cosim.simulation.manifest import check_pinned, manifest, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
@@ -43,9 +44,10 @@ class Outcome:
 
 def run(
     scenario: FilePath,
-    folder: FilePath,
+    folder: FilePath | None = None,
     overrides: Sequence[str] = (),
     *,
+    force: bool = True,
     nearest: bool = False,
     report: bool = True,
     figures: bool = False,
@@ -54,6 +56,8 @@ def run(
 ) -> Outcome:
     """Run a scenario, or repeat a manifest, and leave results.csv, manifest.json and report.html in `folder`.
 
+    folder:  results/NAME of the scenario without
+    force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
@@ -63,12 +67,14 @@ def run(
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # it gets ready while files are read
-        file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
+        file = ScenarioFile(Path(scenario), overrides)
         if nearest:
             take_nearest(file)
         check_pinned(file)
         designed = designed_values(file)
         system = build_system(file, designed)
+        folder = folder_named(file.scenario.name) if folder is None else Path(folder)
+        check_ours(folder, file.scenario.name, force=force)
         check_writable(folder, ("results.csv", "manifest.json", "report.html"), file.files)
         loaded = time.perf_counter()
         steps, h, limits = file.scenario.steps, file.scenario.step, file.scenario.limits

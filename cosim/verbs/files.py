@@ -1,4 +1,5 @@
 """x."""
+
 import typer
 
 

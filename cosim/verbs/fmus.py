@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, say, say_json, table, warn
+from cosim.verbs.outcome import told
+from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, say_json, table, warn
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -20,6 +21,7 @@ def register(app: typer.Typer) -> None:
     """Add these commands."""
     app.command()(info)
     app.command()(init)
+    app.command()(simulate)
 
 
 def info(
@@ -44,14 +46,22 @@ def _told(s: Summary, *, every: bool) -> list[str]:
     lines = [f"{s.file}: {s.name}, FMI {s.fmi_version} for {ways}" + (f", by {s.tool}" if s.tool else "")]
     lines += [f"  {s.description}"] if s.description else []
     e = s.experiment
-    named = [f"{key} {e[key]:g}{'' if key == 'tolerance' else ' s'}" for key in ("start", "stop", "step", "tolerance") if key in e]
+    named = [
+        f"{key} {e[key]:g}{'' if key == 'tolerance' else ' s'}"
+        for key in ("start", "stop", "step", "tolerance")
+        if key in e
+    ]
     lines += [f"  default experiment: {', '.join(named) or 'none'}", f"  platforms: {', '.join(s.platforms) or 'none'}"]
-    lines += [f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()]
+    lines += [
+        f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()
+    ]
     lines += [f"  states: {len(s.states)}" + (f" ({_some(s.states)})" if s.states else "")]
     lines += [f"  warning: {slip}" for slip in s.slips[:5]]
     for causality, title in SHOWN.items():
         lines += _section(title, s.of(*(causality, "structuralParameter")[: 1 + (causality == "parameter")]), every)
-    others = [v for v in s.variables if v.causality not in SHOWN and v.causality not in ("structuralParameter", "independent")]
+    others = [
+        v for v in s.variables if v.causality not in SHOWN and v.causality not in ("structuralParameter", "independent")
+    ]
     if every:
         lines += _section("others", others, True)
     elif others:
@@ -68,7 +78,14 @@ def _section(title: str, variables: list[Variable], every: bool) -> list[str]:
         return [f"{title}: none"] if title != "others" else []
     shown = variables if every or title != "parameters" else variables[:MOST]
     rows = [
-        (f"  {v.name}{list(v.dimensions) if v.dimensions else ''}", v.type, v.unit, _start(v), _range(v), v.description[:80])
+        (
+            f"  {v.name}{list(v.dimensions) if v.dimensions else ''}",
+            v.type,
+            v.unit,
+            _start(v),
+            _range(v),
+            v.description[:80],
+        )
         for v in shown
     ]
     header = ("  name", "type", "unit", "start", "range", "description")
@@ -93,7 +110,9 @@ def _some(names: list[str], most: int = 8) -> str:
 
 def init(
     fmus: Annotated[list[Path], typer.Argument(help="FMUs of one system.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write; never over one.")] = Path("scenario.yaml"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write; never over one.")] = Path(
+        "scenario.yaml"
+    ),
     as_json: Json = False,
 ) -> None:
     """Write a first scenario of FMUs, connected by name and unit: guesses are marked, and it runs as it is."""
@@ -104,9 +123,13 @@ def init(
     draft = write_draft(out, fmus)
     found = draft.matches.found
     if as_json:
-        connections = [{"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found]
+        connections = [
+            {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
+        ]
         left = [text(port) for port, _ in draft.matches.left]
-        say_json({"scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left})
+        say_json(
+            {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left}
+        )
         return
     for m in found:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
@@ -120,3 +143,43 @@ def init(
         + (f", {guesses} guessed (marked in the file)" if guesses else "")
     )
     say(f"next: cosim run {out}")
+
+
+def simulate(
+    fmu: Annotated[Path, typer.Argument(help="An FMU.")],
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="NAME=VALUE of a parameter or input; repeatable. mass=2, angle=12deg."),
+    ] = None,
+    recorded: Annotated[
+        Path | None, typer.Option("--input", help="A CSV with time and columns named as inputs, played to them.")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option(help="When it ends [s]; without, as the FMU says, or the input.")
+    ] = None,
+    step: Annotated[float | None, typer.Option(help="Communication step [s]; without, as the FMU says.")] = None,
+    record: Annotated[
+        list[str] | None,
+        typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the FMU without.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
+    from cosim.simulation.single import simulate as simulate_fmu
+
+    with progress_bar() as progress:
+        outcome, notes = simulate_fmu(
+            fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
+            force=force, progress=progress,
+        )  # fmt: skip
+    for note in notes:
+        warn(note)
+    if not as_json:
+        say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
+    told(outcome, report=report, open_=open_, as_json=as_json, values=True)

@@ -1,0 +1,148 @@
+"""The page about two runs: how far apart each signal is, both drawn over each other, criteria side by side."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cosim.comparison.differences import Compared, Difference, compared, criteria_of
+from cosim.comparison.ran import read_ran
+from cosim.errors import Fault, InputError
+from cosim.files import FilePath, atomic_write, check_writable
+from cosim.report.data import to_json
+from cosim.report.drawing import Drawing
+from cosim.report.panels import Panel, Trace
+from cosim.report.template import render
+from cosim.simulation.folder import folder_named
+from cosim.text import amount, counted, display, plain, written
+from cosim.version import __version__
+
+TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
+DRAWN = 24  # signals, the most different first
+MADE = ("comparison.json", "report.html")
+
+
+def compare(
+    a: FilePath,
+    b: FilePath,
+    folder: FilePath | None = None,
+    *,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    report: bool = True,
+) -> tuple[Compared, Path]:
+    """Hold run b against run a, each a folder or a CSV; leaves comparison.json and report.html in the folder returned.
+
+    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    Raises InputError where one cannot be read, or they share no signal or no time.
+    """
+    for name, value in (("--tol", tolerance), ("--abs", absolute)):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise InputError([Fault(Path(a), 0, 0, f"{name} {value:g}: give a number that is not negative")])
+    first, second = read_ran(Path(a)), read_ran(Path(b))
+    made = compared(first, second, tolerance, absolute)
+    place = folder_named(f"{first.name} and {second.name}") if folder is None else Path(folder)
+    read = [p / "manifest.json" if p.is_dir() else p for p in (first.path, second.path)]
+    if any((place / name).exists() for name in ("manifest.json", "refine.json", "residual.csv")):
+        raise InputError([Fault(place, 0, 0, "holds what another command left; give another folder as --out")])
+    check_writable(place, MADE, read)
+    with atomic_write(place / "comparison.json") as stream:
+        json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
+        stream.write("\n")
+    (place / "report.html").unlink(missing_ok=True)
+    if report:
+        with atomic_write(place / "report.html") as stream:
+            stream.write(render(TEMPLATE, context(made)))
+    return made, place
+
+
+def sentence(c: Compared) -> str:
+    """What the comparison came to."""
+    count = len(c.differences)
+    most = max(c.differences, key=lambda d: d.share)
+    if not any(d.largest for d in c.differences):
+        told = (
+            f"All {counted(count, 'signal')} are equal in every row."
+            if count > 1
+            else "The signal is equal in every row."
+        )
+    elif c.judged and not c.beyond:
+        told = f"All {counted(count, 'signal')} are within the tolerance; {_most(most)}."
+    elif c.judged:
+        verb = "is" if len(c.beyond) == 1 else "are"
+        told = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {_most(c.beyond[0])}."
+    else:
+        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} differ; {_most(most)}."
+    return told + (f" {c.shorter}." if c.shorter else "")
+
+
+def _most(d: Difference) -> str:
+    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({shared(d)} of its range)"
+
+
+def shared(d: Difference) -> str:
+    """A difference as a share of the range of its signal."""
+    return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"
+
+
+def context(c: Compared) -> Mapping[str, Any]:
+    """Everything the template names."""
+    ranked = sorted(c.differences, key=lambda d: -d.share)
+    drawn = [d for d in ranked if d.name in c.values][:DRAWN]
+    drawing = Drawing(c.time, 3 * len(drawn))
+    panels = [panel for d in drawn for panel in _panels(c, d)]
+    plots = drawing.with_values(panels)
+    return {
+        "a": c.a, "b": c.b, "outcome": sentence(c),
+        "tone": "plain" if not c.judged else "good" if c.same else "bad",
+        "judged": c.judged, "tolerance": _tolerance(c), "aligned": c.aligned,
+        "rows": [_row(d) for d in ranked],
+        "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
+        "plots": plots, "undrawn": len(ranked) - len(drawn), "only_a": c.only_a, "only_b": c.only_b,
+        "data": to_json(c.time, drawing.series),
+        "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
+        "version": __version__,
+    }  # fmt: skip
+
+
+def _options(c: Compared) -> list[str]:
+    found = ["--tol", f"{c.tolerance:g}"] if c.tolerance is not None else []
+    return found + (["--abs", f"{c.absolute:g}"] if c.absolute else [])
+
+
+def _tolerance(c: Compared) -> str:
+    if c.tolerance is None:
+        return ""
+    parts = [f"{c.tolerance:g} of each signal's range in a"] + ([f"{c.absolute:g} in its unit"] if c.absolute else [])
+    return " and ".join(parts)
+
+
+def _row(d: Difference) -> dict[str, Any]:
+    return {
+        "name": d.name, "unit": written(d.unit), "largest": amount(d.largest, d.unit), "at": f"{d.at:.6g}\u00a0s",
+        "rms": amount(d.rms, d.unit), "share": shared(d), "beyond": d.beyond, "note": d.note,
+    }  # fmt: skip
+
+
+def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:
+    if entry is None:
+        return "not asked", ""
+    value = entry.get("value")
+    shown = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
+    return f"{shown} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
+        "good" if entry.get("met") else "bad"
+    )
+
+
+def _panels(c: Compared, d: Difference) -> list[Panel]:
+    unit, factor = display(d.unit)
+    first, second = (v * factor for v in c.values[d.name])
+    both = [Trace(f"a: {c.a.name}", first, "s0"), Trace(f"b: {c.b.name}", second, "s1")]
+    return [
+        Panel(d.name, unit or d.unit or "no unit", both),
+        Panel(f"{d.name}, b − a", unit or d.unit or "no unit", [Trace("b − a", second - first, "error")]),
+    ]

@@ -1,0 +1,44 @@
+"""What a run, a replay or another tool left: a folder, or a CSV whose first column is time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import Fault, InputError
+from cosim.kinds import LOG, check_given
+from cosim.results import Results, read_results
+from cosim.simulation.folder import manifest_in
+
+
+@dataclass(frozen=True)
+class Ran:
+    """Results read back: where from, as it is called, the manifest where there is one."""
+
+    path: Path
+    name: str
+    results: Results
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def criteria(self) -> list[dict[str, Any]]:
+        """Criteria as they came out."""
+        found = self.manifest.get("criteria")
+        return [c for c in found if isinstance(c, dict)] if isinstance(found, list) else []
+
+
+def read_ran(path: Path) -> Ran:
+    """Results in a folder or a CSV; InputError where there are none."""
+    if not path.is_dir():
+        check_given(path, LOG)
+        return Ran(path, path.stem, read_results(path))
+    csv = path / "results.csv"
+    if not csv.is_file():
+        cure = "give the folder that a run left, or a CSV"
+        raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
+    manifest = manifest_in(path)
+    units = manifest.get("units")
+    results = read_results(csv, units if isinstance(units, dict) else {})
+    return Ran(path, path.resolve().name, results, manifest)

@@ -1,0 +1,71 @@
+"""What a run came to, as said on the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cosim.errors import CriterionMissed
+from cosim.verbs.terminal import judged, say, say_json, say_more, show, table, warn
+
+if TYPE_CHECKING:
+    from cosim.simulation.workflow import Outcome
+
+SHOWN = 12  # signals whose values are told
+
+
+def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, values: bool = False) -> None:
+    """Warnings, criteria and where the files are; CriterionMissed where one is.
+
+    values: first and last value, least and largest of outputs, too
+    """
+    from cosim.simulation.criteria import sentence
+
+    criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
+    page = outcome.folder / "report.html" if report else None
+    for warning in outcome.manifest["warnings"]:
+        warn(warning)
+    if as_json:
+        say_json(_content(outcome))
+    else:
+        for line in _values(outcome) if values else []:
+            say(line)
+        for criterion in criteria:
+            say(judged(criterion["met"], sentence(criterion)))
+        timings = outcome.manifest["timings"]
+        say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, simulated in "
+                 f"{timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)")  # fmt: skip
+        say(f"results: {outcome.folder / 'results.csv'}")
+        if page is not None:
+            say(f"report:  {page}")
+    if page is not None and open_:
+        show(page)
+    if outcome.missed:
+        raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed")
+
+
+def _content(outcome: Outcome) -> dict[str, Any]:
+    """What a script asks of a run."""
+    folder, results = outcome.folder, outcome.results
+    page = folder / "report.html"
+    return {
+        "status": outcome.manifest["status"],
+        "criteria": outcome.manifest["criteria"],
+        "warnings": outcome.manifest["warnings"],
+        "rows": len(results.time),
+        "end": float(results.time[-1]) if len(results.time) else None,
+        "results": str(folder / "results.csv"),
+        "manifest": str(folder / "manifest.json"),
+        "report": str(page) if page.is_file() else None,
+    }
+
+
+def _values(outcome: Outcome) -> list[str]:
+    results = outcome.results
+    if not len(results.time):
+        return []
+    rows = []
+    for name in results.columns[:SHOWN]:
+        v = results[name]
+        rows.append((f"  {name}", results.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max()))))
+    more = [f"  … and {len(results.columns) - SHOWN} more signals"] if len(results.columns) > SHOWN else []
+    return [*table(("  signal", "unit", "first", "last", "least", "largest"), rows), *more]
