@@ -1,7 +1,62 @@
-"""x."""
+"""`cosim graph` and `cosim schema`: a scenario as a picture, the keys of files for editors."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
+from cosim.verbs.terminal import Open, say, say_json, show
+
+
+class Kind(str, Enum):
+    """Files whose keys are described."""
+
+    SCENARIO = "scenario"
+    STUDY = "study"
+    MODEL = "model"
+
 
 def register(app: typer.Typer) -> None:
-    """x."""
+    """Add these commands."""
+    app.command()(graph)
+    app.command()(schema)
+
+
+def graph(
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; the scenario's name without.")
+    ] = None,
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")] = False,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="path=value, over the scenario's own.")] = None,
+    open_: Open = False,
+) -> None:
+    """Draw a scenario: components in the order in which they step, signals, units, noise and faults."""
+    from cosim.files import atomic_write
+    from cosim.simulation.graph import graph_of
+
+    found = graph_of(scenario, set_ or ())
+    if mermaid:
+        typer.echo(found.mermaid(), nl=False)
+        return
+    path = Path(f"{scenario.stem}.svg") if out is None else out
+    if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):
+        from cosim.errors import Fault, InputError
+
+        why = "name an .svg or .mmd file" if path.parent.is_dir() else "its folder is not there; make it first"
+        raise InputError([Fault(path, 0, 0, why)])
+    with atomic_write(path) as stream:
+        stream.write(found.mermaid() if path.suffix.lower() == ".mmd" else found.svg())
+    say(f"graph: {path}")
+    if open_:
+        show(path)
+
+
+def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study or model.")]) -> None:
+    """Print the JSON schema of a file, for the completion of an editor."""
+    from cosim.schemas import schema_of
+
+    say_json(schema_of(kind.value))

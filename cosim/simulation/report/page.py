@@ -22,6 +22,7 @@ from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
 from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, starts
 from cosim.simulation.report.subject import Subject, subject_of
+from cosim.simulation.report.system import graph_of_run
 from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
 
@@ -63,6 +64,7 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
         "data": to_json(run.time, drawing.series, subject.data if subject else {}),
+        "diagram": _diagram(run),
         "provenance": provenance(run),
         "connections": connections(run),
         "starts": starts(run),
@@ -72,6 +74,12 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "own": bool(subject and subject.shown),
         **(subject.values if subject else {}),
     }
+
+
+def _diagram(run: Run) -> str:
+    """Components and connections as a picture; "" where nothing is connected."""
+    graph = graph_of_run(run)
+    return graph.svg(alone=False) if graph is not None and graph.links else ""
 
 
 def _speed(run: Run) -> list[Row]:
