@@ -20,9 +20,9 @@ from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, stages
 from cosim.version import __version__
 
 app = typer.Typer(
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Co-simulate FMUs, hold them against measured logs, and find what a model lacks.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")]

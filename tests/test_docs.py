@@ -60,7 +60,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
         )  # fmt: skip
         assert done.returncode == 0, (command, done.stderr)
         if command.startswith("run") and "--out again" in command:
-            results = [project / folder / "results.csv" for folder in ("results", "again")]
+            results = [project / folder / "results.csv" for folder in ("results/regulate", "again")]
             assert results[0].read_bytes() == results[1].read_bytes()
 
 

@@ -93,9 +93,9 @@ def test_a_design_is_made_for_the_nearest_model_where_it_asks_for_that(project: 
         assert not file.faults, file.faults
         return float(values["controller"]["mass"])
 
-    assert mass("{model: ../refined, nearest: true}") == 0.9
-    assert mass("{model: ../refined/model.yaml, nearest: true}") == 0.9
-    assert mass("{model: ../refined}") == 0.8
+    assert mass(f"{{model: {project}/refined, nearest: true}}") == 0.9
+    assert mass(f"{{model: {project}/refined/model.yaml, nearest: true}}") == 0.9
+    assert mass(f"{{model: {project}/refined}}") == 0.8
     for design, words in (
         ("{nearest: true}", "nearest is of a refine; name its folder as model"),
         ("{model: base, nearest: true}", "is of no refine, so there is no nearest model"),
@@ -109,8 +109,8 @@ def test_a_design_is_made_for_the_nearest_model_where_it_asks_for_that(project: 
 
 def test_a_run_takes_the_nearest_plant_and_a_controller_for_it(project: Path, plant_fmu: Path) -> None:
     refined = refine_left(project / "refined", fmu=plant_fmu)
-    settings = ["duration=0.1", "criteria={}", "design={model: ../refined/model.yaml}"]
-    settings += ["components.plant.fmu=../refined/plant.fmu"]
+    settings = ["duration=0.1", "criteria={}", f"design={{model: {project}/refined/model.yaml}}"]
+    settings += [f"components.plant.fmu={project}/refined/plant.fmu"]
     scenario = project / "scenarios" / "regulate.yaml"
     record = run(scenario, project / "out", settings, nearest=True, report=False).manifest
     assert record["fmus"]["plant"]["path"] == str(refined / "nearest.fmu")
@@ -130,7 +130,7 @@ def test_a_run_that_names_no_refine_or_repeats_another_is_told(project: Path, pl
         "name the FMU or the model.yaml that `cosim refine` left, or leave --nearest out"
     )
     refine_left(project / "refined", fmu=plant_fmu)
-    settings = ["duration=0.1", "criteria={}", "components.plant.fmu=../refined/plant.fmu"]
+    settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={project}/refined/plant.fmu"]
     run(scenario, project / "first", settings, report=False)
     with pytest.raises(InputError, match="a manifest repeats its run as it was; leave --nearest out"):
         run(project / "first" / "manifest.json", project / "again", nearest=True, report=False)

@@ -12,7 +12,12 @@ from cosim.yaml_file import NotNegative, Number, Part, Positive
 
 
 class Change(Part):
-    """A reference goes `to` a value `at` a time [s]: a step, or a ramp at `rate` a second."""
+    """A reference goes to a value at a time: a step, or a ramp.
+
+    at:   [s]
+    to:   the value
+    rate: slope of a ramp, per second; a step without
+    """
 
     at: NotNegative
     to: Number
@@ -20,7 +25,12 @@ class Change(Part):
 
 
 class Profile(Part):
-    """A reference over time: a start value and changes in order."""
+    """A reference over time: a start value and changes in order.
+
+    unit:    such as m or deg, which becomes rad
+    start:   value before the first change
+    changes: in the order of their times
+    """
 
     unit: str = ""
     start: Number = 0.0

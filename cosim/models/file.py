@@ -45,7 +45,13 @@ Value = Annotated[
 
 
 class ModelFile(BaseModel):
-    """The name of a model, or `file.py:Class` of one's own; parameters by FMI name; sensor errors apart."""
+    """The name of a model, its parameters by FMI name, sensor errors apart.
+
+    schema_version: of this file
+    model:          a name that is known, or `file.py:Class` of one's own
+    parameters:     name → value, in the unit of the parameter
+    sensors:        sensor error → value
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

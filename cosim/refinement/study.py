@@ -63,7 +63,11 @@ FileName = Annotated[str, AfterValidator(_file_name)]
 
 
 class LogLists(BaseModel):
-    """Files, relative to the study."""
+    """Files, relative to the study.
+
+    estimation: logs that are learnt from
+    validation: logs that are sealed until all is decided
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -72,7 +76,19 @@ class LogLists(BaseModel):
 
 
 class StudyFile(BaseModel):
-    """study.yaml. `noise`: standard deviation of a measured output where it is not the model's own."""
+    """A study: which model, and the logs that it is held against.
+
+    model:      a name that is known, a model.yaml, or `file.py:Class`
+    logs:       files, relative to the study
+    noise:      output → standard deviation of its sensor, where it is not the model's own
+    tolerance:  share by which base parameters may be off: of all, or by name
+    inputs:     held from row to row, or interpolated: all, or by name
+    candidates: effects, sensor errors and parameters that are tried; all without
+    columns:    name in the logs → name in the model, where they differ
+    per_log:    parameters of which each log has its own value
+    groups:     name → logs that share the values of per_log
+    limits:     of each call of an FMU in its replays
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -12,16 +12,22 @@ SLOT, LANE, MARGIN = 13, 15, 24  # [px] between lines side by side, between lane
 LEAST, ROUND = 150, 6  # [px] width of a box, radius of corners
 STYLE = """
 .diagram text { font: 12.5px var(--sans, system-ui, sans-serif); fill: var(--ink, #1b1f24); }
-.diagram .name { font-weight: 600; font-size: 13.5px; } .diagram .about, .diagram .key { fill: var(--soft, #58616b); font-size: 11px; }
-.diagram .unit { fill: var(--soft, #58616b); } .diagram .right { text-anchor: end; }
-.diagram .note-warn { fill: var(--warn, #755400); font-size: 11px; } .diagram .note-bad { fill: var(--bad, #a83200); font-size: 11px; }
-.diagram .box { fill: var(--card, #fff); stroke: var(--soft, #58616b); } .diagram .head { stroke: var(--rule, #e3e5e8); }
-.diagram .wire { fill: none; stroke: var(--accent, #0067a5); stroke-width: 1.6; } .diagram .held { stroke-dasharray: 6 4; }
+.diagram .name { font-weight: 600; font-size: 13.5px; } .diagram .right { text-anchor: end; }
+.diagram .unit { fill: var(--soft, #58616b); }
+.diagram .about, .diagram .key { fill: var(--soft, #58616b); font-size: 11px; }
+.diagram .note-warn { fill: var(--warn, #755400); font-size: 11px; }
+.diagram .note-bad { fill: var(--bad, #a83200); font-size: 11px; }
+.diagram .box { fill: var(--card, #fff); stroke: var(--soft, #58616b); }
+.diagram .head { stroke: var(--rule, #e3e5e8); }
+.diagram .wire { fill: none; stroke: var(--accent, #0067a5); stroke-width: 1.6; }
+.diagram .held { stroke-dasharray: 6 4; }
 .diagram .tip { fill: var(--accent, #0067a5); } .diagram .paper { fill: var(--paper, #fcfcfb); }
 """
 DARK = """
-@media (prefers-color-scheme: dark) { .diagram { --paper: #14171a; --card: #1a1e22; --ink: #e8eaed; --soft: #a6afb8; --rule: #2c3238;
-  --accent: #62b5ea; --warn: #e6c35c; --bad: #ff9d6e; } }
+@media (prefers-color-scheme: dark) {
+  .diagram { --paper: #14171a; --card: #1a1e22; --ink: #e8eaed; --soft: #a6afb8; --rule: #2c3238;
+    --accent: #62b5ea; --warn: #e6c35c; --bad: #ff9d6e; }
+}
 """
 
 
@@ -76,7 +82,9 @@ class Wire:
     title: str
 
 
-def diagram(boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Sequence[str] = (), *, alone: bool = True) -> str:
+def diagram(
+    boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Sequence[str] = (), *, alone: bool = True
+) -> str:
     """SVG of boxes from left to right and wires between them; lines that go back run below, over others above.
 
     alone: it stands in a file of its own, with colours for light and dark
@@ -87,7 +95,7 @@ def diagram(boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Seq
     above, below = _lanes(wires)
     top = MARGIN + LANE * len(above)
     left: list[float] = []
-    x = MARGIN + SLOT * (1 + len(gaps[0]))
+    x: float = MARGIN + SLOT * (1 + len(gaps[0]))
     for number, box in enumerate(boxes):
         left.append(x)
         x += box.width + SLOT * (3 + len(gaps[number + 1]))
@@ -97,7 +105,9 @@ def diagram(boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Seq
         path = _path(number, wire, boxes, left, top, bottom, gaps, above, below)
         parts.append(path)
     key_top = bottom + LANE * len(below) + 22
-    parts += [f'<text class="key" x="{MARGIN}" y="{key_top + 15 * k:.0f}">{escape(key)}</text>' for k, key in enumerate(keys)]
+    parts += [
+        f'<text class="key" x="{MARGIN}" y="{key_top + 15 * k:.0f}">{escape(key)}</text>' for k, key in enumerate(keys)
+    ]
     width, height = x - SLOT + MARGIN / 2, key_top + 15 * len(keys)
     shown = max([width, *(MARGIN * 2 + SMALL * len(key) for key in keys)])
     style = f"<style>{STYLE}{DARK if alone else ''}</style>"

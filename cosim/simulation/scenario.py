@@ -49,14 +49,24 @@ BLOCKS = ("reference", "playback")
 
 
 class Noise(Part):
-    """Gaussian noise and bias that a connection adds, in the square of the signal's unit and in its unit."""
+    """Gaussian noise and bias that a connection adds, in the square of the signal's unit and in its unit.
+
+    variance: in the square of the unit of the input
+    bias:     in the unit of the input
+    """
 
     variance: NotNegative = 0.0
     bias: Number = 0.0
 
 
 class Connection(Part):
-    """From one output to one input, `component.variable`; `factor` in place of the conversion of their units."""
+    """From one output to one input.
+
+    from:   the output, `component.variable`
+    to:     the input, `component.variable`; it has one source
+    noise:  what the connection adds
+    factor: in place of the conversion of their units
+    """
 
     source: Variable = Field(alias="from")
     target: Variable = Field(alias="to")
@@ -67,6 +77,12 @@ class Connection(Part):
 class Disturbance(Part):
     """A fault on the connection to an input, from one time to another [s], in the unit of that input.
 
+    on:   the input, `component.variable`
+    from: when it begins [s]; at the start without
+    to:   when it ends [s]; at the end without
+    value: in the unit of the input
+    probability: of each sample, 0 … 1
+    delay: [s]
     kind: bias adds `value`; scale multiplies by it; stuck puts it in place; freeze holds what came last; dropout
     loses samples with `probability` and holds the last that came; spike adds `value`, once or with `probability`
     at each sample; delay passes on what came `delay` [s] before
@@ -82,7 +98,11 @@ class Disturbance(Part):
 
 
 class Event(Part):
-    """Values that parameters and inputs get at a time [s], `component.variable` → value."""
+    """Values that parameters and inputs get at a time.
+
+    at:  [s]; at the first communication point that is not before
+    set: `component.variable` → value
+    """
 
     at: Number
     set: dict[Variable, Annotated[Any, AfterValidator(_scalar)]] = Field(min_length=1)
@@ -91,12 +111,15 @@ class Event(Part):
 class FmuComponent(Part):
     """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`.
 
+    fmu:     the file, relative to the scenario
+    start:   variable → value: parameters, and inputs that nothing feeds
     process: `own` for one that shares its process with no other FMU
     interface: how it is run where it offers both
     step:      its communication step [s], a whole multiple of the scenario's
     tolerance: relative, of its solver
     logging:   its debug messages are asked for
     solver:    of model exchange
+    sha256:    of the file; a manifest has it
     """
 
     fmu: str
@@ -111,14 +134,23 @@ class FmuComponent(Part):
 
 
 class ReferenceComponent(Part):
-    """Reference signals made by steps and ramps."""
+    """Reference signals made by steps and ramps.
+
+    block:   reference
+    signals: name → unit, start value and changes
+    """
 
     block: Literal["reference"]
     signals: dict[str, Profile] = Field(min_length=1)
 
 
 class PlaybackComponent(Part):
-    """Columns of a CSV file, each value held until the next row."""
+    """Columns of a CSV file, each value held until the next row.
+
+    block:  playback
+    file:   the CSV, relative to the scenario; its first column is time [s]
+    sha256: of the file; a manifest has it
+    """
 
     block: Literal["playback"]
     file: str
@@ -128,6 +160,7 @@ class PlaybackComponent(Part):
 class Design(Part):
     """Start values of a controller designed before the run; further keys are the designer's (`cosim.registry`).
 
+    `component`: the FMU that gets them
     `model`: a model file, from whose equations its numbers are taken; those given beside it win
     `nearest`: of the refine that left it, the model that came nearest
     """
@@ -140,7 +173,15 @@ class Design(Part):
 
 
 class Criterion(Part):
-    """A figure of merit and its limit; `to` is a number or another signal, `after` and `until` bound the time [s]."""
+    """A figure of merit and its limit.
+
+    of:    the signal, `component.variable`
+    to:    what it is held against, a number or another signal; 0 without
+    band:  of settling_time, in the unit of the signal
+    after: from when on it is looked at [s] after the start
+    until: up to when [s] after the start
+    max:   most that it may be, in the unit of the signal; of settling_time [s]
+    """
 
     of: Variable
     to: Number | Variable = 0.0
@@ -166,7 +207,27 @@ Component = Annotated[
 
 
 class Scenario(Part):
-    """One co-simulation."""
+    """One co-simulation.
+
+    name:        shown in the report; results go to results/NAME
+    description: shown in the report
+    duration:    [s], a whole number of steps
+    step:        communication step [s]
+    start_time:  [s]
+    seed:        of every random stream; the same seed gives the same bytes
+    algorithm:   gauss-seidel steps one after the other, jacobi all from the values of the step's start
+    order:       components with inputs, in the order in which they step; where their FMUs do not settle it
+    noise:       on or off, of all connections
+    tolerance:   relative, of the solvers; each FMU's own without
+    record:      patterns such as `plant.*`: locals and parameters recorded beside inputs and outputs
+    design:      start values of a controller designed before the run
+    components:  name → FMU, reference or recording
+    connections: from outputs to inputs
+    events:      values that parameters and inputs get at a time
+    faults:      what disturbs a connection
+    criteria:    what must hold; a missed one exits 5
+    limits:      how long and how large a run may get
+    """
 
     name: str
     description: str = ""

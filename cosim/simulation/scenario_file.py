@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import os
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -13,6 +14,7 @@ from pydantic import ValidationError
 
 from cosim.errors import Fault, InputError
 from cosim.kinds import MANIFEST, SCENARIO, kind_by_keys, kind_by_name, refuse_other
+from cosim.registry import BASE, MODELS
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
 from cosim.yaml_nodes import Document, NotYaml
@@ -193,7 +195,7 @@ def _override(path: Path, data: dict[str, Any], text: str) -> None:
     else:
         last = keys[-1]
         if isinstance(node, dict) and (last in node or len(keys) - 1 not in NAMED.get(keys[0], ())):
-            node[last] = _value(value)
+            node[last] = _from_here(keys, _value(value))
             return
         if isinstance(node, list) and (place := _place(last, node)) is not None:
             node[place] = _value(value)
@@ -215,6 +217,23 @@ def _keys(target: str) -> list[str]:
     if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
         return [*keys[:3], ".".join(keys[3:])]
     return keys
+
+
+FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys below these whose values are names of files
+
+
+def _from_here(keys: Sequence[str], value: Any) -> Any:
+    """A value of --set, its names of files taken from the current folder: there they were typed."""
+    named = FILES.get(keys[0], ())
+    inner = keys[2:] if keys[0] == "components" else keys[1:]
+    if isinstance(value, dict) and not inner:
+        return {key: _whole(v) if key in named else v for key, v in value.items()}
+    return _whole(value) if len(inner) == 1 and inner[0] in named else value
+
+
+def _whole(name: Any) -> Any:
+    """The whole path of a file's name; what is no such name stays."""
+    return os.path.abspath(name) if isinstance(name, str) and name and name not in MODELS and name != BASE else name
 
 
 def _value(text: str) -> Any:

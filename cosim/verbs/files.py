@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import typer
 from cosim.verbs.terminal import Open, say, say_json, show
 
 
-class Kind(str, Enum):
+class Kind(StrEnum):
     """Files whose keys are described."""
 
     SCENARIO = "scenario"
@@ -28,9 +28,12 @@ def register(app: typer.Typer) -> None:
 def graph(
     scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; the scenario's name without.")
+        Path | None,
+        typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; the scenario's name without."),
     ] = None,
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")] = False,
+    mermaid: Annotated[
+        bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")
+    ] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="path=value, over the scenario's own.")] = None,
     open_: Open = False,
 ) -> None:

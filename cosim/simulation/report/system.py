@@ -102,9 +102,7 @@ def graph_of_run(run: Run) -> Graph | None:
     return graph_from(run.scenario, [str(name) for name in order], {str(h) for h in held}, run.results.units)
 
 
-def graph_from(
-    scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]
-) -> Graph:
+def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]) -> Graph:
     """The picture of a scenario's mapping, with the order of its components and the inputs that are held."""
     components = mapping(scenario.get("components"))
     about = {name: _about(mapping(components.get(name))) for name in order}
