@@ -95,7 +95,7 @@ def context(c: Compared) -> Mapping[str, Any]:
     drawn = [d for d in ranked if d.name in c.values][:DRAWN]
     drawing = Drawing(c.time, 3 * len(drawn))
     panels = [panel for d in drawn for panel in _panels(c, d)]
-    plots = drawing.with_values(panels)
+    plots = drawing.plots(panels)
     return {
         "a": c.a, "b": c.b, "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
@@ -103,7 +103,7 @@ def context(c: Compared) -> Mapping[str, Any]:
         "rows": [_row(d) for d in ranked],
         "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
         "plots": plots, "undrawn": len(ranked) - len(drawn), "only_a": c.only_a, "only_b": c.only_b,
-        "data": to_json(c.time, drawing.series),
+        "data": to_json(drawing.series),
         "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
         "version": __version__,
     }  # fmt: skip

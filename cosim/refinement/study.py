@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from cosim.errors import Fault, InputError
+from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
 from cosim.kinds import STUDY, kind_by_keys, kind_by_name, refuse_other
@@ -31,6 +32,7 @@ from plant.model import Model
 from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
+SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise
 FINEST, COARSEST = 1e-12, 1e3  # of the largest reading, beyond which a standard deviation is no sensor's
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Between = Literal["held", "interpolated"]
@@ -210,6 +212,7 @@ def read_study(path: Path) -> Study:
         logs[part] += whole
     faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
     faults += _listed_twice(yaml, content.logs, digests)
+    faults += _too_few(yaml, content, loaded, logs["estimation"])
     faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
         raise InputError(faults)
@@ -275,6 +278,18 @@ def _too_short(log: Log, horizon: float) -> Fault:
     what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
     cure = f"it takes {least} s, and {plain(20 * log.slowness)} s and more tell more; log longer or leave it out"
     return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
+
+
+def _too_few(yaml: YamlFile, content: StudyFile, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
+    """Tables with fewer rows than it takes to recalibrate the model, to add one parameter, and to see the noise."""
+    if not logs or not loaded.model.static:
+        return
+    numbers = len(tolerances(loaded.model, content.tolerance_of(loaded.model)))
+    rows, least = sum(len(log.time) for log in logs), numbers + 1 + SPARE
+    if rows < least:
+        of = f"{counted(numbers, 'number')} that may be off, one that is missing, and {SPARE} more to see the noise"
+        text = f"{counted(rows, 'row')} to learn from, and it takes {least}: {of}; measure more"
+        yield yaml.fault(("logs", "estimation"), text)
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:

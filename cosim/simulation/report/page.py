@@ -27,6 +27,7 @@ from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
@@ -51,7 +52,7 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
     """Everything the template names."""
     judged = criteria(run)
-    others = signal_panels(run, subject.shown if subject else frozenset()) if run.time.size else []
+    links, others = _panels(run, subject.shown if subject else frozenset()) if run.time.size else ([], [])
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
@@ -59,11 +60,12 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
         "badges": badges(run, judged),
         "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
-        "others": drawing.without_values(others),
+        "links": drawing.plots(links),
+        "others": drawing.plots(others),
         "criteria": judged,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
-        "data": to_json(run.time, drawing.series, subject.data if subject else {}),
+        "data": to_json(drawing.series, subject.data if subject else {}),
         "diagram": _diagram(run),
         "provenance": provenance(run),
         "connections": connections(run),
@@ -87,6 +89,30 @@ def _speed(run: Run) -> list[Row]:
     if not math.isfinite(factor):
         return []
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
+
+
+def _panels(run: Run, shown: frozenset[str]) -> tuple[list[Panel], list[Panel]]:
+    """A panel a connection, and panels of all other signals, of what is not `shown` elsewhere."""
+    links = connection_panels(run, shown)
+    return list(links.values()), signal_panels(run, shown.union(*links))
+
+
+def connection_panels(run: Run, shown: frozenset[str] = frozenset()) -> dict[tuple[str, str], Panel]:
+    """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
+    panels: dict[tuple[str, str], Panel] = {}
+    for link in connections(run):
+        ends = (link.source, link.target)
+        recorded = all(end in run.results and end not in shown for end in ends)
+        if not recorded or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MOST_CONNECTIONS:
+            continue
+        unit, factor = display(run.unit(link.target))
+        sent, arrived = (run.results[end] * factor for end in ends)
+        as_sent = Trace(link.source, sent, "true")
+        other = Trace(f"{link.target}, {link.noise}" if link.noise else link.target, arrived, "estimate")
+        traces = [as_sent] if np.array_equal(sent, arrived, equal_nan=True) else [other, as_sent]
+        title = f"{link.source} → {link.target}"
+        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _marked(run, ends, traces))
+    return panels
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
