@@ -1,7 +1,7 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`build`, `run`, `replay`, `refine`, `excite` and `check` are the verbs of the command line as functions; each is
-imported when it is first asked for.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite` and `compare` are the verbs of the command line as
+functions, `read` reads what they left; each is imported when it is first asked for. docs/python.md shows them.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.checks import check_files as check
+    from cosim.api import check, compare, read, refine, replay, run, simulate
     from cosim.experiment.excite import excite
     from cosim.models.fmus import build
-    from cosim.refinement.workflow import refine
-    from cosim.residuals.workflow import replay
-    from cosim.simulation.workflow import run
 
-__all__ = ["build", "check", "excite", "refine", "replay", "run"]
+__all__ = ["build", "check", "compare", "excite", "read", "refine", "replay", "run", "simulate"]
 
 _PLACES = {
-    "build": ("cosim.models.fmus", "build"),
-    "check": ("cosim.checks", "check_files"),
-    "excite": ("cosim.experiment.excite", "excite"),
-    "refine": ("cosim.refinement.workflow", "refine"),
-    "replay": ("cosim.residuals.workflow", "replay"),
-    "run": ("cosim.simulation.workflow", "run"),
+    "build": "cosim.models.fmus",
+    "check": "cosim.api",
+    "compare": "cosim.api",
+    "excite": "cosim.experiment.excite",
+    "read": "cosim.api",
+    "refine": "cosim.api",
+    "replay": "cosim.api",
+    "run": "cosim.api",
+    "simulate": "cosim.api",
 }
 
 
@@ -36,5 +36,4 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _PLACES[name]
-    return getattr(import_module(module), attribute)
+    return getattr(import_module(_PLACES[name]), name)

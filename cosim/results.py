@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -101,10 +101,11 @@ def cell(value: Any) -> str:
 # -- read back ------------------------------------------------------------------------------------
 
 
-def read_results(path: Path, units: Mapping[str, str] | None = None) -> Results:
+def read_results(path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = ()) -> Results:
     """Results that were written, or any CSV whose first column is `time`; InputError where it is none.
 
     units: of columns whose header says none
+    text:  columns that are no numbers, whatever they look like; others are told by their cells
     """
     header, rows = _cells(path)
     named = [parted(text, units or {}) for text in header]
@@ -118,6 +119,9 @@ def read_results(path: Path, units: Mapping[str, str] | None = None) -> Results:
     numbers: dict[str, Array] = {}
     exact: dict[str, list[str]] = {}
     for (name, _), cells in zip(named, zip(*rows, strict=True) if rows else ((),) * len(named), strict=True):
+        if name in text:
+            exact[name] = list(cells)
+            continue
         try:
             numbers[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
         except ValueError:
@@ -126,7 +130,7 @@ def read_results(path: Path, units: Mapping[str, str] | None = None) -> Results:
         raise InputError([Fault(path, 2, 1, "a time is no number")])
     time = numbers.pop("time")
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    return Results(time, tuple(numbers), values, {**dict(named), **(units or {})}, exact)
+    return Results(time, tuple(numbers), values, {**{n: u for n, u in named[1:] if u}, **(units or {})}, exact)
 
 
 def _cells(path: Path) -> tuple[list[str], list[list[str]]]:

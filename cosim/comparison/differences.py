@@ -147,9 +147,10 @@ def _of_numbers(
     a: Ran, b: Ran, name: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float
 ) -> Difference:
     unit, other = a.results.units.get(name, ""), b.results.units.get(name, "")
-    both = np.isnan(first) & np.isnan(second)
-    gap = np.where(both, 0.0, np.abs(second - first))
-    gap = np.where(np.isnan(gap) & ~(first == second), np.inf, np.where(first == second, 0.0, gap))
+    same = (first == second) | (np.isnan(first) & np.isnan(second))
+    finite = np.isfinite(first) & np.isfinite(second)
+    gap = np.where(same, 0.0, np.inf)
+    gap[finite] = np.abs(second[finite] - first[finite])
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0

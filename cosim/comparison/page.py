@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.comparison.differences import Compared, Difference, compared, criteria_of
-from cosim.comparison.ran import read_ran
+from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.report.data import to_json
@@ -27,26 +27,29 @@ MADE = ("comparison.json", "report.html")
 
 
 def compare(
-    a: FilePath,
-    b: FilePath,
+    a: Ran,
+    b: Ran,
     folder: FilePath | None = None,
     *,
     tolerance: float | None = None,
     absolute: float = 0.0,
     report: bool = True,
+    write: bool = True,
 ) -> tuple[Compared, Path]:
-    """Hold run b against run a, each a folder or a CSV; leaves comparison.json and report.html in the folder returned.
+    """Hold run b against run a; leaves comparison.json and report.html in the folder returned.
 
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    Raises InputError where one cannot be read, or they share no signal or no time.
+    write:     without, nothing is left
+    Raises InputError where they share no signal or no time.
     """
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError([Fault(Path(a), 0, 0, f"{name} {value:g}: give a number that is not negative")])
-    first, second = read_ran(Path(a)), read_ran(Path(b))
-    made = compared(first, second, tolerance, absolute)
-    place = folder_named(f"{first.name} and {second.name}") if folder is None else Path(folder)
-    read = [p / "manifest.json" if p.is_dir() else p for p in (first.path, second.path)]
+            raise InputError([Fault(a.path, 0, 0, f"{name} {value:g}: give a number that is not negative")])
+    made = compared(a, b, tolerance, absolute)
+    place = folder_named(f"{a.name} and {b.name}") if folder is None else Path(folder)
+    if not write:
+        return made, place
+    read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
     if any((place / name).exists() for name in ("manifest.json", "refine.json", "residual.csv")):
         raise InputError([Fault(place, 0, 0, "holds what another command left; give another folder as --out")])
     check_writable(place, MADE, read)

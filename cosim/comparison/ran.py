@@ -40,5 +40,6 @@ def read_ran(path: Path) -> Ran:
         raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
     manifest = manifest_in(path)
     units = manifest.get("units")
-    results = read_results(csv, units if isinstance(units, dict) else {})
+    text = manifest.get("beside")
+    results = read_results(csv, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
     return Ran(path, path.resolve().name, results, manifest)

@@ -22,6 +22,7 @@ from cosim.files import check_writable
 from cosim.kinds import LOG, check_given
 from cosim.simulation.folder import check_ours
 from cosim.simulation.matching import Match, Matches, Port, matched, text
+from cosim.simulation.order import AlgebraicLoop, stages
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.start_values import settable
 from cosim.simulation.system import System, build_system
@@ -49,9 +50,14 @@ class Part:
     start: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def block(self) -> FmuBlock:
+        """It, unconnected and not loaded."""
+        return FmuBlock(self.name, self.path, self.description, {}, frozenset())
+
+    @property
     def ports(self) -> tuple[list[Port], list[Port]]:
         """Its inputs and outputs, of an array the first element alone."""
-        block = FmuBlock(self.name, self.path, self.description, {}, frozenset())
+        block = self.block
         both = (*block.inputs, *block.exact_inputs), (*block.outputs, *block.exact_outputs)
         order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
         inputs, outputs = (sorted(_whole(side), key=lambda s: order.get(s.array or s.name, 0)) for side in both)
@@ -244,13 +250,35 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
         raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
     parts = parts_of(fmus)
     inputs, outputs = ([p for part in parts for p in part.ports[side]] for side in (0, 1))
-    matches = matched(outputs, inputs)
+    matches = _without_loops(parts, matched(outputs, inputs))
     if len(parts) > 1 and not matches.found and not any(candidates for _, candidates in matches.left):
         raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs))])
     times = times_of(parts)
     with draft_of(path) as made:
         algorithm, system = _that_runs(made, path.parent, parts, matches, times)
     return Draft(path, parts, matches, times, algorithm, system.warnings)
+
+
+def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
+    """Leave out guesses that close a loop in which each needs the other's value of the same time."""
+    blocks = {part.name: part.block for part in parts}
+    sure = [m for m in matches.found if not m.guess]
+    if _loops(blocks, sure):
+        return matches
+    kept = list(sure)
+    for guess in (m for m in matches.found if m.guess):
+        kept += [] if _loops(blocks, [*kept, guess]) else [guess]
+    dropped = tuple((m.target, (text(m.source), *m.others)) for m in matches.found if m not in kept)
+    return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped))
+
+
+def _loops(blocks: Mapping[str, FmuBlock], matches: Sequence[Match]) -> bool:
+    edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
+    try:
+        stages(blocks, edges, None)
+    except AlgebraicLoop:
+        return True
+    return False
 
 
 def _that_runs(made: Path, folder: Path, parts: Sequence[Part], matches: Matches, times: Times) -> tuple[str, System]:

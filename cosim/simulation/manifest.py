@@ -77,6 +77,7 @@ def manifest(
         "seed": scenario.seed,
         "order": [stage.component.name for stage in system.stages],
         "held": [transfer.name for transfer in system.held],
+        "beside": list(system.beside),
         "units": {column: unit for column, unit in system.units.items() if unit},
         "items": {column: dict(s.items) for column, s in system.signals.items() if s.items},
         "fmus": {

@@ -81,7 +81,7 @@ def fit(source: Signal, target: Signal) -> bool:
 def alike(a: str, b: str) -> float:
     """How alike two names are, 0 … 1: their words in common, or beginnings of one another."""
     first, second = sorted((_words(a), _words(b)), key=len)
-    if not first or REFERENCES.isdisjoint(first) != REFERENCES.isdisjoint(second):
+    if not first or _is_reference(a) != _is_reference(b):
         return 0.0
     each = [max(_word(x, y) for y in second) for x in first]
     return sum(each) / len(each) * (0.75 + 0.25 * len(first) / len(second))
@@ -90,6 +90,10 @@ def alike(a: str, b: str) -> float:
 def _words(name: str) -> list[str]:
     found = [word.lower() for word in WORDS.findall(name)]
     return [word for word in found if word not in SAY_NOTHING] or found
+
+
+def _is_reference(name: str) -> bool:
+    return not REFERENCES.isdisjoint(_words(name))
 
 
 def _word(a: str, b: str) -> float:
@@ -132,7 +136,12 @@ def _best(
 
 def _only_ones(inputs: Sequence[Port], fits: Mapping[str, Sequence[Port]], used: Collection[str]) -> list[Match]:
     """Inputs for which one output alone is left, and which are alone in wanting it."""
-    free = {text(i): [o for o in fits[text(i)] if text(o) not in used] for i in inputs}
+    free = {
+        text(i): [
+            o for o in fits[text(i)] if text(o) not in used and _is_reference(o[1].name) == _is_reference(i[1].name)
+        ]
+        for i in inputs
+    }
     wanted = [text(sources[0]) for sources in free.values() if len(sources) == 1]
     return [
         Match(free[text(i)][0], i, "nothing else is left that fits")

@@ -231,6 +231,19 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
     return _whole(value) if len(inner) == 1 and inner[0] in named else value
 
 
+def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a scenario that is in no file, its names of files taken from the current folder."""
+    found = dict(data)
+    if isinstance(components := found.get("components"), Mapping):
+        found["components"] = {
+            name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
+            for name, c in components.items()
+        }
+    if isinstance(design := found.get("design"), Mapping):
+        found["design"] = _from_here(["design"], dict(design))
+    return found
+
+
 def _whole(name: Any) -> Any:
     """The whole path of a file's name; what is no such name stays."""
     return os.path.abspath(name) if isinstance(name, str) and name and name not in MODELS and name != BASE else name

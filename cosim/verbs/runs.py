@@ -38,11 +38,12 @@ def compare(
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
     from cosim.comparison.page import compare as compare_runs
     from cosim.comparison.page import sentence, shared
+    from cosim.comparison.ran import read_ran
     from cosim.text import amount
 
     if absolute and tolerance is None:
         tolerance = 0.0
-    made, folder = compare_runs(a, b, out, tolerance=tolerance, absolute=absolute, report=report)
+    made, folder = compare_runs(read_ran(a), read_ran(b), out, tolerance=tolerance, absolute=absolute, report=report)
     if as_json:
         say_json(made.as_json())
     else:

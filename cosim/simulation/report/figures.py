@@ -57,6 +57,16 @@ def _signals(folder: Path, run: Run) -> list[Path]:
 
 def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
     """Panels over time in one file, two beside each other."""
+    return save(_sheet(run, panels), path)
+
+
+def figure_of(results: Results, names: Sequence[str]) -> Figure:
+    """Signals over time, those of one unit over each other."""
+    run = recorded(results, {})
+    return _sheet(run, signal_panels(run, frozenset(results.columns) - set(names)))
+
+
+def _sheet(run: Run, panels: Sequence[Panel]) -> Figure:
     from matplotlib.figure import Figure
 
     columns = 1 if len(panels) == 1 else 2
@@ -67,7 +77,7 @@ def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
         _panel(ax, run, panel)
     for ax in axes[len(panels) :]:
         ax.set_axis_off()
-    return save(figure, path)
+    return figure
 
 
 def _panel(ax: Axes, run: Run, panel: Panel) -> None:

@@ -1,0 +1,154 @@
+"""Two runs held against each other, and the page of a run made again."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.comparison.differences import Compared, compared
+from cosim.comparison.ran import Ran
+from cosim.errors import InputError
+from cosim.results import Results, read_results
+from tests.test_first_steps import told
+from tests.typed import typed_fmu
+
+TIME = np.linspace(0, 1, 101)
+
+
+def ran(name: str = "a", time: np.ndarray = TIME, **signals: np.ndarray) -> Ran:
+    return Ran(Path(name), name, Results(time, tuple(signals), np.column_stack(list(signals.values()))))
+
+
+def held(a: np.ndarray, b: np.ndarray, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+    return compared(ran(x=a), ran("b", x=b), tolerance, absolute)
+
+
+def test_equal_runs_differ_by_nothing_and_are_within_no_tolerance() -> None:
+    found = held(np.sin(TIME), np.sin(TIME), 0.0)
+    assert found.same
+    assert found.differences[0].largest == 0
+
+
+def test_a_tolerance_is_a_share_of_the_range_and_what_is_beyond_it_is_named() -> None:
+    a = 10 * TIME
+    b = a + np.where(TIME == TIME[30], 0.2, 0.0)
+    (found,) = held(a, b, 0.019).beyond
+    assert (found.name, found.at, found.largest) == ("x", TIME[30], pytest.approx(0.2))
+    assert found.share == pytest.approx(0.02)
+    assert held(a, b, 0.021).same
+    assert held(a, b, 0.0, absolute=0.21).same
+
+
+def test_a_constant_signal_is_held_against_its_size() -> None:
+    assert held(np.full(101, 50.0), np.full(101, 50.4), 0.01).same
+    assert not held(np.full(101, 50.0), np.full(101, 50.6), 0.01).same
+
+
+def test_a_number_that_one_run_alone_has_is_beyond_every_tolerance_and_one_that_neither_has_is_not() -> None:
+    hole = np.where(TIME > 0.5, np.nan, TIME)
+    assert not held(TIME, hole, 1e9).same
+    assert held(hole, hole, 0.0).same
+    infinite = np.where(TIME > 0.5, np.inf, TIME)
+    assert held(infinite, infinite, 0.0).same
+
+
+def test_other_times_are_met_by_straight_lines_between_rows() -> None:
+    fine = np.linspace(0, 1, 1001)
+    found = compared(ran(x=3 * TIME), ran("b", fine, x=3 * fine), 1e-9)
+    assert not found.aligned
+    assert found.same
+
+
+def test_a_run_that_ends_before_the_other_is_not_the_same() -> None:
+    found = compared(ran(x=TIME), ran("b", TIME[:50], x=TIME[:50]), 0.0)
+    assert found.beyond == []
+    assert not found.same
+    assert found.shorter == "b ends at 0.49 s, a at 1 s"
+
+
+def test_runs_that_share_no_signal_or_no_time_are_told_so() -> None:
+    with pytest.raises(InputError, match="b: shares no signal with a: it has y; that has x"):
+        compared(ran(x=TIME), ran("b", y=TIME))
+    with pytest.raises(InputError, match=r"b: shares no time with a: it has 5 … 6 s, that 0 … 1 s"):
+        compared(ran(x=TIME), ran("b", TIME + 5, x=TIME))
+
+
+def test_signals_of_one_run_alone_are_listed() -> None:
+    found = compared(ran(x=TIME, y=TIME), ran("b", x=TIME, z=TIME))
+    assert (found.only_a, found.only_b) == (("y",), ("z",))
+
+
+def two_runs(folder: Path) -> tuple[Path, Path]:
+    fmu = typed_fmu(folder)
+    for name, value in (("a", 1.0), ("b", 1.5)):
+        told("simulate", fmu, "--set", f"r_in={value}", "--stop", "0.2", "--step", "0.1", "--out", folder / name)
+    return folder / "a", folder / "b"
+
+
+def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: Path) -> None:
+    a, b = two_runs(tmp_path)
+    out = ["--out", tmp_path / "c"]
+    told("compare", a, b, *out)
+    page = (tmp_path / "c" / "report.html").read_text()
+    assert "typed.r_out, b − a" in page
+    assert told("compare", a, b, "--tol", "0.6", *out)
+    assert "signals beyond the tolerance" in told("compare", a, b, "--tol", "0.4", *out, code=5)
+    record = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert record["within"] is False
+    (r_out,) = (s for s in record["signals"] if s["name"] == "typed.r_out")
+    assert (r_out["largest"], r_out["beyond"]) == (0.5, True)
+
+
+def test_compare_takes_csvs_of_other_tools(tmp_path: Path) -> None:
+    for name, last in (("a", 1.0), ("b", 1.1)):
+        (tmp_path / f"{name}.csv").write_text(f"time,x [m]\n0,0\n1,{last}\n")
+    told("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.11", "--out", tmp_path / "c")
+    told("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.09", "--out", tmp_path / "c", code=5)
+
+
+def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.csv").touch()
+    (tmp_path / "ragged.csv").write_text("time,x\n0,0\n1\n")
+    (tmp_path / "late.csv").write_text("x,time\n0,0\n")
+    fmu = typed_fmu(tmp_path)
+    for given, words in (
+        (tmp_path / "empty", "holds no results.csv; give the folder that a run left, or a CSV"),
+        (tmp_path / "empty.csv", "is empty"),
+        (tmp_path / "none", "no such file"),
+        (tmp_path / "ragged.csv", "ragged.csv:3:1: has 1 cell, the header 2"),
+        (tmp_path / "late.csv", 'the first column is "x"; it must be "time" [s]'),
+        (fmu, "is an FMU, not a log"),
+    ):
+        assert words in told("compare", given, given, code=2)
+    for given, words in (
+        (tmp_path / "empty", "holds no manifest.json; give the folder that `cosim run` left"),
+        (tmp_path / "none", "no such file"),
+        (fmu, "is an FMU, not a folder that a run left"),
+    ):
+        assert words in told("report", given, code=2)
+
+
+def test_the_page_of_a_run_is_the_same_when_it_is_made_again(tmp_path: Path) -> None:
+    a, _ = two_runs(tmp_path)
+    before = (a / "report.html").read_bytes()
+    (a / "report.html").unlink()
+    told("report", a)
+    assert (a / "report.html").read_bytes() == before
+    (a / "results.csv").write_text("time,typed.r_out\n")
+    assert "has no rows: the run stopped before its first" in told("report", a, code=2)
+
+
+def test_results_are_read_back_as_they_were_written(tmp_path: Path) -> None:
+    values = np.array([[0.1, 1e300], [math.nan, -0.0]])
+    written = Results(np.array([0.0, 0.1]), ("a.x", "a.p[1]"), values, exact={"a.s": ["ü,", 'x"']})
+    written.write_csv(tmp_path / "r.csv")
+    read = read_results(tmp_path / "r.csv", {"a.x": "m"})
+    assert read.columns == written.columns
+    np.testing.assert_array_equal(read.values, values)
+    assert read.exact == {"a.s": ["ü,", 'x"']}
+    assert read.units["a.x"] == "m"

@@ -1,0 +1,254 @@
+"""From FMUs of others to a run: what they have, a first scenario of them, one run without a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cosim.api import run
+from cosim.blocks.interface import Signal
+from cosim.checks import check_files
+from cosim.cli import app
+from cosim.errors import CosimError, InputError
+from cosim.kinds import READ_BY
+from cosim.results import read_results
+from cosim.simulation.draft import scalar
+from cosim.simulation.matching import Port, matched, text
+from tests.typed import typed_fmu
+
+EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'
+RUNS = '<DefaultExperiment startTime="0" stopTime="2" stepSize="0.5"/>'
+
+
+def told(*arguments: str | Path, code: int = 0) -> str:
+    """What a command says on stdout, or of what is wrong, with its exit code."""
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    if isinstance(done.exception, CosimError):
+        assert done.exception.exit_code == code, done.exception
+        return str(done.exception)
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+def connected(
+    outputs: Sequence[tuple[str, Signal]], inputs: Sequence[tuple[str, Signal]]
+) -> dict[str, tuple[str, str]]:
+    found = matched(outputs, inputs).found
+    return {text(m.target): (text(m.source), m.guess) for m in found}
+
+
+def port(name: str, unit: str = "", kind: str = "Real") -> Port:
+    component, _, variable = name.partition(".")
+    return component, Signal(variable, unit, kind=kind)
+
+
+# -- info -----------------------------------------------------------------------------------------
+
+
+def test_info_lists_types_units_defaults_capabilities_platforms_and_states(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, units=("rpm", "rad/s"))
+    shown = told("info", fmu)
+    for line in (
+        "  r_in  Real         rpm   0",
+        "  e_in  Enumeration        1 (first)  1 first, 2 second",
+        "  co-simulation: canHandleVariableCommunicationStepSize",
+        "  platforms: linux64",
+        "  states: 2 (h, v)",
+        "  default experiment: tolerance 0.003",
+    ):
+        assert line in shown, shown
+    found = json.loads(told("info", fmu, "--json"))
+    (r_in,) = (v for v in found["variables"] if v["name"] == "r_in")
+    assert (r_in["causality"], r_in["unit"], r_in["start"]) == ("input", "rpm", "0")
+    assert found["ways"] == ["co-simulation", "model-exchange"]
+
+
+@pytest.mark.parametrize("verb", ["info", "init", "simulate"])
+def test_what_is_no_fmu_is_named_with_the_command_that_reads_it(tmp_path: Path, verb: str) -> None:
+    (tmp_path / "empty.fmu").touch()
+    (tmp_path / "log.csv").write_text("time,x\n0,0\n")
+    (tmp_path / "s.yaml").write_text("name: s\ncomponents: {}\n")
+    for given, words in (
+        (tmp_path, "is a folder, not an FMU"),
+        (tmp_path / "none.fmu", "no such file; give an FMU"),
+        (tmp_path / "empty.fmu", "is empty; give an FMU"),
+        (tmp_path / "log.csv", f"is a log, not an FMU: {READ_BY['a log'].format(file=tmp_path / 'log.csv')}"),
+        (tmp_path / "s.yaml", "is a scenario, not an FMU: `cosim run"),
+    ):
+        out = ["--out", tmp_path / "made.yaml"] if verb == "init" else []
+        assert words in told(verb, given, *out, code=2)
+    assert not (tmp_path / "made.yaml").exists()
+
+
+def test_every_file_that_is_no_fmu_is_told_at_once(tmp_path: Path) -> None:
+    assert len(told("info", tmp_path, tmp_path / "none.fmu", code=2).splitlines()) == 2
+
+
+# -- which output goes to which input -------------------------------------------------------------
+
+
+def test_the_same_name_connects_and_is_no_guess() -> None:
+    found = connected([port("a.x", "m"), port("a.u", "V")], [port("b.u", "V"), port("b.x", "mm")])
+    assert found == {"b.u": ("a.u", ""), "b.x": ("a.x", "")}
+
+
+def test_a_name_of_another_dimension_or_type_is_not_connected() -> None:
+    assert connected([port("a.x", "m")], [port("b.x", "s")]) == {}
+    assert connected([port("a.x")], [port("b.x", kind="Boolean")]) == {}
+
+
+def test_an_output_is_never_connected_to_its_own_component() -> None:
+    assert connected([port("a.x")], [port("a.x")]) == {}
+
+
+def test_similar_names_are_a_guess_the_likelier_with_one_unit() -> None:
+    found = connected(
+        [port("tank.level"), port("motor.speed", "rpm"), port("motor.torque", "N.m")],
+        [port("control.tankLevel"), port("load.motor_speed", "rad/s")],
+    )
+    assert found == {
+        "control.tankLevel": ("tank.level", "similar name"),
+        "load.motor_speed": ("motor.speed", "similar name, same unit"),
+    }
+
+
+def test_a_measured_value_is_not_guessed_to_be_its_own_reference() -> None:
+    sources = [port("plant.x", "m"), port("plant.y", "m")]
+    assert connected(sources, [port("control.x", "m"), port("control.x_ref", "m")]) == {"control.x": ("plant.x", "")}
+
+
+def test_what_alone_is_left_to_fit_is_a_guess() -> None:
+    assert connected([port("a.y")], [port("b.u")]) == {"b.u": ("a.y", "nothing else is left that fits")}
+
+
+def test_several_outputs_of_one_name_are_a_guess_that_names_the_others() -> None:
+    (match,) = matched([port("a.x"), port("b.x")], [port("c.x")]).found
+    assert match.guess
+    assert match.others == ("b.x",)
+
+
+# -- init -----------------------------------------------------------------------------------------
+
+
+def test_the_scenario_that_init_writes_checks_and_runs_and_converts_units(tmp_path: Path) -> None:
+    rpm = typed_fmu(tmp_path, name="rpm", units=("rpm", "rpm"), **{EXPERIMENT: RUNS})
+    si = typed_fmu(tmp_path, name="si", units=("rad/s", "rad/s"))
+    written = tmp_path / "scenario.yaml"
+    said = told("init", rpm, si, "--out", written)
+    assert "si.r_out → rpm.r_in   guess: similar name, same unit" in said
+    content = written.read_text()
+    assert "{from: si.r_out, to: rpm.r_in} # guess: similar name, same unit; rad/s to rpm, converted" in content
+    assert "# - {from: rpm.r_out, to: si.r_in}" in content  # the other way it would be an algebraic loop
+    assert "duration: 2 # s: the default experiment of rpm" in content
+    assert check_files(written) == []
+    values = run(written, set={"components.si.start.r_in": 2 * math.pi})
+    assert values["rpm.r_in"][-1] == pytest.approx(60, rel=1e-12)
+    assert values.time[-1] == 2.0
+
+
+def test_init_never_writes_over_a_file(tmp_path: Path) -> None:
+    fmu, written = typed_fmu(tmp_path), tmp_path / "scenario.yaml"
+    written.write_text("mine")
+    assert "is there already; it is never written over" in told("init", fmu, "--out", written, code=2)
+    assert written.read_text() == "mine"
+
+
+def test_fmus_that_cannot_be_connected_are_told_why_and_nothing_is_written(tmp_path: Path) -> None:
+    deaf = {'causality="input"': 'causality="local"'}
+    fmus = [typed_fmu(tmp_path, name=name, **deaf) for name in ("one", "two")]
+    words = "one.fmu and two.fmu cannot be connected: they have no inputs"
+    assert words in told("init", *fmus, "--out", tmp_path / "scenario.yaml", code=2)
+    assert not (tmp_path / "scenario.yaml").exists()
+
+
+def test_two_of_one_name_get_names_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    fmus = [typed_fmu(tmp_path), typed_fmu(tmp_path / "a")]
+    told("init", *fmus, "--out", tmp_path / "scenario.yaml")
+    assert "  typed_2:" in (tmp_path / "scenario.yaml").read_text()
+
+
+@pytest.mark.parametrize("value", ["on", "no", "a: b", "x # y", "p.e[1]", '"', "é ü", ""])
+def test_a_name_that_yaml_would_misread_stands_in_quotes(value: str) -> None:
+    from cosim.yaml_nodes import Document
+
+    assert Document(f"{{x: {scalar(value)}}}").data == {"x": value}
+
+
+# -- simulate -------------------------------------------------------------------------------------
+
+
+def test_one_fmu_runs_over_its_default_experiment_and_its_scenario_repeats_it(tmp_path: Path) -> None:
+    fmu, out = typed_fmu(tmp_path, **{EXPERIMENT: RUNS}), tmp_path / "out"
+    told("simulate", fmu, "--set", "r_in=3", "--out", out)
+    assert {p.name for p in out.iterdir()} == {"scenario.yaml", "results.csv", "manifest.json", "report.html"}
+    rows = read_results(out / "results.csv")
+    assert rows.time.tolist() == [0, 0.5, 1, 1.5, 2]
+    assert rows["typed.r_out"][-1] == 3
+    run(out / "scenario.yaml", tmp_path / "again", report=False)
+    assert (tmp_path / "again" / "results.csv").read_bytes() == (out / "results.csv").read_bytes()
+
+
+def test_a_recording_is_played_to_the_inputs_of_its_names_up_to_its_end(tmp_path: Path) -> None:
+    fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
+    time = np.arange(0, 1.01, 0.1)
+    log.write_text("time,r_in,other\n" + "".join(f"{t:.1f},{2 * t:.1f},0\n" for t in time))
+    told("simulate", fmu, "--input", log, "--out", tmp_path / "out", "--no-report")
+    rows = read_results(tmp_path / "out" / "results.csv")
+    assert rows.time[-1] == pytest.approx(1.0)
+    assert rows["typed.r_out"] == pytest.approx(2 * rows.time)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--set", "gian=2"], 'no variable "gian"; did you mean "gain"?'),
+        (["--set", "gain"], "is not NAME=VALUE; for example --set mass=2"),
+        (["--set", "gain=heavy"], "it is a number"),
+        (["--step", "0"], "give a number of seconds above 0"),
+        (["--stop", "-1"], "give a later --stop"),
+        (["--stop", "nan"], "give a number of seconds"),
+        (["--input", "LOG"], "no column is an input of typed.fmu (its columns: speed; inputs of typed: r_in, "),
+        (["--input", "none.csv"], "no such file; give a log"),
+        (["--record", "nothing"], 'no variable "typed.nothing"'),
+    ],
+)
+def test_a_wrong_option_of_simulate_is_told_and_nothing_is_left(tmp_path: Path, options: list[str], words: str) -> None:
+    fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
+    log.write_text("time,speed\n0,0\n1,1\n")
+    options = [str(log) if o == "LOG" else o for o in options]
+    assert words in told("simulate", fmu, *options, "--out", tmp_path / "out", code=2)
+    assert not [*(tmp_path / "out").glob("*")]
+
+
+def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(tmp_path: Path) -> None:
+    first, second, out = typed_fmu(tmp_path), typed_fmu(tmp_path, name="second"), tmp_path / "out"
+    told("simulate", first, "--out", out, "--no-report", "--stop", "0.1")
+    before = (out / "results.csv").read_bytes()
+    again = ["simulate", second, "--out", out, "--no-report", "--stop", "0.1"]
+    assert 'holds the run of another scenario, "typed"' in told(*again, code=2)
+    assert (out / "results.csv").read_bytes() == before
+    told(*again, "--force")
+    (out / "scenario.yaml").write_text("name: mine\n")
+    assert "is a scenario of yours" in told(*again, "--force", code=2)
+
+
+def test_results_go_to_the_name_of_the_fmu_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fmu = typed_fmu(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    told("simulate", fmu, "--no-report", "--stop", "0.1")
+    assert (tmp_path / "results" / "typed" / "results.csv").is_file()
+
+
+def test_wrong_start_values_are_all_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        from cosim.api import simulate
+
+        simulate(typed_fmu(tmp_path), set={"gain": "x", "e_in": "third"})
+    assert len(refused.value.faults) == 2

@@ -1,0 +1,93 @@
+"""A scenario as a picture: SVG, mermaid, and in the report."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from cosim.api import run
+from cosim.report.diagram import Box, Port, Wire, diagram
+from cosim.simulation.graph import graph_of
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+from tests.test_first_steps import told
+from tests.typed import typed_fmu
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    fmu = {"fmu": str(typed_fmu(tmp_path, units=("m", "m")))}
+    wires = [
+        {"from": "r.x", "to": "a.r_in", "noise": {"variance": 0.04}},
+        {"from": "a.r_out", "to": "b.r_in"},
+        {"from": "b.i_out", "to": "a.i_in"},
+    ]
+    content = {
+        "name": "pair", "duration": 1, "step": 0.1, "connections": wires,
+        "components": {"b": fmu, "a": fmu, "r": {"block": "reference", "signals": {"x": {"unit": "m"}}}},
+        "faults": [{"on": "b.r_in", "kind": "bias", "value": 0.5, "from": 0.2, "to": 0.4}],
+    }  # fmt: skip
+    path = tmp_path / "pair.yaml"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def texts(svg: str) -> list[str]:
+    root = ElementTree.fromstring(svg)
+    return ["".join(node.itertext()) for node in root.iter("{http://www.w3.org/2000/svg}text")]
+
+
+def test_the_picture_shows_order_signals_units_noise_and_faults(scenario: Path) -> None:
+    graph = graph_of(scenario)
+    shown = texts(graph.svg())
+    stages = build_system(ScenarioFile(scenario)).stages
+    assert [text for text in shown if re.match(r"\d ", text)] == [
+        f"{k} {stage.component.name}" for k, stage in enumerate(stages, 1)
+    ]
+    assert {"r_in [m]", "r_out [m]", "x [m]"} <= set(shown)
+    assert "noise σ\u00a0=\u00a00.200\u00a0m" in shown
+    assert "fault: bias 0.5 from 0.2 s to 0.4 s" in shown
+
+
+def test_noise_that_is_off_is_not_drawn(scenario: Path) -> None:
+    assert not [text for text in texts(graph_of(scenario, ["noise=off"]).svg()) if text.startswith("noise")]
+
+
+def test_a_value_of_the_steps_start_is_dashed_and_all_are_under_jacobi(scenario: Path) -> None:
+    assert graph_of(scenario, ["algorithm=jacobi"]).svg().count('class="wire held"') == 3
+    graph = graph_of(scenario)
+    assert graph.svg().count('class="wire held"') == sum(link.held for link in graph.links) < 3
+
+
+def test_mermaid_names_every_component_and_connection(scenario: Path) -> None:
+    shown = told("graph", scenario, "--mermaid")
+    assert shown.startswith("flowchart LR\n")
+    for words in ("· a<br/>typed.fmu", "r_out → r_in [m], fault: bias 0.5", "i_out → i_in"):
+        assert words in shown
+
+
+def test_the_report_shows_the_same_picture(scenario: Path, tmp_path: Path) -> None:
+    run(scenario, tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert graph_of(scenario).svg(alone=False) in page
+
+
+def test_a_file_that_is_no_scenario_or_picture_is_told(scenario: Path, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,x\n0,0\n")
+    assert "is a log, not a scenario" in told("graph", tmp_path / "log.csv", code=2)
+    assert "name an .svg or .mmd file" in told("graph", scenario, "--out", tmp_path / "x.png", code=2)
+    assert "its folder is not there" in told("graph", scenario, "--out", tmp_path / "no" / "x.svg", code=2)
+
+
+def test_lines_lie_in_lanes_and_slots_of_their_own() -> None:
+    ports = tuple(Port(f"p{k}") for k in range(3))
+    boxes = [Box(name, "", ports, ports) for name in "abc"]
+    wires = [Wire((i, k), (j, k), False, "") for i, j in ((0, 1), (0, 2), (2, 0)) for k in range(3)]
+    svg = diagram(boxes, wires, "three")
+    upright = re.findall(r'class="wire" d="M[\d.]+ [\d.]+L([\d.]+)', svg)  # where each first turns
+    assert len(upright) == 9
+    assert len({round(float(x)) for x in upright[:6]}) == 6  # those that leave one box
