@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.api import run
+from cosim.api import run, simulate
 from cosim.blocks.interface import Signal
 from cosim.checks import check_files
 from cosim.cli import app
@@ -147,7 +147,7 @@ def test_the_scenario_that_init_writes_checks_and_runs_and_converts_units(tmp_pa
     assert "# - {from: rpm.r_out, to: si.r_in}" in content  # the other way it would be an algebraic loop
     assert "duration: 2 # s: the default experiment of rpm" in content
     assert check_files(written) == []
-    values = run(written, set={"components.si.start.r_in": 2 * math.pi})
+    values = run(written, in_process=True, set={"components.si.start.r_in": 2 * math.pi})
     assert values["rpm.r_in"][-1] == pytest.approx(60, rel=1e-12)
     assert values.time[-1] == 2.0
 
@@ -186,12 +186,12 @@ def test_a_name_that_yaml_would_misread_stands_in_quotes(value: str) -> None:
 
 def test_one_fmu_runs_over_its_default_experiment_and_its_scenario_repeats_it(tmp_path: Path) -> None:
     fmu, out = typed_fmu(tmp_path, **{EXPERIMENT: RUNS}), tmp_path / "out"
-    told("simulate", fmu, "--set", "r_in=3", "--out", out)
+    told("simulate", "--in-process", fmu, "--set", "r_in=3", "--out", out)
     assert {p.name for p in out.iterdir()} == {"scenario.yaml", "results.csv", "manifest.json", "report.html"}
     rows = read_results(out / "results.csv")
     assert rows.time.tolist() == [0, 0.5, 1, 1.5, 2]
     assert rows["typed.r_out"][-1] == 3
-    run(out / "scenario.yaml", tmp_path / "again", report=False)
+    run(out / "scenario.yaml", tmp_path / "again", report=False, in_process=True)
     assert (tmp_path / "again" / "results.csv").read_bytes() == (out / "results.csv").read_bytes()
 
 
@@ -199,7 +199,7 @@ def test_a_recording_is_played_to_the_inputs_of_its_names_up_to_its_end(tmp_path
     fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
     time = np.arange(0, 1.01, 0.1)
     log.write_text("time,r_in,other\n" + "".join(f"{t:.1f},{2 * t:.1f},0\n" for t in time))
-    told("simulate", fmu, "--input", log, "--out", tmp_path / "out", "--no-report")
+    told("simulate", "--in-process", fmu, "--input", log, "--out", tmp_path / "out", "--no-report")
     rows = read_results(tmp_path / "out" / "results.csv")
     assert rows.time[-1] == pytest.approx(1.0)
     assert rows["typed.r_out"] == pytest.approx(2 * rows.time)
@@ -223,15 +223,15 @@ def test_a_wrong_option_of_simulate_is_told_and_nothing_is_left(tmp_path: Path, 
     fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
     log.write_text("time,speed\n0,0\n1,1\n")
     options = [str(log) if o == "LOG" else o for o in options]
-    assert words in told("simulate", fmu, *options, "--out", tmp_path / "out", code=2)
+    assert words in told("simulate", "--in-process", fmu, *options, "--out", tmp_path / "out", code=2)
     assert not [*(tmp_path / "out").glob("*")]
 
 
 def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(tmp_path: Path) -> None:
     first, second, out = typed_fmu(tmp_path), typed_fmu(tmp_path, name="second"), tmp_path / "out"
-    told("simulate", first, "--out", out, "--no-report", "--stop", "0.1")
+    told("simulate", "--in-process", first, "--out", out, "--no-report", "--stop", "0.1")
     before = (out / "results.csv").read_bytes()
-    again = ["simulate", second, "--out", out, "--no-report", "--stop", "0.1"]
+    again = ["simulate", "--in-process", second, "--out", out, "--no-report", "--stop", "0.1"]
     assert 'holds the run of another scenario, "typed"' in told(*again, code=2)
     assert (out / "results.csv").read_bytes() == before
     told(*again, "--force")
@@ -242,13 +242,12 @@ def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(t
 def test_results_go_to_the_name_of_the_fmu_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fmu = typed_fmu(tmp_path)
     monkeypatch.chdir(tmp_path)
-    told("simulate", fmu, "--no-report", "--stop", "0.1")
+    told("simulate", "--in-process", fmu, "--no-report", "--stop", "0.1")
     assert (tmp_path / "results" / "typed" / "results.csv").is_file()
 
 
 def test_wrong_start_values_are_all_told(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
     with pytest.raises(InputError) as refused:
-        from cosim.api import simulate
-
-        simulate(typed_fmu(tmp_path), set={"gain": "x", "e_in": "third"})
+        simulate(fmu, in_process=True, set={"gain": "x", "e_in": "third"})
     assert len(refused.value.faults) == 2

@@ -71,7 +71,7 @@ def test_mermaid_names_every_component_and_connection(scenario: Path) -> None:
 
 
 def test_the_report_shows_the_same_picture(scenario: Path, tmp_path: Path) -> None:
-    run(scenario, tmp_path / "out")
+    run(scenario, tmp_path / "out", in_process=True)
     page = (tmp_path / "out" / "report.html").read_text()
     assert graph_of(scenario).svg(alone=False) in page
 

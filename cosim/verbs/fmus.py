@@ -169,6 +169,9 @@ def simulate(
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
+    ] = False,
 ) -> None:
     """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
     from cosim.simulation.single import simulate as simulate_fmu
@@ -176,7 +179,7 @@ def simulate(
     with progress_bar() as progress:
         outcome, notes = simulate_fmu(
             fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
-            force=force, progress=progress,
+            force=force, in_process=in_process, progress=progress,
         )  # fmt: skip
     for note in notes:
         warn(note)

@@ -1,0 +1,210 @@
+"""The verbs as functions of Python, and the JSON schemas and terminal manners beside them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cosim
+from cosim.api import Replay, Run, Signals
+from cosim.cli import app
+from cosim.errors import InputError
+from cosim.schemas import schema_of
+from cosim.yaml_file import YamlFile
+from tests.conftest import ROOT
+from tests.test_first_steps import told
+from tests.typed import typed_fmu
+
+SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+SHIPPED = {
+    "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
+    "study": sorted((ROOT / "examples").glob("*/*.yaml")),
+}
+
+
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
+def test_a_snippet_of_the_page_on_python_runs(project: Path, monkeypatch: pytest.MonkeyPatch, snippet: str) -> None:
+    monkeypatch.chdir(project)
+    exec(snippet, {})
+
+
+def test_import_cosim_loads_no_library() -> None:
+    code = "import sys, cosim; print([m for m in ('numpy', 'pydantic', 'fmpy', 'typer', 'rich') if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def turning(folder: Path, **more: object) -> dict[str, object]:
+    component = {"fmu": str(typed_fmu(folder)), "start": {"r_in": 2}}
+    return {"name": "turning", "duration": 0.5, "step": 0.1, "components": {"a": component}, **more}
+
+
+def test_a_mapping_runs_and_leaves_nothing_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    made = cosim.run(turning(tmp_path), in_process=True, set={"components.a.start.r_in": np.float64(3)})
+    assert made["a.r_out"][-1] == 3
+    assert made.folder is None
+    assert not [*Path().iterdir()]
+
+
+def test_faults_of_a_mapping_are_told_without_a_file_that_is_gone(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        cosim.run(turning(tmp_path, sed=1, step=0.3))
+    assert str(refused.value).splitlines() == [
+        "scenario: step is 0.3 s; use a whole divisor of duration 0.5 s, 0.25 s for one",
+        str(refused.value).splitlines()[1],
+    ]
+    assert 'scenario: unknown key "sed"; did you mean "seed"?' in str(refused.value)
+    with pytest.raises(InputError, match="holds what no file can"):
+        cosim.run({"name": object()})
+
+
+def test_a_missed_criterion_is_no_error_and_shows_in_the_text(tmp_path: Path) -> None:
+    made = cosim.run(turning(tmp_path, criteria={"peak": {"of": "a.r_out", "after": 0.2, "max": 1}}), in_process=True)
+    assert len(made.missed) == 1
+    assert "MISSED: peak of a.r_out after 0.2 s is 2, at most 1 allowed" in repr(made)
+    assert "<li>MISSED: peak" in made._repr_html_()
+    assert len(repr(made).splitlines()) < 15
+
+
+def test_what_was_left_is_read_as_what_it_is(tmp_path: Path) -> None:
+    made = cosim.run(turning(tmp_path), tmp_path / "out", report=False, in_process=True)
+    read = cosim.read(tmp_path / "out")
+    assert isinstance(read, Run)
+    assert read.units == {name: unit for name, unit in made.units.items() if unit}
+    np.testing.assert_array_equal(read["a.r_out"], made["a.r_out"])
+    (tmp_path / "x.csv").write_text("time,x [m]\n0,0\n1,2\n")
+    signals = cosim.read(tmp_path / "x.csv")
+    assert isinstance(signals, Signals)
+    assert signals.units["x"] == "m"
+
+
+def test_a_replay_has_its_residual_and_is_read_back(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
+    rows = "".join(f"{k / 50},{k % 7},0,1,0,{k % 7}\n" for k in range(300))
+    (tmp_path / "log.csv").write_text(f"time,r_in,i_in,e_in,b_in,r_out\n{rows}")
+    made = cosim.replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
+    assert made.residual is not None
+    assert "free_run.r_out" in made.residual
+    read = cosim.read(tmp_path / "out")
+    assert isinstance(read, Replay)
+    assert read.names == made.names
+
+
+def test_a_figure_shows_the_signals_that_are_asked_for(tmp_path: Path) -> None:
+    made = cosim.run(turning(tmp_path), in_process=True)
+    (axes,) = (ax for ax in made.plot("a.r_out").axes if ax.lines)
+    assert [line.get_label() for line in axes.lines] == ["a.r_out"]
+    with pytest.raises(KeyError, match="did you mean"):
+        made.plot("a.r_outt")
+
+
+def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Path) -> None:
+    made = cosim.run(turning(tmp_path), in_process=True)
+    if importlib.util.find_spec("pandas") is None:
+        with pytest.raises(ImportError, match="to_pandas needs pandas: pip install pandas"):
+            made.to_pandas()
+        return
+    frame = made.to_pandas()
+    assert frame.index.name == "time"
+    assert frame["a.r_out"].iloc[-1] == 2
+
+
+# -- schemas --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
+    shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
+    assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
+
+
+@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
+    schema = schema_of(kind)
+    parts = {"": schema, **schema.get("$defs", {})}
+    silent = [
+        f"{n}.{k}" for n, d in parts.items() for k, v in d.get("properties", {}).items() if not v.get("description")
+    ]
+    assert silent == []
+
+
+@pytest.mark.parametrize("path", [p for files in SHIPPED.values() for p in files], ids=lambda p: p.stem)
+def test_a_shipped_file_names_its_schema_and_keeps_it(path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    kind = next(kind for kind, files in SHIPPED.items() if path in files)
+    (named,) = re.findall(r"^# yaml-language-server: \$schema=(\S+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    assert (path.parent / named).resolve() == ROOT / "docs" / "schemas" / f"{kind}.schema.json"
+    validator = jsonschema.Draft202012Validator(schema_of(kind))
+    content = YamlFile(path).root
+    assert [e.message for e in validator.iter_errors(content)] == []
+    assert [e.message for e in validator.iter_errors({**content, "nmae": 1})]
+
+
+# -- manners of the terminal ----------------------------------------------------------------------
+
+
+def test_results_go_to_the_name_of_the_scenario_and_over_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "two"):
+        Path(f"{name}.yaml").write_text(json.dumps({**turning(tmp_path), "name": f"../{name}"}))
+    assert "results/_one/results.csv" in told("run", "--in-process", "one.yaml", "--no-report").replace("/.._", "/_")
+    told("run", "--in-process", "one.yaml", "--no-report", "--out", "out")
+    told("run", "--in-process", "one.yaml", "--no-report", "--out", "out")
+    words = (
+        'out: holds the run of another scenario, "../one"; give another folder as --out, or write over it by --force'
+    )
+    assert told("run", "--in-process", "two.yaml", "--no-report", "--out", "out", code=2) == words
+    told("run", "--in-process", "two.yaml", "--no-report", "--out", "out", "--force")
+    (tmp_path / "refined").mkdir()
+    (tmp_path / "refined" / "refine.json").write_text("{}")
+    assert "holds what `cosim refine` left" in told("run", "--in-process", "one.yaml", "--out", "refined", code=2)
+
+
+def test_files_in_a_setting_are_named_from_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "fmus").mkdir()
+    fmu = typed_fmu(tmp_path / "fmus")
+    content = {**turning(tmp_path), "components": {"a": {"fmu": "none.fmu"}}}
+    (tmp_path / "scenarios" / "s.yaml").write_text(json.dumps(content))
+    monkeypatch.chdir(tmp_path)
+    for setting in ("components.a.fmu=fmus/typed.fmu", "components.a={fmu: fmus/typed.fmu}"):
+        made = json.loads(
+            told("run", "--in-process", "scenarios/s.yaml", "--set", setting, "--out", "o", "--no-report", "--json")
+        )
+        assert made["rows"] == 6
+    assert json.loads(Path("o/manifest.json").read_text())["fmus"]["a"]["path"] == str(fmu)
+
+
+def test_quiet_says_nothing_and_help_has_a_short_name(tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(json.dumps(turning(tmp_path)))
+    assert told("run", "--in-process", path, "-q", "--no-report", "--out", tmp_path / "o") == ""
+    assert (
+        "× real time"
+        in CliRunner().invoke(app, ["run", "--in-process", str(path), "-v", "--out", str(tmp_path / "o")]).output
+    )
+    for verb in ("run", "check", "refine", "info", "compare"):
+        assert "--quiet" in told(verb, "-h")
+
+
+def test_a_criterion_is_told_with_its_window(tmp_path: Path) -> None:
+    criteria = {"peak": {"of": "a.r_out", "after": 0.1, "until": 0.4, "max": 3}}
+    path = tmp_path / "s.yaml"
+    path.write_text(json.dumps(turning(tmp_path, criteria=criteria)))
+    assert "met: peak of a.r_out after 0.1 s until 0.4 s is 2" in told(
+        "run", "--in-process", path, "--out", tmp_path / "o"
+    )
