@@ -103,6 +103,6 @@ def stopped(stop: BaseException, now: float, what: str = "the run") -> Simulatio
 
 
 class CriterionMissed(CosimError):
-    """The run is complete, but a criterion of the scenario is not met."""
+    """The run is complete, but a criterion is not met; or two runs differ beyond the tolerance."""
 
     exit_code = 5

@@ -21,6 +21,7 @@ STYLE = """
 .diagram .head { stroke: var(--rule, #e3e5e8); }
 .diagram .wire { fill: none; stroke: var(--accent, #0067a5); stroke-width: 1.6; }
 .diagram .held { stroke-dasharray: 6 4; }
+@media print { .diagram { max-width: 100%; height: auto; } }
 .diagram .tip { fill: var(--accent, #0067a5); } .diagram .paper { fill: var(--paper, #fcfcfb); }
 """
 DARK = """

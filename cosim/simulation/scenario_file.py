@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.errors import Fault, InputError
-from cosim.kinds import MANIFEST, SCENARIO, kind_by_keys, kind_by_name, refuse_other
+from cosim.kinds import MANIFEST, SCENARIO, check_given, kind_by_keys, kind_by_name, refuse_other
 from cosim.registry import BASE, MODELS
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
@@ -32,6 +32,8 @@ class ScenarioFile:
 
     def __init__(self, path: Path, overrides: Sequence[str] = ()) -> None:
         self.path = path
+        if path.is_dir():
+            check_given(path, SCENARIO, MANIFEST)
         refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
         self.yaml = YamlFile(path)
         refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
