@@ -76,12 +76,18 @@ def _kind(description: Any) -> str:
     return f"FMI {description.fmiVersion} for {named or 'nothing'}"
 
 
+def platform_of(description: Any) -> str:
+    """What FMI calls this machine, in the version of the FMU."""
+    import fmpy
+
+    return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
+
+
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str]:
     """The library of an unpacked FMU for this platform and, where it is not named as it should be, a warning."""
     import fmpy
 
-    fmi3 = description.fmiVersion.startswith("3")
-    within = folder / "binaries" / (fmpy.platform_tuple if fmi3 else fmpy.platform)
+    within = folder / "binaries" / platform_of(description)
     named = within / f"{identifier}{fmpy.sharedLibraryExtension}"
     if named.is_file():
         return named, ""

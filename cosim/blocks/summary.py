@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import PLATFORMS, read_description, slips_of, unit_of, ways
+from cosim.blocks.description import PLATFORMS, platform_of, read_description, slips_of, unit_of, ways
 from cosim.errors import Fault, FmuError, InputError
 from cosim.kinds import FMU, check_given
 
@@ -46,6 +46,7 @@ class Summary:
 
     ways:         co-simulation, model-exchange: as it can be run here
     capabilities: way → the flags and numbers of FMI that it sets
+    runs_here:    it has a library for this machine
     experiment:   start, stop, step [s] and tolerance, of those that it declares
     states:       names of its continuous states
     slips:        where its description breaks FMI's schema and runs all the same
@@ -59,6 +60,7 @@ class Summary:
     ways: list[str]
     capabilities: dict[str, dict[str, Any]]
     platforms: list[str]
+    runs_here: bool
     experiment: dict[str, float]
     states: list[str]
     variables: list[Variable]
@@ -105,7 +107,8 @@ def summary_of(path: Path, description: Any) -> Summary:
         description=" ".join((description.description or "").split()),
         ways=list(ways(description)),
         capabilities=_capabilities(description),
-        platforms=_platforms(path),
+        platforms=platforms_of(path),
+        runs_here=platform_of(description) in platforms_of(path),
         experiment=experiment_of(description),
         states=_states(description),
         variables=[_variable(v) for v in description.modelVariables],
@@ -138,7 +141,7 @@ def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
     }
 
 
-def _platforms(path: Path) -> list[str]:
+def platforms_of(path: Path) -> list[str]:
     """Platforms with a library; `c-code` where the sources are there too."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()

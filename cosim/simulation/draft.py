@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.description import takes_any_step, unit_of
+from cosim.blocks.description import platform_of, takes_any_step, unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.interface import Signal
-from cosim.blocks.summary import experiment_of, read_fmus
+from cosim.blocks.summary import experiment_of, platforms_of, read_fmus
 from cosim.errors import Fault, InputError
 from cosim.files import check_writable
 from cosim.kinds import LOG, check_given
@@ -256,7 +256,15 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     times = times_of(parts)
     with draft_of(path) as made:
         algorithm, system = _that_runs(made, path.parent, parts, matches, times)
-    return Draft(path, parts, matches, times, algorithm, system.warnings)
+    return Draft(path, parts, matches, times, algorithm, (*_elsewhere(parts), *system.warnings))
+
+
+def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
+    """A warning for each FMU that has no library for this machine."""
+    for part in parts:
+        here, there = platform_of(part.description), platforms_of(part.path)
+        if here not in there:
+            yield f"{part.name} does not run on this machine, {here}: it has libraries for {', '.join(there) or 'none'}"
 
 
 def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:

@@ -51,7 +51,11 @@ def _told(s: Summary, *, every: bool) -> list[str]:
         for key in ("start", "stop", "step", "tolerance")
         if key in e
     ]
-    lines += [f"  default experiment: {', '.join(named) or 'none'}", f"  platforms: {', '.join(s.platforms) or 'none'}"]
+    lines += [
+        f"  default experiment: {', '.join(named) or 'none'}",
+        f"  platforms: {', '.join(s.platforms) or 'none'}"
+        + ("" if s.runs_here else ", so it does not run on this machine"),
+    ]
     lines += [
         f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()
     ]

@@ -1,0 +1,32 @@
+"""How long from FMUs of others to a report: python -m tests.newcomer A.fmu B.fmu"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+
+def main() -> int:
+    """`cosim init` and `cosim run` in an empty folder; a line of JSON with seconds and what was made."""
+    fmus = [str(Path(name).resolve()) for name in sys.argv[1:]]
+    cosim, seconds = [sys.executable, "-m", "cosim.cli"], {}
+    with tempfile.TemporaryDirectory(prefix="newcomer-") as folder:
+        for verb, arguments in (("init", fmus), ("run", ["scenario.yaml", "--out", "results"])):
+            began = time.perf_counter()
+            done = subprocess.run([*cosim, verb, *arguments, "--json"], cwd=folder, capture_output=True, text=True)
+            seconds[verb] = round(time.perf_counter() - began, 2)
+            if done.returncode:
+                print(done.stderr, file=sys.stderr)
+                return done.returncode
+            made = json.loads(done.stdout)
+        page = Path(folder) / "results" / "report.html"
+        print(json.dumps({"seconds": seconds, "rows": made["rows"], "report": page.stat().st_size}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
