@@ -15,7 +15,7 @@ import typer
 from cosim.errors import CosimError, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
 from cosim.verbs import register
-from cosim.verbs.outcome import told
+from cosim.verbs.outcome import told, told_left
 from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, stages
 from cosim.version import __version__
 
@@ -261,6 +261,8 @@ def entry() -> None:
         app(standalone_mode=True)
     except CosimError as error:
         typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
+        if isinstance(error, SimulationError) and error.left is not None:
+            told_left(error.left)
         sys.exit(error.exit_code)
     except Terminated as ended:
         typer.echo(f"error: {ended}", err=True)

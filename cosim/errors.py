@@ -52,9 +52,10 @@ class FmuError(CosimError):
 
 
 class SimulationError(CosimError):
-    """The simulation stopped before its end: which component, when, why."""
+    """The simulation stopped before its end: which component, when, why; `left`: the folder with the rows so far."""
 
     exit_code = 4
+    left: Path | None = None
 
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason

@@ -107,6 +107,7 @@ def run(
                 raise
             failure = _write_what_fits(folder, results, record, steps + 1, failure)
     if failure is not None:
+        failure.left = folder
         raise failure
     return Outcome(results, record, folder)
 

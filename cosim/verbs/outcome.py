@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import CriterionMissed
@@ -41,6 +42,13 @@ def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool =
         show(page)
     if outcome.missed:
         raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed")
+
+
+def told_left(folder: Path) -> None:
+    """Where the rows of a run are that stopped before its end, and its page."""
+    for what, name in (("rows so far:", "results.csv"), ("report:     ", "report.html")):
+        if (folder / name).is_file():
+            say(f"{what} {folder / name}")
 
 
 def _content(outcome: Outcome) -> dict[str, Any]:
