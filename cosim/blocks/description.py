@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -14,6 +15,7 @@ from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
 PLATFORMS = "binaries/"
+MOST_ELEMENTS = 1_000_000  # of an array: a name each
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
@@ -34,6 +36,10 @@ def read_description(path: Path) -> Any:
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
     check_identifiers(path, description)
+    for variable in description.modelVariables:
+        if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
+            size = "×".join(map(str, variable.shape))
+            raise FmuError(f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements")
     if not ways(description):
         raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
     _slips[description] = slips
