@@ -18,7 +18,7 @@ from cosim.cli import app
 from cosim.errors import CosimError, InputError
 from cosim.kinds import READ_BY
 from cosim.results import read_results
-from cosim.simulation.draft import scalar
+from cosim.simulation.draft_text import scalar
 from cosim.simulation.matching import Port, matched, text
 from tests.typed import typed_fmu
 
@@ -251,3 +251,11 @@ def test_wrong_start_values_are_all_told(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         simulate(fmu, in_process=True, set={"gain": "x", "e_in": "third"})
     assert len(refused.value.faults) == 2
+
+
+def test_an_array_that_no_list_of_names_holds_is_no_valid_fmu(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, 3, **{'<Dimension start="2"/><Dimension start="2"/></Float64>\n    <Int64': HUGE})
+    assert "its array twice is 9999999999×2" in told("info", fmu, code=3)
+
+
+HUGE = '<Dimension start="9999999999"/><Dimension start="2"/></Float64>\n    <Int64'

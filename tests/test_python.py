@@ -14,9 +14,9 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.api import Replay, Run, Signals
 from cosim.cli import app
 from cosim.errors import InputError
+from cosim.outcomes import Replay, Run, Signals
 from cosim.schemas import schema_of
 from cosim.yaml_file import YamlFile
 from tests.conftest import ROOT

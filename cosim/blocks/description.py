@@ -39,7 +39,9 @@ def read_description(path: Path) -> Any:
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            raise FmuError(f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements")
+            raise FmuError(
+                f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
+            )
     if not ways(description):
         raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
     _slips[description] = slips
