@@ -53,7 +53,7 @@ def main(
 
 @app.command()
 def run(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or a manifest.json to repeat that run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
     out: Out = Path("results"),
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. noise=off.")
@@ -71,7 +71,7 @@ def run(
         bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
     ] = False,
 ) -> None:
-    """Co-simulate a scenario: results.csv, manifest.json and report.html."""
+    """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
     from cosim.simulation.criteria import sentence
     from cosim.simulation.workflow import run as run_scenario
 
@@ -88,7 +88,9 @@ def run(
     if coupling:
         from cosim.simulation.coupling import coupling_error
 
-        say(coupling_error(scenario, overrides, nearest=nearest, in_process=in_process).sentence)
+        say(
+            coupling_error(Path(outcome.manifest["source"]), overrides, nearest=nearest, in_process=in_process).sentence
+        )
     say(f"results: {out / 'results.csv'}")
     if report:
         say(f"report:  {out / 'report.html'}")

@@ -56,12 +56,20 @@ class Noise(Part):
 
 
 class Connection(Part):
-    """From one output to one input, `component.variable`; `factor` in place of the conversion of their units."""
+    """From one output to one input, `component.variable`; factor·value + offset in place of their units' conversion."""
 
     source: Variable = Field(alias="from")
     target: Variable = Field(alias="to")
     noise: Noise | None = None
     factor: Number | None = None
+    offset: Number | None = None
+
+    @property
+    def conversion(self) -> tuple[float, float] | None:
+        """Factor and offset; None where the units say what becomes of a value."""
+        if self.factor is None and self.offset is None:
+            return None
+        return 1.0 if self.factor is None else self.factor, self.offset or 0.0
 
 
 class Disturbance(Part):

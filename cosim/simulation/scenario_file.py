@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from cosim.errors import Fault, InputError
 from cosim.kinds import MANIFEST, SCENARIO, kind_by_keys, kind_by_name, refuse_other
 from cosim.simulation.scenario import Scenario
-from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
+from cosim.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.yaml_nodes import Document, NotYaml
 
 MOST_STEPS = 2e7
@@ -24,14 +24,15 @@ ROUNDING = 1e-9  # relative slack when a duration is divided into steps
 class ScenarioFile:
     """A scenario and the file it came from, so that later checks can name the place.
 
+    origin: where the faults of a scenario that was made from another file stand in that
     Faults of form do not stop the checks of meaning: `faults` holds them, `scenario` what is left without the
     faulty parts, `broken` the names of components left out. Whoever runs a scenario raises `faults` first.
     """
 
-    def __init__(self, path: Path, overrides: Sequence[str] = ()) -> None:
+    def __init__(self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None) -> None:
         self.path = path
         refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
-        self.yaml = YamlFile(path)
+        self.yaml = YamlFile(path, origin)
         refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None
         if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:

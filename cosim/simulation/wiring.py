@@ -132,7 +132,7 @@ def _transfers(
             what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
             diagnosis.note(("connections", k), f"types do not agree: {what}")
             return ()
-        conversion = (connection.factor, 0.0) if connection.factor is not None else source.conversion(target)
+        conversion = connection.conversion or source.conversion(target)
         if conversion is None:
             units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
             cure = "; where they are the same all the same, say so by factor: 1"

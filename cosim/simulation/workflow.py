@@ -21,6 +21,7 @@ from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned, manifest, write_manifest
 from cosim.simulation.nearest import take_nearest
+from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
 
@@ -52,8 +53,9 @@ def run(
     in_process: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Outcome:
-    """Run a scenario, or repeat a manifest, and leave results.csv, manifest.json and report.html in `folder`.
+    """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
 
+    Of an SSP the scenario that it is run as, and its FMUs, are left in `folder`/system.
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
@@ -63,7 +65,11 @@ def run(
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # it gets ready while files are read
-        file, folder = ScenarioFile(Path(scenario), overrides), Path(folder)
+        folder = Path(folder)
+        if is_ssp(Path(scenario)):
+            file, told_before = lay_out(Path(scenario), folder, overrides)
+        else:
+            file, told_before = ScenarioFile(Path(scenario), overrides), []
         if nearest:
             take_nearest(file)
         check_pinned(file)
@@ -91,7 +97,7 @@ def run(
             record["criteria"] = evaluate(file.scenario, results)
         else:
             record["status"] = f"failed: {failure}"
-        record["warnings"] += [*results.notes, *stepped.said]
+        record["warnings"] += [*told_before, *results.notes, *stepped.said]
         if worker is None and limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
         try:

@@ -1,0 +1,79 @@
+"""The files of a system: an SSP archive, or an SSD that lies in a folder with what it names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from urllib.parse import unquote, urlsplit
+
+from cosim.errors import Fault, InputError
+from cosim.ssp.elements import Element, parse
+from fmus.archive import SSP, STRUCTURE, BadArchive, unpack
+
+ENDINGS = (".ssp", ".ssd")
+
+
+@dataclass(frozen=True)
+class Package:
+    """Where its files lie.
+
+    shown:  the file that the user named
+    folder: against which names in it are resolved; packed: they must not lead out of it
+    """
+
+    shown: Path
+    folder: Path
+    structure: Path
+    packed: bool
+
+    def label(self, path: Path) -> Path:
+        """What a file within is called in messages."""
+        if not self.packed:
+            return path
+        return self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
+
+    def resolve(self, source: str, base: Path | None = None) -> Path | str:
+        """The file at a relative URI; why there is none."""
+        uri = urlsplit(source)
+        if uri.scheme not in {"", "file"} or uri.netloc:
+            return f'"{source[:80]}" is not in the package; put the file into resources/ and name it so'
+        within = self.folder.resolve()
+        path = ((base or within) / unquote(uri.path)).resolve()
+        if self.packed and not path.is_relative_to(within):
+            return f'"{source[:80]}" leads out of the package; put the file into resources/ and name it so'
+        if not path.is_file():
+            near = sorted(p.relative_to(within).as_posix() for p in within.glob(f"**/{path.name}"))[:1]
+            return f'no file "{source[:80]}" in it' + "".join(f'; did you mean "{n}"?' for n in near)
+        return path
+
+    def element(self, path: Path) -> Element:
+        """The root element of a file within; InputError."""
+        label = self.label(path)
+        try:
+            return parse(label, path.read_bytes())
+        except BadArchive as error:
+            raise InputError([Fault(label, 0, 0, str(error))]) from None
+        except OSError as error:
+            raise InputError([Fault(label, 0, 0, f"cannot be read: {error.strerror}")]) from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Package]:
+    """A package whose archive is unpacked as long as the block lasts; InputError where it is none that is safe."""
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+    if path.suffix.lower() == ".ssd":
+        yield Package(path, path.parent, path, packed=False)
+        return
+    with TemporaryDirectory(prefix="cosim-ssp-", ignore_cleanup_errors=True) as made:
+        folder = Path(made).resolve()
+        try:
+            unpack(path, folder, SSP)
+        except BadArchive as error:
+            raise InputError([Fault(path, 0, 0, f"is no SSP: {error}")]) from None
+        except OSError as error:
+            raise InputError([Fault(path, 0, 0, f"cannot be unpacked: {error.strerror}")]) from None
+        yield Package(path, folder, folder / STRUCTURE, packed=True)
