@@ -15,14 +15,16 @@ if TYPE_CHECKING:
     from cosim.models.fmus import build
     from cosim.refinement.workflow import refine
     from cosim.residuals.workflow import replay
+    from cosim.simulation.export import export_ssp
     from cosim.simulation.workflow import run
 
-__all__ = ["build", "check", "excite", "refine", "replay", "run"]
+__all__ = ["build", "check", "excite", "export_ssp", "refine", "replay", "run"]
 
 _PLACES = {
     "build": ("cosim.models.fmus", "build"),
     "check": ("cosim.checks", "check_files"),
     "excite": ("cosim.experiment.excite", "excite"),
+    "export_ssp": ("cosim.simulation.export", "export_ssp"),
     "refine": ("cosim.refinement.workflow", "refine"),
     "replay": ("cosim.residuals.workflow", "replay"),
     "run": ("cosim.simulation.workflow", "run"),

@@ -118,6 +118,28 @@ def build(
         say(f"built {path}")
 
 
+@app.command("export-ssp")
+def export(
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The file to write; without, NAME.ssp in this folder.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. step=0.01.")
+    ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    ] = False,
+) -> None:
+    """Write a scenario as an SSP 1.0 that other simulators run: noise off, references as FMUs."""
+    from cosim.simulation.export import export_ssp
+
+    exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
+    for note in exported.notes:
+        typer.echo(f"note: {note}", err=True)
+    say(f"wrote {exported.path}")
+
+
 @app.command()
 def check(
     files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],

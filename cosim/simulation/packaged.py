@@ -6,7 +6,7 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -157,7 +157,7 @@ def _scenario(
     return scenario, places
 
 
-def _times(structure: Structure, flat: Flat, warnings: list[str], given: Collection[str]) -> tuple[float, float, float]:
+def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str]) -> tuple[float, float, float]:
     """Start, duration and communication step [s]; a warning for each that neither the SSP says nor is `given`."""
     experiments = [part.description.defaultExperiment for part in flat.parts]
 

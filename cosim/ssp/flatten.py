@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cosim.blocks.description import read_description, unit_definition, unit_of
@@ -14,8 +14,6 @@ from cosim.ssp.elements import Element
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
 from cosim.yaml_file import did_you_mean, shown
-
-DRIVEN = ("output", "calculatedParameter", "inout", "unspecified", "constant", "local")
 
 
 @dataclass
@@ -73,7 +71,7 @@ class _Flattener:
         self.taken: set[str] = set()
 
     def flat(self) -> Flat:
-        root = self._level(self.structure.system, None, ())
+        root = self._level(_directed(self.structure.system), None, ())
         self._check(root)
         self._parameters(root)
         links = [link for level in _levels(root) for link in self._links(level)]
@@ -228,7 +226,7 @@ class _Flattener:
                 if parameter.name in part.variables:
                     self._give(part, parameter.name, parameter, ())
                 else:
-                    self._nothing(parameter, part.variables)
+                    self._nothing(parameter, part.variables.keys())
         for inner in level.systems.values():
             self._parameters(inner)
         for parameter in level.system.parameters:
@@ -236,7 +234,7 @@ class _Flattener:
             for part, variable, hops in targets:
                 self._give(part, variable, parameter, hops)
             if not targets:
-                self._nothing(parameter, (*level.system.connectors, *self._names(level)))
+                self._nothing(parameter, [*level.system.connectors, *self._names(level)])
 
     def _targets(
         self, level: _Level, name: str, hops: tuple[tuple[_Level, Connection], ...]
@@ -289,15 +287,14 @@ class _Flattener:
     def _of(self, parameter: Parameter) -> Signal:
         unit = parameter.unit or ""
         units: Units = {**self.structure.units, **parameter.units}
+        if unit not in units and unit.startswith("[") and unit.endswith("]"):  # as some tools write it
+            unit = unit[1:-1]
         return Signal(parameter.name, unit, units.get(unit))
 
-    def _nothing(self, parameter: Parameter, known: Any) -> None:
-        hint = did_you_mean(parameter.name, known)
-        element = parameter.element
-        where = f"{element.file}:{element.line}:{element.column}"
-        self.reader.warnings.append(
-            f"{where}: parameter {shown(parameter.name)} is of nothing here, and left out{hint}"
-        )
+    def _nothing(self, parameter: Parameter, known: Collection[str]) -> None:
+        hint = "" if parameter.name in known else did_you_mean(parameter.name, known)
+        why = "leads to no FMU" if parameter.name in known else "is of nothing here"
+        self.reader.warn(parameter.element, f"parameter {shown(parameter.name)} {why}, and is left out{hint}")
 
     def _names(self, level: _Level) -> Iterator[str]:
         """Hierarchical names within a system."""
@@ -305,6 +302,27 @@ class _Flattener:
             yield from (f"{element}.{variable}" for variable in part.variables)
         for element, inner in level.systems.items():
             yield from (f"{element}.{name}" for name in self._names(inner))
+
+
+def _directed(system: System) -> System:
+    """A system whose connections all begin where values come from; FMPy and OMSimulator take them either way."""
+
+    def sends(end: tuple[str | None, str]) -> bool | None:
+        name, connector = end
+        holder = system if name is None else system.elements.get(name)
+        known = None if holder is None else holder.connectors.get(connector)
+        if known is None or known.kind not in {"input", "output", "parameter", "calculatedParameter"}:
+            return None
+        return (known.kind in {"output", "calculatedParameter"}) != (name is None)
+
+    connections = [
+        replace(c, start=c.end, end=c.start)
+        if c.linear == Linear() and sends(c.start) is False and sends(c.end) is True
+        else c
+        for c in system.connections
+    ]
+    elements = {name: _directed(e) if isinstance(e, System) else e for name, e in system.elements.items()}
+    return replace(system, connections=tuple(connections), elements=elements)
 
 
 def _levels(level: _Level) -> Iterator[_Level]:

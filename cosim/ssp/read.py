@@ -57,6 +57,10 @@ class Reader:
         if len(self.faults) >= MOST_FAULTS:
             raise InputError(self.faults)
 
+    def warn(self, element: Element, message: str) -> None:
+        """Warn of an element."""
+        self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
+
     def structure(self) -> Structure | None:
         """The description; None where it is none, which is noted."""
         root = self.package.element(self.package.structure)
@@ -162,7 +166,8 @@ class Reader:
             self.note(element, f"it has no {'startConnector' if not start else 'endConnector'}; add it")
             return None
         exact = element.get("suppressUnitConversion") in {"true", "1"}
-        ends = (element.get("startElement"), start), (element.get("endElement"), end)
+        # an empty name is what OMSimulator writes of the system itself
+        ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
         return Connection(*ends, self._linear(element, exact), element)
 
     # -- parameters -----------------------------------------------------------------------------
@@ -259,12 +264,14 @@ class Reader:
             known.setdefault(value.name, []).append(value)
         for entry in holder.all("ssm:MappingEntry"):
             source, target = entry.get("source"), entry.get("target")
+            if source == "" and target:  # prepared, of nothing
+                continue
             if not source or not target:
                 self.note(entry, f"it has no {'target' if source else 'source'}; add it")
                 continue
             if source not in known:
                 hint = did_you_mean(source, known)
-                self.warnings.append(f"{self._place(entry)}: the parameter set has no {shown(source)}{hint}")
+                self.warn(entry, f"the parameter set has no {shown(source)}{hint}")
             linear = self._linear(entry, entry.get("suppressUnitConversion") in {"true", "1"})
             for value in known.get(source, ()):
                 if linear != Linear(exact=linear.exact) and isinstance(value.value, (bool, str)):
@@ -327,9 +334,6 @@ class Reader:
         version = root.get("version")
         if version not in VERSIONS:
             self.note(root, f"version {shown(version)} is not known here; {' and '.join(VERSIONS)} are")
-
-    def _place(self, element: Element) -> str:
-        return f"{element.file}:{element.line}:{element.column}"
 
 
 def _within(element: Element) -> Iterator[Element]:
