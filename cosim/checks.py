@@ -28,6 +28,7 @@ from cosim.simulation.apart import MODULES, Recipe, simulate_apart
 from cosim.simulation.components import Designed
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned
+from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.yaml_file import YamlFile
@@ -66,6 +67,8 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
             if faults := check_fmu(path, worker):
                 raise InputError(faults)
             return fmu_warnings(path)
+        case kinds.SSP:
+            return check_ssp(path, worker)
         case kinds.LOG:
             return log_findings(path, load_model(model, Path()).model)
         case kinds.CODE:
@@ -143,6 +146,16 @@ def check_scenario(path: Path, worker: Worker | None = None) -> None:
     system = build_system(file, designed)
     if worker is not None and (faults := _run_once(file, path, worker, designed, system)):
         raise InputError(faults)
+
+
+def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:
+    """Read an SSP as a run would, step it once with a worker; what is to be known of it. InputError with its faults."""
+    with tempfile.TemporaryDirectory(prefix="cosim-check-") as folder:
+        file, warnings = lay_out(path, Path(folder))
+        if worker is not None and (faults := _run_once(file, path, worker)):
+            shown = (replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
+            raise InputError(list(shown))
+        return [f"warning: {text}" for text in warnings]
 
 
 def _run_once(

@@ -67,13 +67,14 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
         reader = Reader(package)
         structure, flat = read(reader)
         files = _files(flat)
-        warnings = list(reader.warnings)
+        slips = list(dict.fromkeys(package.slips))
+        warnings = [*map(str, slips), *reader.warnings]
         given = frozenset(override.partition("=")[0].strip() for override in overrides)
         scenario, places = _scenario(package, structure, flat, files, (warnings, given))
         trial = Path(made) / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
-        faults = [*reader.faults]
+        faults = list(reader.faults)
         if named:
             try:
                 build_system(ScenarioFile(trial, overrides, places.fault))
@@ -82,6 +83,7 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
         elif not faults:
             faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
+            faults += slips  # which may be why
             raise InputError([_shown(fault, trial, package) for fault in faults])
         yield Unpacked(scenario, files, places, warnings)
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlsplit
 
 from cosim.errors import Fault, InputError
 from cosim.ssp.elements import Element, parse
+from cosim.ssp.schema import slips
 from fmus.archive import SSP, STRUCTURE, BadArchive, unpack
-
-ENDINGS = (".ssp", ".ssd")
 
 
 @dataclass(frozen=True)
@@ -22,12 +21,14 @@ class Package:
 
     shown:  the file that the user named
     folder: against which names in it are resolved; packed: they must not lead out of it
+    slips:  where what has been read breaks the schema
     """
 
     shown: Path
     folder: Path
     structure: Path
     packed: bool
+    slips: list[Fault] = field(default_factory=list)
 
     def label(self, path: Path) -> Path:
         """What a file within is called in messages."""
@@ -53,7 +54,10 @@ class Package:
         """The root element of a file within; InputError."""
         label = self.label(path)
         try:
-            return parse(label, path.read_bytes())
+            text = path.read_bytes()
+            root = parse(label, text)
+            self.slips.extend(slips(label, text))
+            return root
         except BadArchive as error:
             raise InputError([Fault(label, 0, 0, str(error))]) from None
         except OSError as error:
