@@ -122,6 +122,11 @@ def needs(package: str) -> Callable[[], str]:
     return lambda: "" if importlib.util.find_spec(package) else f"not here: pip install {package}"
 
 
+def undriven(found: Any, why: str) -> str:
+    """Of a host that nobody could try with this script."""
+    return "here, but not driven by this script" if found else f"not here: {why}"
+
+
 def ecos_needs() -> str:
     return needs("ecospy")() or ("" if list(LIBRARIES.glob("libtbb.so*")) else "not here: pip install tbb")
 
@@ -132,13 +137,13 @@ HOSTS = (
     Host("ecos", ecos_needs, in_process("tests.hosts_ecos")),
     Host(
         "FMUComplianceChecker",
-        lambda: "" if checker() else "not here: built from source, with FMILibrary 2.0.3; FMUCHECK=… says where",
+        lambda: "" if checker() else "not here: it is built from source, with FMILibrary; FMUCHECK=… says where",
         checker_rows,
         ssps=False,
     ),
-    Host("fmusim", lambda: "not here: modelica/fmusim is built by cargo, with crates of crates.io"),
-    Host("OMSimulator", lambda: "not here: PyPI has no package of it for this Python; comes with OpenModelica"),
-    Host("PyFMI", lambda: "not here: PyPI has no wheel of it; comes with conda"),
+    Host("fmusim", lambda: undriven(shutil.which("fmusim"), "cargo builds modelica/fmusim, with crates of crates.io")),
+    Host("OMSimulator", lambda: undriven(shutil.which("OMSimulator"), "it comes with OpenModelica")),
+    Host("PyFMI", lambda: undriven(importlib.util.find_spec("pyfmi"), "it comes with conda")),
 )
 PACKAGES = {"FMPy": "fmpy", "libcosim": "libcosimpy", "ecos": "ecospy"}
 
@@ -146,7 +151,8 @@ PACKAGES = {"FMPy": "fmpy", "libcosim": "libcosimpy", "ecos": "ecospy"}
 def shown_version(host: Host) -> str:
     """A host's name with its version."""
     if host.name in PACKAGES and not host.missing():
-        return f"{host.name} {version(PACKAGES[host.name])}"
+        package = PACKAGES[host.name]
+        return f"{host.name} {version(package)}" if package == "fmpy" else f"{host.name} ({package} {version(package)})"
     if host.name == "FMUComplianceChecker" and not host.missing():
         said = subprocess.run([str(checker()), "-v"], capture_output=True, text=True, check=False).stdout
         return f"{host.name} {said.split('checker ')[1].split()[0]}" if "checker " in said else host.name

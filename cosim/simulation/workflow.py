@@ -19,7 +19,7 @@ from cosim.results import Results
 from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
-from cosim.simulation.manifest import check_pinned, manifest, write_manifest
+from cosim.simulation.manifest import check_pinned, manifest, sha256, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.scenario_file import ScenarioFile
@@ -93,6 +93,8 @@ def run(
             "real_time_factor": file.scenario.duration / (simulated - loaded),
         }
         record = manifest(file, designed, system, timings)
+        if is_ssp(Path(scenario)):
+            record["ssp"] = {"path": str(Path(scenario).resolve()), "sha256": sha256(Path(scenario))}
         if failure is None:
             record["criteria"] = evaluate(file.scenario, results)
         else:

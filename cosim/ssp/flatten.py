@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
 from typing import Any
 
 from cosim.blocks.description import read_description, unit_definition, unit_of
@@ -55,8 +57,18 @@ class _Level:
     systems: dict[str, _Level] = field(default_factory=dict)
     parts: dict[str, Part] = field(default_factory=dict)
 
-    def into(self, end: tuple[str | None, str]) -> Connection | None:
-        return next((c for c in self.system.connections if c.end == end), None)
+    @cached_property
+    def into(self) -> dict[tuple[str | None, str], Connection]:
+        """By where they end."""
+        return {connection.end: connection for connection in reversed(self.system.connections)}
+
+    @cached_property
+    def out_of(self) -> dict[tuple[str | None, str], list[Connection]]:
+        """By where they start."""
+        found: dict[tuple[str | None, str], list[Connection]] = {}
+        for connection in self.system.connections:
+            found.setdefault(connection.start, []).append(connection)
+        return found
 
 
 def flatten(structure: Structure, reader: Reader) -> Flat:
@@ -169,7 +181,7 @@ class _Flattener:
             outer = at.parent if name is None else at.systems.get(name)  # from outside, or from inside
             if outer is None:
                 return None
-            before = outer.into((at.system.name if name is None else None, connector))
+            before = outer.into.get((at.system.name if name is None else None, connector))
             if before is None or any(before is hop for _, hop in hops):
                 return None
             hops.insert(0, (outer, before))
@@ -226,7 +238,7 @@ class _Flattener:
                 if parameter.name in part.variables:
                     self._give(part, parameter.name, parameter, ())
                 else:
-                    self._nothing(parameter, part.variables.keys())
+                    self._nothing(parameter, part.variables)
         for inner in level.systems.values():
             self._parameters(inner)
         for parameter in level.system.parameters:
@@ -234,7 +246,7 @@ class _Flattener:
             for part, variable, hops in targets:
                 self._give(part, variable, parameter, hops)
             if not targets:
-                self._nothing(parameter, [*level.system.connectors, *self._names(level)])
+                self._nothing(parameter, chain(level.system.connectors, self._names(level)), level)
 
     def _targets(
         self, level: _Level, name: str, hops: tuple[tuple[_Level, Connection], ...]
@@ -253,9 +265,9 @@ class _Flattener:
         self, level: _Level, connector: str, hops: tuple[tuple[_Level, Connection], ...]
     ) -> Iterator[tuple[Part, str, tuple[tuple[_Level, Connection], ...]]]:
         """Where a connector of a system leads inside."""
-        for connection in level.system.connections:
+        for connection in level.out_of.get((None, connector), ()):
             name, variable = connection.end
-            if connection.start != (None, connector) or name is None:
+            if name is None:
                 continue
             further = (*hops, (level, connection))
             if name in level.parts and variable in level.parts[name].variables:
@@ -291,9 +303,10 @@ class _Flattener:
             unit = unit[1:-1]
         return Signal(parameter.name, unit, units.get(unit))
 
-    def _nothing(self, parameter: Parameter, known: Collection[str]) -> None:
-        hint = "" if parameter.name in known else did_you_mean(parameter.name, known)
-        why = "leads to no FMU" if parameter.name in known else "is of nothing here"
+    def _nothing(self, parameter: Parameter, known: Iterable[str], level: _Level | None = None) -> None:
+        leads = level is not None and parameter.name in level.system.connectors
+        hint = "" if leads else did_you_mean(parameter.name, known)
+        why = "leads to no FMU" if leads else "is of nothing here"
         self.reader.warn(parameter.element, f"parameter {shown(parameter.name)} {why}, and is left out{hint}")
 
     def _names(self, level: _Level) -> Iterator[str]:

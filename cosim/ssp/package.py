@@ -36,19 +36,29 @@ class Package:
             return path
         return self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
 
-    def resolve(self, source: str, base: Path | None = None) -> Path | str:
+    def resolve(self, source: str) -> Path | str:
         """The file at a relative URI; why there is none."""
-        uri = urlsplit(source)
-        if uri.scheme not in {"", "file"} or uri.netloc:
-            return f'"{source[:80]}" is not in the package; put the file into resources/ and name it so'
-        within = self.folder.resolve()
-        path = ((base or within) / unquote(uri.path)).resolve()
-        if self.packed and not path.is_relative_to(within):
-            return f'"{source[:80]}" leads out of the package; put the file into resources/ and name it so'
-        if not path.is_file():
-            near = sorted(p.relative_to(within).as_posix() for p in within.glob(f"**/{path.name}"))[:1]
-            return f'no file "{source[:80]}" in it' + "".join(f'; did you mean "{n}"?' for n in near)
-        return path
+        shown = f'"{source[:80]}"'
+        try:
+            uri = urlsplit(source)
+            if uri.scheme not in {"", "file"} or uri.netloc:
+                return f"{shown} is not in the package; put the file into resources/ and name it so"
+            within = self.folder.resolve()
+            path = (within / unquote(uri.path)).resolve()
+            if self.packed and not path.is_relative_to(within):
+                return f"{shown} leads out of the package; put the file into resources/ and name it so"
+            return path if path.is_file() else f"no file {shown} in it{self._hint(path)}"
+        except (OSError, ValueError):  # a name that no file may have
+            return f"{shown} is no name of a file"
+
+    def _hint(self, path: Path) -> str:
+        """A file of this name but for its case, beside it or among the resources."""
+        folders = dict.fromkeys((path.parent, self.folder / "resources"))
+        beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()))
+        found = next((p for p in beside if p.name.lower() == path.name.lower()), None)
+        if found is None or not found.is_relative_to(self.folder):
+            return ""
+        return f'; did you mean "{found.relative_to(self.folder).as_posix()}"?'
 
     def element(self, path: Path) -> Element:
         """The root element of a file within; InputError."""
