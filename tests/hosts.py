@@ -86,7 +86,7 @@ def in_process(module: str) -> Callable[[dict[str, Any]], np.ndarray]:
 
 def reason(text: str) -> str:
     """The line of what a host said that tells why, without paths."""
-    lines = [line for line in text.splitlines() if line.strip()]
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(" ")]  # those are code
     telling = [line for line in lines if re.search(r"error|undefined|fail|could not|fatal", line, re.IGNORECASE)]
     line = (telling or lines or [""])[0 if telling else -1]
     return " ".join(re.sub(r"\S*/(?=[^/\s]+)", "", line).replace("|", "/").split())[:110]

@@ -22,9 +22,8 @@ def rows_of(job: dict[str, Any]) -> list[list[float]]:
     step, steps = job["step"], job["steps"]
     # its time is a sum of steps: half a step keeps it from one too many
     made = simulate_ssp(job["ssp"], 0.0, step * (steps - 0.5), step, parameter_set=start)
-    columns = ["system." + column for column in job["columns"]]
-    named = [made[c if c in made.dtype.names else c.removeprefix("system.")].tolist() for c in columns]
-    return [[float("nan")] * len(columns), *([float(v) for v in row] for row in zip(*named, strict=True))]
+    named = [made[column].tolist() for column in job["columns"]]
+    return [[0.0] * len(named), *([float(v) for v in row] for row in zip(*named, strict=True))]
 
 
 def rows_alone(job: dict[str, Any]) -> list[list[float]]:

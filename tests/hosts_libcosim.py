@@ -15,8 +15,9 @@ from tests.hosts_fmpy import description_of
 
 
 def of_ssp(job: dict[str, Any]) -> list[list[float]]:
-    """Rows of an SSP, at the step that it says."""
-    execution = CosimExecution.from_ssp_file(job["ssp"])
+    """Rows of an SSP, at the step that it says, or one that is forced upon it."""
+    forced = job.get("forced")
+    execution = CosimExecution.from_ssp_file(job["ssp"], None if forced is None else round(forced * 1e9))
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
     index = {info.name.decode(): info.index for info in execution.slave_infos()}

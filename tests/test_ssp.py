@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import importlib.util
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -24,6 +27,7 @@ from cosim.results import Results
 from cosim.simulation.export import export_ssp
 from cosim.simulation.workflow import run
 from fmus.native.source import build_source
+from tests.hosts import table
 from tests.hosts_fmpy import Instance
 from tests.lag import bound, component, connection, lag_fmu, real, ssp
 from tests.test_fmu_hosts import AGREEMENT, LIBRARIES, MISSING, ROOT
@@ -442,10 +446,37 @@ def test_lags_move_in_other_hosts_as_here(host: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.hosts
-@pytest.mark.parametrize("host", HOSTS)
-def test_the_closed_loop_moves_in_other_hosts_as_here(host: str, project: Path, tmp_path: Path) -> None:
+def test_what_the_page_shows_runs(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lag_fmu(tmp_path / "lag.fmu")  # skips without a compiler
-    source = project / "scenarios" / "manoeuvre.yaml"
-    exported = export_ssp(source, tmp_path / "loop.ssp", ("criteria={}", "duration=4"))
-    ours = agrees(host, exported.path, tmp_path, 0.02, 150)
-    assert np.ptp(ours["plant.psi"]) > 1.0
+    text = (ROOT / "docs" / "ssp.md").read_text()
+    (block,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    monkeypatch.chdir(project)
+    short = {
+        "export-ssp": ["--set", "duration=2", "--set", "criteria={}"],
+        "run": ["--no-report"],
+        "check": ["--no-load"],
+    }
+    for line in block.splitlines():
+        words = shlex.split(line, comments=True)[1:]
+        done = CliRunner().invoke(app, [*words, *short[words[0]]])
+        assert done.exit_code == 0, done.output
+    with (project / "flown" / "results.csv").open() as stream:
+        wanted = float(list(csv.DictReader(stream))[-1]["plant.psi"])
+    assert abs(wanted) > 0.5
+    for snippet in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        package = snippet.split()[1].split(".")[0]
+        if importlib.util.find_spec(package) is None:
+            continue
+        environment = {**os.environ, "LD_LIBRARY_PATH": str(LIBRARIES)}
+        done_in = subprocess.run(
+            [sys.executable, "-c", snippet], cwd=project, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done_in.returncode == 0, (package, done_in.stderr)
+        (psi,) = (float(line) for line in done_in.stdout.splitlines() if re.fullmatch(r"[-\d.e]+", line))
+        assert psi == pytest.approx(wanted, abs=0.05 if package == "fmpy" else AGREEMENT), package  # zeros at first
+
+
+def test_the_matrix_says_of_each_host_and_fmu_that_is_not_there_why(tmp_path: Path) -> None:
+    rows = table(tmp_path).splitlines()[2:]
+    assert len(rows) == 7
+    assert all("not built" in row or "not here" in row for row in rows), rows
