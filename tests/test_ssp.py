@@ -31,6 +31,7 @@ from tests.hosts import table
 from tests.hosts_fmpy import Instance
 from tests.lag import bound, component, connection, lag_fmu, real, ssp
 from tests.test_fmu_hosts import AGREEMENT, LIBRARIES, MISSING, ROOT
+from tests.typed import typed_fmu
 
 STEP = "step=0.0625"  # s; a power of two, so that sums of it are exact in hosts that add
 
@@ -157,6 +158,21 @@ def test_a_prefix_names_the_element_and_a_connector_of_the_system_leads_inside(t
     ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
     assert ours["a.u"].tolist() == [6.0] * len(ours.time)
     assert ours["a.y"][1] == 0.0625 * 10.0
+
+
+def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -> None:
+    fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
+    units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
+<ssc:Unit name="turn"><ssc:BaseUnit rad="1" factor="6.283185307179586"/></ssc:Unit></ssd:Units>"""
+    mapping = """<ssd:ParameterMapping><ssm:ParameterMapping version="1.0">
+<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry></ssm:ParameterMapping></ssd:ParameterMapping>"""
+    system = f"""<ssd:System name="root"><ssd:Connectors>
+<ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
+<ssd:ParameterBindings>{bound({"half": real(0.5, "turn")}, mapping)}</ssd:ParameterBindings>
+<ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>{connection("drive", "a.u")}</ssd:Connections>
+</ssd:System>{units}"""
+    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
+    assert ours["a.u"][0] == pytest.approx(1.5 * np.pi)  # 0.5 turn = 180 deg, + 90 deg
 
 
 @pytest.mark.parametrize(
@@ -356,6 +372,43 @@ def test_what_an_ssp_cannot_hold_is_refused_with_the_cure(tmp_path: Path, change
         export_ssp(source, tmp_path / "x.ssp")
     assert caught.value.exit_code == 2
     assert not (tmp_path / "x.ssp").exists()
+
+
+@pytest.mark.parametrize(
+    ("component", "link", "words"),
+    [
+        ({"fmu": "typed3.fmu"}, ("x.twice", "x.a"), "is FMI 3.0"),
+        ({"fmu": "typed3.fmu"}, ("x.twice", "x.a"), "arrays are not what SSP 1.0 can connect"),
+        ({"fmu": "typed2.fmu", "interface": "model-exchange"}, ("x.r_out", "a.u"), "is run by model exchange"),
+        ({"fmu": "typed2.fmu", "step": 0.125}, ("x.r_out", "a.u"), "give the scenario step 0.125"),
+        (
+            {"fmu": "typed2.fmu"},
+            ("x.e_out", "y.e_in"),
+            "x.e_out is Enumeration; importers connect Real, Integer, Boolean",
+        ),
+        ({"fmu": "typed2.fmu"}, ("x.s_out", "y.s_in"), "x.s_out is String"),
+        ({"fmu": "typed2.fmu"}, ("x.i_out", "a.u"), "importers of SSPs convert no types"),
+    ],
+)
+def test_what_importers_do_not_run_is_refused(
+    tmp_path: Path, component: dict[str, Any], link: tuple[str, str], words: str
+) -> None:
+    typed_fmu(tmp_path, 2, "typed2")
+    typed_fmu(tmp_path, 3, "typed3")
+    others = {"a": {"fmu": "lag.fmu"}, "y": {"fmu": "typed2.fmu"}}
+    ends = [{"from": link[0], "to": link[1]}]
+    source = lags(tmp_path, components={"x": component, **others}, connections=ends)
+    with pytest.raises(InputError, match=re.escape(words)):
+        export_ssp(source, tmp_path / "x.ssp")
+
+
+def test_values_of_every_type_that_importers_take_are_written(tmp_path: Path) -> None:
+    typed_fmu(tmp_path, 2, "typed2")
+    start = {"r_in": 2.5, "i_in": -3, "b_in": True, "s_in": "<&>", "e_in": "second"}
+    source = lags(tmp_path, components={"x": {"fmu": "typed2.fmu", "start": start}}, connections=[])
+    again = run(export_ssp(source, tmp_path / "x.ssp").path, tmp_path / "r", report=False, in_process=True).results
+    assert [again[f"x.{n}"][0].item() for n in ("r_out", "i_out", "b_out", "e_out")] == [2.5, -3, 1, 2]
+    assert again.exact["x.s_out"][0] == "<&>"
 
 
 def test_a_connection_that_converts_units_is_refused(tmp_path: Path) -> None:

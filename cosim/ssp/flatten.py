@@ -212,6 +212,12 @@ class _Flattener:
         unit = (connector.unit if connector else None) or ""
         return connector, Signal(variable, unit, self.structure.units.get(unit))
 
+    def _outer(self, hop: tuple[_Level, Connection]) -> Signal:
+        """The connector of a system from which a connection leads inside."""
+        level, connection = hop
+        connector = level.system.connectors[connection.start[1]]
+        return Signal(connector.name, connector.unit or "", self.structure.units.get(connector.unit or ""))
+
     def _signal(self, part: Part, name: str, connector: Connector | None) -> Signal:
         """An end at an FMU in its unit: as the connector says it, else as the FMU does."""
         variable = part.variables.get(name)
@@ -283,16 +289,15 @@ class _Flattener:
         if isinstance(value, (bool, str)):
             part.start[variable] = value, parameter.element
             return
+        stages = [(self._end(level, connection)[1], connection.linear) for level, connection in hops]
+        first = self._outer(hops[0]) if hops else self._signal(part, variable, None)
         now, factor, offset = self._of(parameter), 1.0, 0.0
-        ends = [self._end(level, connection)[1] for level, connection in hops] or [self._signal(part, variable, None)]
-        linears = [connection.linear for _, connection in hops] or [Linear()]
-        for wanted, linear, own in zip(ends, linears, [parameter.linear, *([Linear()] * len(ends))], strict=False):
-            step = self._converted(now, wanted, Linear(exact=own.exact or linear.exact), parameter.element)
+        for wanted, linear in ((first, parameter.linear), *stages):
+            step = self._converted(now, wanted, linear, parameter.element)
             if step is None:
                 return
-            for f, o in (step, (own.factor, own.offset), (linear.factor, linear.offset)):
-                factor, offset = factor * f, offset * f + o
-            now = wanted if wanted.unit else now
+            factor, offset = factor * step[0], offset * step[0] + step[1]
+            now = wanted if wanted.unit or linear.exact else now
         plain = factor == 1.0 and offset == 0.0
         part.start[variable] = value if plain else value * factor + offset, parameter.element
 
