@@ -164,8 +164,9 @@ def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -
     fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
     units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
 <ssc:Unit name="turn"><ssc:BaseUnit rad="1" factor="6.283185307179586"/></ssc:Unit></ssd:Units>"""
-    mapping = """<ssd:ParameterMapping><ssm:ParameterMapping version="1.0">
-<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry></ssm:ParameterMapping></ssd:ParameterMapping>"""
+    entry = '<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry>'
+    mapping = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
+    mapping = f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
     system = f"""<ssd:System name="root"><ssd:Connectors>
 <ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
 <ssd:ParameterBindings>{bound({"half": real(0.5, "turn")}, mapping)}</ssd:ParameterBindings>
