@@ -19,7 +19,8 @@ import numpy as np
 from cosim.errors import CosimError, InputError
 from cosim.simulation.packaged import unpacked
 from cosim.simulation.workflow import run
-from cosim.ssp.flatten import Part, read
+from cosim.ssp.flatten import read
+from cosim.ssp.levels import Part
 from cosim.ssp.package import opened
 from cosim.ssp.read import Reader
 from tests.hosts import HOSTS, Refused, reason

@@ -18,7 +18,8 @@ from cosim.kinds import SSP, kind_by_name
 from cosim.simulation.scenario_file import ROUNDING, ScenarioFile
 from cosim.simulation.system import build_system
 from cosim.ssp.elements import Element
-from cosim.ssp.flatten import Flat, read
+from cosim.ssp.flatten import read
+from cosim.ssp.levels import Flat
 from cosim.ssp.package import Package, opened
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Structure

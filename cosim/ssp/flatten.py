@@ -4,71 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import chain
-from typing import Any
 
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.blocks.interface import Signal
 from cosim.errors import FmuError, InputError
 from cosim.ssp.elements import Element
+from cosim.ssp.levels import Flat, Level, Link, Part, directed, levels
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
 from cosim.yaml_file import did_you_mean, shown
-
-
-@dataclass
-class Part:
-    """An FMU of the system: `name` as a scenario has it, `path` as the SSP has it."""
-
-    name: str
-    path: str
-    component: Component
-    description: Any
-    variables: dict[str, Any]
-    start: dict[str, tuple[Any, Element]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Link:
-    """From an output to an input, `name.variable`; `linear` None where units alone say what becomes of a value."""
-
-    source: str
-    target: str
-    linear: Linear | None
-    element: Element
-
-
-@dataclass(frozen=True)
-class Flat:
-    """A system without systems in it."""
-
-    parts: tuple[Part, ...]
-    links: tuple[Link, ...]
-
-
-@dataclass
-class _Level:
-    """A system and where it is; `systems` and `parts` are its elements."""
-
-    system: System
-    parent: _Level | None
-    systems: dict[str, _Level] = field(default_factory=dict)
-    parts: dict[str, Part] = field(default_factory=dict)
-
-    @cached_property
-    def into(self) -> dict[tuple[str | None, str], Connection]:
-        """By where they end."""
-        return {connection.end: connection for connection in reversed(self.system.connections)}
-
-    @cached_property
-    def out_of(self) -> dict[tuple[str | None, str], list[Connection]]:
-        """By where they start."""
-        found: dict[tuple[str | None, str], list[Connection]] = {}
-        for connection in self.system.connections:
-            found.setdefault(connection.start, []).append(connection)
-        return found
 
 
 def flatten(structure: Structure, reader: Reader) -> Flat:
@@ -83,14 +28,14 @@ class _Flattener:
         self.taken: set[str] = set()
 
     def flat(self) -> Flat:
-        root = self._level(_directed(self.structure.system), None, ())
+        root = self._level(directed(self.structure.system), None, ())
         self._check(root)
         self._parameters(root)
-        links = [link for level in _levels(root) for link in self._links(level)]
+        links = [link for level in levels(root) for link in self._links(level)]
         return Flat(tuple(self.parts), tuple(links))
 
-    def _level(self, system: System, parent: _Level | None, path: tuple[str, ...]) -> _Level:
-        level = _Level(system, parent)
+    def _level(self, system: System, parent: Level | None, path: tuple[str, ...]) -> Level:
+        level = Level(system, parent)
         for name, element in system.elements.items():
             if isinstance(element, System):
                 level.systems[name] = self._level(element, level, (*path, name))
@@ -129,9 +74,9 @@ class _Flattener:
 
     # -- connections ----------------------------------------------------------------------------
 
-    def _check(self, root: _Level) -> None:
+    def _check(self, root: Level) -> None:
         """Connections lead from and to connectors that there are, one to each end."""
-        for level in _levels(root):
+        for level in levels(root):
             ended: set[tuple[str | None, str]] = set()
             for connection in level.system.connections:
                 for side, (name, connector) in (("start", connection.start), ("end", connection.end)):
@@ -141,7 +86,7 @@ class _Flattener:
                     self.reader.note(connection.element, f"two sources for {where}; keep one")
                 ended.add(connection.end)
 
-    def _check_end(self, level: _Level, element: Element, side: str, name: str | None, connector: str) -> None:
+    def _check_end(self, level: Level, element: Element, side: str, name: str | None, connector: str) -> None:
         elements = level.system.elements
         if name is not None and name not in elements:
             self.reader.note(element, f"{side}Element {shown(name)} is not in its system{did_you_mean(name, elements)}")
@@ -155,7 +100,7 @@ class _Flattener:
             )
             self.reader.note(element, f"{side}Connector: {owner}{did_you_mean(connector, known)}")
 
-    def _links(self, level: _Level) -> Iterator[Link]:
+    def _links(self, level: Level) -> Iterator[Link]:
         """Connections that end at FMUs of a level, followed to the output from which they come."""
         for connection in level.system.connections:
             part = level.parts.get(connection.end[0] or "")
@@ -170,9 +115,9 @@ class _Flattener:
             ends = f"{source.name}.{first.start[1]}", f"{part.name}.{connection.end[1]}"
             yield Link(*ends, linear, connection.element)
 
-    def _hops(self, level: _Level, last: Connection) -> list[tuple[_Level, Connection]] | None:
+    def _hops(self, level: Level, last: Connection) -> list[tuple[Level, Connection]] | None:
         """The connections from an FMU's output to the end of the last one; None where none drives it."""
-        hops: list[tuple[_Level, Connection]] = [(level, last)]
+        hops: list[tuple[Level, Connection]] = [(level, last)]
         while True:
             at, connection = hops[0]
             name, connector = connection.start
@@ -186,7 +131,7 @@ class _Flattener:
                 return None
             hops.insert(0, (outer, before))
 
-    def _along(self, source: Part, hops: list[tuple[_Level, Connection]], element: Element) -> Linear | None:
+    def _along(self, source: Part, hops: list[tuple[Level, Connection]], element: Element) -> Linear | None:
         """What becomes of a value on its way; None where the units of the FMUs alone say it."""
         first = hops[0][1].start[1]
         now, factor, offset = self._signal(source, first, source.component.connectors.get(first)), 1.0, 0.0
@@ -201,7 +146,7 @@ class _Flattener:
             now = wanted if wanted.unit or connection.linear.exact else now
         return None if plain else Linear(factor, offset)
 
-    def _end(self, level: _Level, connection: Connection) -> tuple[Connector | None, Signal]:
+    def _end(self, level: Level, connection: Connection) -> tuple[Connector | None, Signal]:
         name, variable = connection.end
         part = level.parts.get(name or "")
         if part is not None:
@@ -212,7 +157,7 @@ class _Flattener:
         unit = (connector.unit if connector else None) or ""
         return connector, Signal(variable, unit, self.structure.units.get(unit))
 
-    def _outer(self, hop: tuple[_Level, Connection]) -> Signal:
+    def _outer(self, hop: tuple[Level, Connection]) -> Signal:
         """The connector of a system from which a connection leads inside."""
         level, connection = hop
         connector = level.system.connectors[connection.start[1]]
@@ -237,7 +182,7 @@ class _Flattener:
 
     # -- parameters -----------------------------------------------------------------------------
 
-    def _parameters(self, level: _Level) -> None:
+    def _parameters(self, level: Level) -> None:
         """Start values from inside out, so that what stands further out wins; at one place the last."""
         for part in level.parts.values():
             for parameter in part.component.parameters:
@@ -255,8 +200,8 @@ class _Flattener:
                 self._nothing(parameter, chain(level.system.connectors, self._names(level)), level)
 
     def _targets(
-        self, level: _Level, name: str, hops: tuple[tuple[_Level, Connection], ...]
-    ) -> Iterator[tuple[Part, str, tuple[tuple[_Level, Connection], ...]]]:
+        self, level: Level, name: str, hops: tuple[tuple[Level, Connection], ...]
+    ) -> Iterator[tuple[Part, str, tuple[tuple[Level, Connection], ...]]]:
         """Every variable that a hierarchical name means within a system."""
         if name in level.system.connectors:
             yield from self._forward(level, name, hops)
@@ -268,8 +213,8 @@ class _Flattener:
                 yield from self._targets(inner, name[len(element) + 1 :], hops)
 
     def _forward(
-        self, level: _Level, connector: str, hops: tuple[tuple[_Level, Connection], ...]
-    ) -> Iterator[tuple[Part, str, tuple[tuple[_Level, Connection], ...]]]:
+        self, level: Level, connector: str, hops: tuple[tuple[Level, Connection], ...]
+    ) -> Iterator[tuple[Part, str, tuple[tuple[Level, Connection], ...]]]:
         """Where a connector of a system leads inside."""
         for connection in level.out_of.get((None, connector), ()):
             name, variable = connection.end
@@ -282,7 +227,7 @@ class _Flattener:
                 yield from self._forward(level.systems[name], variable, further)
 
     def _give(
-        self, part: Part, variable: str, parameter: Parameter, hops: tuple[tuple[_Level, Connection], ...]
+        self, part: Part, variable: str, parameter: Parameter, hops: tuple[tuple[Level, Connection], ...]
     ) -> None:
         """A start value in the unit of its variable."""
         value = parameter.value
@@ -308,45 +253,18 @@ class _Flattener:
             unit = unit[1:-1]
         return Signal(parameter.name, unit, units.get(unit))
 
-    def _nothing(self, parameter: Parameter, known: Iterable[str], level: _Level | None = None) -> None:
+    def _nothing(self, parameter: Parameter, known: Iterable[str], level: Level | None = None) -> None:
         leads = level is not None and parameter.name in level.system.connectors
         hint = "" if leads else did_you_mean(parameter.name, known)
         why = "leads to no FMU" if leads else "is of nothing here"
         self.reader.warn(parameter.element, f"parameter {shown(parameter.name)} {why}, and is left out{hint}")
 
-    def _names(self, level: _Level) -> Iterator[str]:
+    def _names(self, level: Level) -> Iterator[str]:
         """Hierarchical names within a system."""
         for element, part in level.parts.items():
             yield from (f"{element}.{variable}" for variable in part.variables)
         for element, inner in level.systems.items():
             yield from (f"{element}.{name}" for name in self._names(inner))
-
-
-def _directed(system: System) -> System:
-    """A system whose connections all begin where values come from; FMPy and OMSimulator take them either way."""
-
-    def sends(end: tuple[str | None, str]) -> bool | None:
-        name, connector = end
-        holder = system if name is None else system.elements.get(name)
-        known = None if holder is None else holder.connectors.get(connector)
-        if known is None or known.kind not in {"input", "output", "parameter", "calculatedParameter"}:
-            return None
-        return (known.kind in {"output", "calculatedParameter"}) != (name is None)
-
-    connections = [
-        replace(c, start=c.end, end=c.start)
-        if c.linear == Linear() and sends(c.start) is False and sends(c.end) is True
-        else c
-        for c in system.connections
-    ]
-    elements = {name: _directed(e) if isinstance(e, System) else e for name, e in system.elements.items()}
-    return replace(system, connections=tuple(connections), elements=elements)
-
-
-def _levels(level: _Level) -> Iterator[_Level]:
-    yield level
-    for inner in level.systems.values():
-        yield from _levels(inner)
 
 
 def read(reader: Reader) -> tuple[Structure, Flat]:

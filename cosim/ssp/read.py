@@ -2,64 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from cosim.errors import Fault, InputError
 from cosim.ssp.elements import Element
-from cosim.ssp.package import Package
-from cosim.ssp.structure import (
-    Component,
-    Connection,
-    Connector,
-    Definition,
-    Linear,
-    Parameter,
-    Structure,
-    System,
-    Units,
-)
-from cosim.yaml_file import MOST_FAULTS, did_you_mean, shown
+from cosim.ssp.parameters import ParameterReader
+from cosim.ssp.structure import Component, Connection, Connector, Structure, System
+from cosim.yaml_file import shown
 
-FMU, SET, MAPPING = (
-    "application/x-fmu-sharedlibrary",
-    "application/x-ssp-parameter-set",
-    "application/x-ssp-parameter-mapping",
-)
-VERSIONS = ("1.0", "2.0")
+FMU = "application/x-fmu-sharedlibrary"
 WAYS = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-REALS = ("Real", "Float64", "Float32")
-WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
-TRUTH = {"true": True, "1": True, "false": False, "0": False}
 STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # of OSP, of OMSimulator
-OTHER_TRANSFORMATIONS = (
-    "ssc:BooleanMappingTransformation",
-    "ssc:IntegerMappingTransformation",
-    "ssc:EnumerationMappingTransformation",
-)
 
 
-class Reader:
-    """Reads one description; `faults` and `warnings` are what it found."""
-
-    def __init__(self, package: Package) -> None:
-        self.package = package
-        self.faults: list[Fault] = []
-        self.warnings: list[str] = []
-
-    def note(self, element: Element, message: str) -> None:
-        """Note a fault of an element; of very many the first are enough, and InputError ends the rest."""
-        self.faults.append(element.fault(message))
-        if len(self.faults) >= MOST_FAULTS:
-            raise InputError(self.faults)
-
-    def warn(self, element: Element, message: str) -> None:
-        """Warn of an element."""
-        self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
+class Reader(ParameterReader):
+    """Reads one description."""
 
     def structure(self) -> Structure | None:
         """The description; None where it is none, which is noted."""
@@ -87,8 +44,6 @@ class Reader:
             root if experiment is None else experiment,
             self.warnings,
         )
-
-    # -- systems --------------------------------------------------------------------------------
 
     def _system(self, element: Element) -> System:
         elements: dict[str, System | Component] = {}
@@ -170,156 +125,6 @@ class Reader:
         ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
         return Connection(*ends, self._linear(element, exact), element)
 
-    # -- parameters -----------------------------------------------------------------------------
-
-    def _parameters(self, element: Element) -> Iterator[Parameter]:
-        """Of the bindings of an element, in their order, under the names that mappings and prefixes give them."""
-        listed = element.first("ssd:ParameterBindings")
-        for binding in () if listed is None else listed.all("ssd:ParameterBinding"):
-            if (kind := binding.get("type") or SET) != SET:
-                self.note(binding, f"type {shown(kind)} is not read here; {SET} is")
-                continue
-            holder = self._referred(
-                binding, binding.first("ssd:ParameterValues", "ssv:ParameterSet"), "ssv:ParameterSet"
-            )
-            if holder is None:
-                continue
-            prefix = binding.get("prefix") or ""
-            values = [replace(p, name=prefix + p.name) for p in self._set(holder)]
-            mapping = binding.first("ssd:ParameterMapping")
-            yield from values if mapping is None else self._mapped(mapping, values)
-
-    def _referred(self, element: Element, inline: Element | None, tag: str) -> Element | None:
-        """What an element holds, or the root of the file that it names."""
-        source = element.get("source")
-        if source is None:
-            if inline is None:
-                self.note(element, f"it has neither a source nor {tag} in it; add one")
-            return inline
-        if (base := element.get("sourceBase") or "SSD") != "SSD":
-            self.note(element, f"sourceBase {shown(base)} is not read here; take the file out of the FMU")
-            return None
-        path = self.package.resolve(source)
-        if isinstance(path, str):
-            self.note(element, path)
-            return None
-        try:
-            root = self.package.element(path)
-        except InputError as error:
-            self.faults += error.faults
-            return None
-        if root.tag != tag:
-            self.note(root, f"it should be {tag}")
-            return None
-        self._version(root)
-        return root
-
-    def _set(self, holder: Element) -> Iterator[Parameter]:
-        units = self._units(holder.first("ssv:Units"))
-        listed = holder.first("ssv:Parameters")
-        for each in () if listed is None else listed.all("ssv:Parameter"):
-            name = each.get("name")
-            typed = next((c for c in each.children if c.tag.startswith("ssv:")), None)
-            if not name or typed is None:
-                self.note(each, "it has no name; add one" if not name else "it has no value; add one such as ssv:Real")
-                continue
-            value = self._value(typed)
-            if value is not None:
-                yield Parameter(name, value, typed.get("unit"), units, each)
-
-    def _value(self, typed: Element) -> Any:
-        """A value in the type that its element says; None where it is none, which is noted."""
-        kind, text = typed.tag.partition(":")[2], typed.get("value")
-        if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
-            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
-            return None
-        if kind in REALS:
-            return self._number(typed, "value", None, needed=True)
-        if kind in WHOLE:
-            value = self._number(typed, "value", None, needed=True)
-            if value is not None and value != int(value):
-                self.note(typed, f"value {shown(text)}: it is a whole number")
-                return None
-            return None if value is None else int(text) if text and text.strip().lstrip("+-").isdigit() else int(value)
-        if kind == "Boolean":
-            if text not in TRUTH:
-                self.note(typed, f"value {shown(text)}: it is true or false")
-            return TRUTH.get(text or "")
-        if kind in {"String", "Enumeration", "Binary"}:
-            if text is None:
-                self.note(typed, "it has no value; add it")
-            return text
-        self.note(
-            typed, f"is no type of a value{did_you_mean(kind, (*REALS, *WHOLE, 'Boolean', 'String', 'Enumeration'))}"
-        )
-        return None
-
-    def _mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
-        """Parameters under the names that a mapping gives them; those that it does not name are not applied."""
-        holder = self._referred(mapping, mapping.first("ssm:ParameterMapping"), "ssm:ParameterMapping")
-        if holder is None:
-            return
-        known: dict[str, list[Parameter]] = {}
-        for value in values:
-            known.setdefault(value.name, []).append(value)
-        for entry in holder.all("ssm:MappingEntry"):
-            source, target = entry.get("source"), entry.get("target")
-            if source == "" and target:  # prepared, of nothing
-                continue
-            if not source or not target:
-                self.note(entry, f"it has no {'target' if source else 'source'}; add it")
-                continue
-            if source not in known:
-                hint = did_you_mean(source, known)
-                self.warn(entry, f"the parameter set has no {shown(source)}{hint}")
-            linear = self._linear(entry, entry.get("suppressUnitConversion") in {"true", "1"})
-            for value in known.get(source, ()):
-                if linear != Linear(exact=linear.exact) and isinstance(value.value, (bool, str)):
-                    self.note(entry, f"a linear transformation of {shown(value.value)}; it takes numbers")
-                    continue
-                yield replace(value, name=target, linear=linear)
-
-    # -- parts ----------------------------------------------------------------------------------
-
-    def _linear(self, element: Element, exact: bool) -> Linear:
-        for other in OTHER_TRANSFORMATIONS:
-            if (found := element.first(other)) is not None:
-                self.note(found, "is not run here; ssc:LinearTransformation is, or let the FMU map it")
-        found = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
-        if found is None:
-            return Linear(exact=exact)
-        factor, offset = self._number(found, "factor", 1.0), self._number(found, "offset", 0.0)
-        return Linear(1.0 if factor is None else factor, offset or 0.0, exact)
-
-    def _units(self, listed: Element | None) -> Units:
-        found: dict[str, Definition] = {}
-        for unit in () if listed is None else listed.all("ssc:Unit"):
-            base = unit.first("ssc:BaseUnit")
-            name = unit.get("name")
-            if name and base is not None:
-                numbers = [self._number(base, n, 0.0) for n in BASE_UNITS]
-                numbers += [self._number(base, "factor", 1.0), self._number(base, "offset", 0.0)]
-                if numbers[-2] == 0.0:
-                    self.note(base, "factor 0 is that of no unit")
-                elif None not in numbers:
-                    found[name] = tuple(n for n in numbers if n is not None)
-        return found
-
-    def _number(self, element: Element, name: str, default: float | None, needed: bool = False) -> float | None:
-        text = element.get(name)
-        if text is None:
-            if needed:
-                self.note(element, f"it has no {name}; add it")
-            return default
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            self.note(element, f"{name} {shown(text)}: it is a finite number")
-            return default
-        return value
-
     def _step(self, root: Element, system: Element, experiment: Element | None) -> float | None:
         """The communication step that an annotation of another tool names."""
         for holder in (experiment, system, root):
@@ -329,11 +134,6 @@ class Reader:
                 if attribute and element.get(attribute) is not None:
                     return self._number(element, attribute, None)
         return None
-
-    def _version(self, root: Element) -> None:
-        version = root.get("version")
-        if version not in VERSIONS:
-            self.note(root, f"version {shown(version)} is not known here; {' and '.join(VERSIONS)} are")
 
 
 def _within(element: Element) -> Iterator[Element]:

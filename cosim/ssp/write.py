@@ -15,7 +15,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.ssp.elements import NAMESPACES
-from cosim.ssp.read import BASE_UNITS
+from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
 from cosim.version import __version__
 from fmus.archive import STRUCTURE
