@@ -96,6 +96,9 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
         yield "noise is left out: SSP has no word for it"
+    given = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
+    if any(tolerance is not None for tolerance in (scenario.tolerance, *given)):
+        yield "tolerance is left out: importers take that of each FMU's default experiment, or none"
     if scenario.goals:
         yield "criteria are left out: SSP has no word for them"
     if scenario.algorithm != "jacobi":
