@@ -115,7 +115,8 @@ STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
  xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"><ssd:System name="root"><ssd:Connectors>
 <ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
 <ssd:ParameterBindings><ssd:ParameterBinding prefix="one."><ssd:ParameterValues>
-<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters><ssv:Parameter name="m"><ssv:Real value="0.8" unit="kg"/></ssv:Parameter></ssv:Parameters>
+<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>
+<ssv:Parameter name="m"><ssv:Real value="0.8" unit="kg"/></ssv:Parameter></ssv:Parameters>
 </ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping><ssm:ParameterMapping version="1.0">
 <ssm:MappingEntry source="one.m" target="one.mass"><ssc:LinearTransformation factor="1" offset="0"/></ssm:MappingEntry>
 </ssm:ParameterMapping></ssd:ParameterMapping></ssd:ParameterBinding>
