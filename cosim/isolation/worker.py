@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from cosim.errors import CosimError
+from cosim.garbage import collect_seldom
 from cosim.isolation.rows import Progress, mapped_progress
 from cosim.isolation.scratch import remove
 
@@ -83,6 +84,7 @@ def receive(stream: Any) -> bytes | None:
 def main() -> None:
     """Import what is asked for, then do one job after the other."""
     global progress
+    collect_seldom()
     asked, answers = _own_streams()
     _end_with_caller()
     begin: Begin = pickle.loads(receive(asked) or sys.exit())

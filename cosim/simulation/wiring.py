@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from cosim.blocks.faults import Through, disturbed, points, steps_in
@@ -16,6 +17,7 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
+MOST_NAMED = 20  # signals in a message
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,7 @@ class _Ends:
             message = f"{text} is recorded, but no output of {name}; an output goes to an input"
         else:
             message = f'{name} has no {side[:-1]} "{variable}"{did_you_mean(variable, known)}'
-            message += f" (its {side}: {', '.join(known) or 'none'})"
+            message += f" (its {side}: {_some(known)})"
         self.diagnosis.note(where, message)
         return []
 
@@ -195,6 +197,11 @@ class _Ends:
         return self._known[key]
 
 
+def _some(names: Collection[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"{', '.join(islice(names, MOST_NAMED)) or 'none'}{more}"
+
+
 def _signals(component: Component, side: str) -> tuple[Signal, ...]:
     both: tuple[Signal, ...] = (*getattr(component, side), *getattr(component, f"exact_{side}"))
     return both
@@ -208,7 +215,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     needs["dropout"] = "probability"
     for k, fault in enumerate(scenario.faults):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
-            hint = did_you_mean(fault.on, targets) or f" (connected: {', '.join(targets) or 'none'})"
+            hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             cure = "faults act on components that step with the scenario"
@@ -244,4 +251,4 @@ def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
             if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
         ]
         if free:
-            yield f"not connected, at the start value of the FMU: {', '.join(f'{name}.{s}' for s in free)}"
+            yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"

@@ -16,7 +16,7 @@ from cosim.files import FilePath, check_writable, is_full, uninterrupted
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.results import Results
-from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
+from cosim.simulation.apart import MODULES, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned, manifest, write_manifest
@@ -76,8 +76,7 @@ def run(
         if worker is None:
             stepped = simulate_here(system, steps, h, told)
         else:
-            recipe = Recipe(file.path, tuple(overrides), nearest, designed)
-            stepped = simulate_apart(worker, recipe, system, steps, h, folder, limits, told)
+            stepped = simulate_apart(worker, system, steps, h, folder, limits, told)
             worker.finish()
         results, failure = stepped.results, stepped.failure
         simulated = time.perf_counter()

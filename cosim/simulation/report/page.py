@@ -26,6 +26,7 @@ from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_DRAWN = 1000  # signals that a page shows
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
@@ -50,7 +51,8 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
     """Everything the template names."""
     judged = criteria(run)
-    others = signal_panels(run, subject.shown if subject else frozenset()) if run.time.size else []
+    shown = subject.shown if subject else frozenset[str]()
+    others = signal_panels(run, shown) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
@@ -59,6 +61,7 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "badges": badges(run, judged),
         "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
         "others": drawing.without_values(others),
+        "undrawn": _undrawn(len(_left(run, shown))),
         "criteria": judged,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
@@ -81,11 +84,18 @@ def _speed(run: Run) -> list[Row]:
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
 
 
+def _left(run: Run, shown: frozenset[str]) -> list[str]:
+    return [column for column in run.results.columns if column not in shown]
+
+
+def _undrawn(signals: int) -> str:
+    return f"The first {MOST_DRAWN} of {signals} signals; results.csv has all." if signals > MOST_DRAWN else ""
+
+
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
-    left = [column for column in run.results.columns if column not in shown]
+    """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
     panels = []
-    for unit, columns in by_unit(left, run.unit):
+    for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
         shown_unit, factor = display(unit)
         traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
