@@ -362,3 +362,58 @@ def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path
 def test_a_number_that_is_no_item_of_an_enumeration_is_a_fault(tmp_path: Path) -> None:
     path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": 7}}})
     assert any("a.e_in is 7; it is one of first (1), second (2)" in told for told in faults_of(path))
+
+
+def test_a_value_that_is_no_item_stops_the_run_when_it_comes_and_is_told_with_both_names(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    signals = {"n": {"start": 2, "changes": [{"at": 0.5, "to": 7}]}}
+    components = {"r": {"block": "reference", "signals": signals}, "a": fmu, "b": fmu}
+    path = scenario(tmp_path, components, (("r.n", "a.i_in"), ("a.i_out", "b.e_in")))
+    said = r"b\.e_in at t = 0\.5 s: 7, which comes from a\.i_out, is none of its items: first 1, second 2"
+    with pytest.raises(StoppedRun, match=said) as stopped:
+        results_of(path)
+    assert list(stopped.value.results["b.e_out"]) == [2] * 5
+    components["r"] = {"block": "reference", "signals": {"n": {"start": 7}}}
+    with pytest.raises(StoppedRun, match=r"b\.e_in at t = 0 s: 7, which comes from a\.i_out"):
+        results_of(scenario(tmp_path, components, (("r.n", "a.i_in"), ("a.i_out", "b.e_in"))))
+
+
+def test_enumerations_of_one_name_with_other_items_are_not_connected(tmp_path: Path) -> None:
+    one, other = typed_fmu(tmp_path), tmp_path / "other.fmu"
+    with zipfile.ZipFile(one) as archive, zipfile.ZipFile(other, "w") as changed:
+        for name in archive.namelist():
+            changed.writestr(name, archive.read(name).replace(b'"second"', b'"third"'))
+    path = scenario(tmp_path, {"a": {"fmu": str(one)}, "b": {"fmu": str(other)}}, (("a.e_out", "b.e_in"),))
+    told = (
+        "enumerations of one name, Gear, with other items: a.e_out has first 1, second 2, b.e_in has first 1, third 2"
+    )
+    assert told in faults_of(path)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_every_type_goes_through_an_fmu_in_a_process_of_its_own(tmp_path: Path, version: int) -> None:
+    fmu, largest = str(typed_fmu(tmp_path, version)), 2**63 - 3
+    if version == 2:
+        start: dict[str, Any] = {"r_in": 0.5, "i_in": -5, "b_in": True, "s_in": 'a "b", c', "e_in": "second"}
+        wires = [(f"a.{k}_out", f"b.{k}_in") for k in "ribse"]
+        events = [{"at": 0.5, "set": {"a.s_in": "later", "a.e_in": "first", "a.r_in": 2}}]
+    else:
+        start = {"a": [1, 2, 3, 4], "n": largest, "byte": 255, "s": "text", "raw": "00ff"}
+        pairs = ("twice", "a"), ("next", "n"), ("byte_out", "byte"), ("s_out", "s"), ("raw_out", "raw")
+        wires = [(f"a.{output}", f"b.{taken}") for output, taken in pairs]
+        events = []
+    csv_of = []
+    for process in ({}, {"process": "own"}):
+        components = {"a": {"fmu": fmu, "start": start, **process}, "b": {"fmu": fmu, **process}}
+        out = tmp_path / f"out{len(csv_of)}"
+        run(scenario(tmp_path, components, wires, events=events, record=["a.*"]), out, report=False)
+        csv_of.append((out / "results.csv").read_text())
+    assert csv_of[0] == csv_of[1]
+    assert ("later" if version == 2 else str(largest + 2)) in csv_of[0]
+
+
+def test_outputs_of_an_fmu_in_a_process_of_its_own_are_read_again_after_initialization(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path)), "process": "own"}
+    path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.late", "b.r_in"),))
+    first = run(path, tmp_path / "out", report=False).results
+    assert (first["a.late"][0], first["b.r_out"][0]) == (7, 7)
