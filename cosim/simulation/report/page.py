@@ -20,7 +20,7 @@ from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
-from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, starts
+from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, spelled, starts
 from cosim.simulation.report.subject import Subject, subject_of
 from cosim.simulation.report.verdicts import criteria, failed, outcome
 from cosim.text import display, plain
@@ -61,6 +61,7 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "badges": badges(run, judged),
         "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
         "others": drawing.without_values(others),
+        "spelled": spelled(run),
         "undrawn": _undrawn(len(_left(run, shown))),
         "criteria": judged,
         "rows": run.time.size,
