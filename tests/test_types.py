@@ -417,3 +417,30 @@ def test_outputs_of_an_fmu_in_a_process_of_its_own_are_read_again_after_initiali
     path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.late", "b.r_in"),))
     first = run(path, tmp_path / "out", report=False).results
     assert (first["a.late"][0], first["b.r_out"][0]) == (7, 7)
+
+
+def test_faulty_faults_and_events_hide_no_other_fault_and_move_no_place(tmp_path: Path) -> None:
+    fmu = f"{{fmu: {typed_fmu(tmp_path)}}}"
+    path = tmp_path / "scenario.yaml"
+    path.write_text(
+        f"""name: many
+duration: 1
+step: 0.1
+components: {{a: {fmu}, b: {fmu}}}
+connections: [{{from: a.r_out, to: b.r_in}}]
+faults:
+  - {{on: b.r_in, kind: melt}}
+  - {{on: b.r_in, kind: bias}}
+  - {{on: b.r_in, kind: delay, delay: -1}}
+  - {{on: b.i_in, kind: freeze}}
+events:
+  - {{at: soon, set: {{b.gain: 1}}}}
+  - {{at: 7, set: {{b.gain: 1}}}}
+"""
+    )
+    with pytest.raises(InputError) as caught:
+        system_of(path)
+    told = {fault.line: fault.message for fault in caught.value.faults}
+    words = {7: "melt", 8: "bias needs value", 9: "delay is -1", 10: "no connection", 12: "soon", 13: "7 s is not"}
+    assert told.keys() == words.keys()
+    assert all(words[line] in message for line, message in told.items()), told

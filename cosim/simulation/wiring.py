@@ -128,7 +128,7 @@ def connect(
     """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
-    lines = zip(file.connection_lines, file.scenario.connections, strict=True)
+    lines = zip(file.places["connections"], file.scenario.connections, strict=True)
     ends = _Ends(file, components, diagnosis)
     faults: dict[str, list[Disturbance]] = {}
     for fault in file.scenario.faults:
@@ -247,7 +247,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
     needs["dropout"] = "probability"
-    for k, fault in enumerate(scenario.faults):
+    for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
@@ -266,7 +266,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """An input has one source."""
     seen: dict[str, str] = {}
-    for k, connection in zip(file.connection_lines, file.scenario.connections, strict=True):
+    for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
         if connection.target in seen:
             both = f"{seen[connection.target]} and {connection.source}"
             diagnosis.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
