@@ -14,9 +14,10 @@ from cosim.errors import DiskFull, FmuError, SimulationError, Terminated, stoppe
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker, fmi_calls
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_beside, read_table
 from cosim.isolation.scratch import Held, scratch
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, results_of, simulate
 from cosim.simulation.own_process import in_own_processes

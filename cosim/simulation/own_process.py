@@ -11,8 +11,9 @@ from typing import Any
 from cosim.blocks.interface import Component, Row, Signal
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker, fmi_calls
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import ADVANCE, GET, OTHER
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.simulation.system import System
 
 Values = tuple[list[float], list[Any]]  # in the row, and beside it
