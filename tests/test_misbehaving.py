@@ -296,6 +296,25 @@ def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, k
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
+KILLED = """import os, signal, sys; from pathlib import Path; from cosim.isolation.process import Worker
+worker = Worker("cosim.simulation.apart"); worker.start(); worker.take_along(Path(sys.argv[1]))
+os.kill(os.getpid(), signal.SIGKILL)"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL")
+def test_what_goes_with_a_worker_goes_though_it_had_no_work_yet(tmp_path: Path) -> None:
+    folder = tmp_path / "rows of a run"
+    folder.mkdir()
+    (folder / "rows").touch()
+    environment = {**ENVIRONMENT, "TMPDIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", KILLED, str(folder)], env=environment, check=False)
+    for _ in range(200):
+        if not list(tmp_path.iterdir()):
+            break
+        time.sleep(0.1)
+    assert not list(tmp_path.iterdir())
+
+
 # -- replay, refine and check ---------------------------------------------------------------------
 
 

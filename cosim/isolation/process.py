@@ -19,7 +19,7 @@ from cosim.files import uninterrupted
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import PROGRESS, Begin, receive, send
+from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # [s] between looks at a process
@@ -77,6 +77,11 @@ class Worker:
     def folder(self) -> Path:
         """A folder that goes with the process."""
         return self._held.path
+
+    def take_along(self, folder: Path) -> None:
+        """Where this process is killed, the one that it has started takes this folder away."""
+        with suppress(OSError), (self._held.path / ALONG).open("a", encoding="utf-8") as stream:
+            stream.write(f"{folder}\0")  # on a full disk the next command does it
 
     @property
     def running(self) -> bool:

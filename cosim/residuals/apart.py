@@ -43,7 +43,6 @@ class Loaded:
 
 def load(asked: Loaded) -> None:
     """Have a drive ready; its FMU is loaded at the first run."""
-    here.left.append(asked.table.parent)
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
     here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
@@ -187,6 +186,7 @@ class DriveApart(Drive):
         return self._held.path / "rows"
 
     def _load(self) -> None:
+        self._worker.take_along(self._file.parent)
         allocate(self._file, 8 * self._most * len(self.outputs))
         between = frozenset(name for name in self.inputs if name in self._interpolated)
         asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)

@@ -68,7 +68,6 @@ class Ended:
 
 def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits) -> Ended:
     """Simulate into the table in a file."""
-    here.left.append(table.parent)
     system = in_own_processes(system, limits)
     for stage in system.stages:
         here.overheard(stage.component)
@@ -122,6 +121,7 @@ def simulate_apart(
         counters = worker.progress
         held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(held.remove)
+        worker.take_along(held.path)
         table = held.path / ROWS
         try:
             ended = worker.call(simulate_rows, system, count - 1, h, table, limits, watch=watch)
