@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from cosim.checks import check_files
 from cosim.errors import FmuError, InputError
 from cosim.results import Results
 from cosim.simulation.coupling import coupling_error
@@ -444,3 +445,23 @@ events:
     words = {7: "melt", 8: "bias needs value", 9: "delay is -1", 10: "no connection", 12: "soon", 13: "7 s is not"}
     assert told.keys() == words.keys()
     assert all(words[line] in message for line, message in told.items()), told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'tolerance="0.003"',
+            'tolerance="log.csv"',
+            'tolerance of its default experiment is "log.csv", which is no number',
+        ),
+        ('value="2"', 'value="rad"', 'item second of Gear is "rad", which is no whole number'),
+        ('factor="0.10471975511965977"', 'factor="x"', "a value in its modelDescription.xml is of the wrong kind"),
+    ],
+)
+def test_text_in_place_of_a_number_in_a_description_is_told(tmp_path: Path, old: str, new: str, words: str) -> None:
+    fmu = typed_fmu(tmp_path, **{old: new})
+    with pytest.raises(InputError) as caught:
+        check_files([fmu])
+    assert [words in fault.message for fault in caught.value.faults] == [True]
+    assert words in faults_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))[0]
