@@ -435,6 +435,18 @@ def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
     assert all(words in text for words in ("2.50\u00a0s left", "5.73° over", ">not settled</td>"))
 
 
+def test_a_run_of_any_fmus_shows_its_own_criteria_first_those_that_are_missed(tmp_path: Path) -> None:
+    goals = [
+        {"kind": "settling_time", "of": "tank.level", "value": 1.5, "max": 4.0, "unit": "s", "met": True},
+        {"kind": "final_error", "of": "tank.level", "to": 0.0, "value": 0.2, "max": 0.1, "unit": "m", "met": False},
+    ]
+    results = Results(np.arange(3.0), ("tank.level",), np.ones((3, 1)), {"tank.level": "m"})
+    text = page(tmp_path, results, {"criteria": goals})
+    tiles = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd><dd class=\"note\">(.*?)</dd>", text)
+    assert [note.partition(",")[0] for _, _, note in tiles] == ["missed", "met"]
+    assert tiles[0][:2] == ("final error of tank.level to 0\u00a0m", "0.200\u00a0m")
+
+
 def test_ticks_lie_on_the_axis_and_are_told_apart() -> None:
     for low, high in [(0, 1), (-3e-9, 5e-9), (0, 720), (1e8, 1e8 + 50), (2, 2), (-1e90, 1e90), (0.1, 0.30001)]:
         for angle in (False, True):

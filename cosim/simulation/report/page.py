@@ -22,10 +22,11 @@ from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
 from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, spelled, starts
 from cosim.simulation.report.subject import Subject, subject_of
-from cosim.simulation.report.verdicts import criteria, failed, outcome
+from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_TILES = 4
 MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
 MOST_DRAWN = 1000  # signals that a page shows
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
@@ -61,7 +62,7 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "outcome": outcome(run, judged),
         "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
         "badges": badges(run, judged),
-        "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
+        "tiles": [*(subject.tiles if subject else _goals(judged)), *_speed(run)],
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled(run),
@@ -79,6 +80,16 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "own": bool(subject and subject.shown),
         **(subject.values if subject else {}),
     }
+
+
+def _goals(judged: Sequence[Criterion]) -> list[Row]:
+    """The scenario's own criteria, those that are missed first."""
+    first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
+    return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
+
+
+def _judgement(c: Criterion) -> list[str]:
+    return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
 
 
 def _speed(run: Run) -> list[Row]:
