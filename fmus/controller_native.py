@@ -70,6 +70,8 @@ def controller_native() -> Native:
         "INPUTS": sum(p.causality == "input" for p in ports),
         "OUTPUTS": sum(p.causality == "output" for p in ports),
         "STATES": 0,
+        "KINKS": 0,
+        "RANGES": 0,
         "EFFECTS": 0,
         # x̂, P, u, then F, G, H, V, W, L, limit and sample time
         "OWN": (STATES + STATES**2 + COMMANDS)

@@ -75,6 +75,7 @@ static void restored(Instance *m)
 
 static void check_range(Instance *m, double t)
 {
+#if RANGES
     if (m->warned) return;
     for (int k = 0; k < RANGES; k++) {
         const Range *r = &RANGE[k];
@@ -84,6 +85,9 @@ static void check_range(Instance *m, double t)
         warn(m, "at t = %g s: %s %g %s: %s", t, v->name, m->values[r->input], v->unit, r->beyond);
         return;
     }
+#else
+    (void)m, (void)t;
+#endif
 }
 
 /* -- stepping ------------------------------------------------------------------------------------------------------ */
@@ -169,7 +173,8 @@ static int refresh_outputs(Instance *m)
     return published(m, m->time);
 }
 
-/* An input that moves between events: what remembers would have to know its whole course. */
+/* An input that has moved between events, seen once a solver keeps a step (it tries times beyond the next event, too):
+ * what remembers would have to know its whole course. */
 static int held(Instance *m)
 {
     if (!m->exchange || m->phase != CONTINUOUS || !discrete(m)) return 0;
@@ -228,7 +233,6 @@ static int completed(Instance *m)
 static int rates(Instance *m, double *dx)
 {
     double u[INPUTS + 1];
-    if (held(m)) return 1;
     act(m, u);
     derivatives(m->time, STATE, u, m->values, m->awake, dx);
     for (int i = 0; i < STATES; i++)
@@ -259,10 +263,15 @@ static void slopes(Instance *m, const double *sx, const double *su, double *dx, 
 
 static int get_local(Instance *m, size_t k, double *value)
 {
-    if (k < VARIABLES || k >= VARIABLES + 2 * STATES + MEMORIES) return is_kind(m, k, REAL);
+    if (k < VARIABLES || k > VARIABLES + 2 * STATES + MEMORIES + KINKS) return is_kind(m, k, REAL);
     k -= VARIABLES;
     if (k < STATES) *value = STATE[k];
-    else if (k >= 2 * STATES) *value = MEMORY[k - 2 * STATES];
+    else if (k == 2 * STATES + MEMORIES + KINKS) *value = m->time;
+    else if (k >= 2 * STATES + MEMORIES) {
+        double z[KINKS + 1];
+        crossings(m, z);
+        *value = z[k - 2 * STATES - MEMORIES];
+    } else if (k >= 2 * STATES) *value = MEMORY[k - 2 * STATES];
     else {
         double dx[STATES + 1];
         if (rates(m, dx)) return 1;

@@ -29,10 +29,10 @@ static void exponential(int n, double *a)
         norm = row > norm ? row : norm;
     }
     int halved = 0;
-    for (; norm > 0.25 && halved < 1000; norm *= 0.5) halved++;
+    for (; norm > 1.0 && halved < 1000; norm *= 0.5) halved++;
     for (int k = 0; k < n * n; k++) a[k] = ldexp(a[k], -halved);
     for (int k = 0; k < n * n; k++) sum[k] = term[k] = k % (n + 1) == 0 ? 1.0 : 0.0;
-    for (int order = 1; order <= 16; order++) {
+    for (int order = 1; order <= 22; order++) {
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++) {
                 double s = 0.0;
@@ -236,8 +236,9 @@ static int no_solver(Instance *m)
 
 static int get_local(Instance *m, size_t k, double *value)
 {
-    (void)value;
-    return is_kind(m, k, REAL);
+    if (k != VARIABLES) return is_kind(m, k, REAL);
+    *value = m->time; /* a variable in FMI 3.0 */
+    return 0;
 }
 
 static int get_states(Instance *m, double *x, size_t count)

@@ -374,11 +374,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_state_bef
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 {
     KNOWN(c);
-    if (in_phase(m, IN(EVENT) | IN(CONTINUOUS), "time is set")) return fmi2Error;
-    if (!isfinite(time)) return STATUS(refuse(m, "time is set to %g s; it is a finite number", time));
-    m->time = time;
-    m->moved = 1;
-    return fmi2OK;
+    return STATUS(set_time(m, time));
 }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t count)

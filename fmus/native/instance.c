@@ -26,6 +26,7 @@ static int refuse(Instance *m, const char *format, ...)
     return 1;
 }
 
+#if RANGES
 static void warn(Instance *m, const char *format, ...)
 {
     va_list arguments;
@@ -33,6 +34,7 @@ static void warn(Instance *m, const char *format, ...)
     say(m, 1, format, arguments);
     va_end(arguments);
 }
+#endif
 
 /* -- history ------------------------------------------------------------------------------------------------------ */
 
@@ -150,6 +152,15 @@ static int step(Instance *m, double t, double h)
     if (!(h > 0.0 && isfinite(h) && isfinite(t)))
         return refuse(m, "step of %.15g s at t = %.15g s; a step is positive and finite", h, t);
     return advance(m, t, h);
+}
+
+static int set_time(Instance *m, double t)
+{
+    if (in_phase(m, IN(EVENT) | IN(CONTINUOUS), "time is set")) return 1;
+    if (!isfinite(t)) return refuse(m, "time is set to %g s; it is a finite number", t);
+    m->time = t;
+    m->moved = 1;
+    return 0;
 }
 
 /* -- values ------------------------------------------------------------------------------------------------------- */

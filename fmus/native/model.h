@@ -72,6 +72,8 @@ static void restored(Instance *m); /* after values and own were put back */
 
 /* Say something to the host; 1, so that a refusal is one line. */
 static int refuse(Instance *m, const char *format, ...);
+#if RANGES
 static void warn(Instance *m, const char *format, ...);
+#endif
 
 #endif

@@ -281,7 +281,7 @@ class Printer:
                 table("int", "STATE_START", places(f"{q.name}_start" for q in self.states)),
                 table("int", "MEMORY_START", places(f"{e.name}.{q.name}_start" for e, q in self.remembering)),
                 table("int", "DELAY_START", places(delayed)),
-                table("Range", "RANGE", [*ranges, '{0, 0.0, 0.0, ""}']),
+                table("Range", "RANGE", ranges) if ranges else "",
             )
         )
 
