@@ -109,7 +109,8 @@ def build(
         bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
     ] = False,
     native: Annotated[
-        bool, typer.Option("--native", help="Compiled FMUs that need no Python: plant-native.fmu, controller-native.fmu.")
+        bool,
+        typer.Option("--native", help="Compiled FMUs that need no Python: plant-native.fmu, controller-native.fmu."),
     ] = False,
     fmi: Annotated[int, typer.Option("--fmi", help="Version of FMI of native FMUs, 2 or 3.")] = 2,
     platforms: Annotated[

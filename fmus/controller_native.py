@@ -49,7 +49,7 @@ DESIGN = """
 #define EXP_SIZE (NX + NU)
 #define SAMPLE_NAME "sample_time"
 
-/* What the parameters say: the model that is predicted with, what is measured of it, noise, gain, limit, sample time. */
+/* What the parameters say: the model that predicts, what is measured of it, noise, gain, limit, sample time. */
 typedef struct {
     double F[NX][NX], G[NX][NU], H[NZ][NX], V[NX], W[NZ], L[NU][NX], limit, sample;
 } Design;
@@ -134,6 +134,3 @@ def _vector(name: str, values: Sequence[Any], places: dict[Any, str]) -> Iterato
 
     printer = LANGUAGE.printer(places)
     yield " ".join(f"{name}[{k}] = {printer.doprint(sympy.sympify(v))};" for k, v in enumerate(values))
-
-
-

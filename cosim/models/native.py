@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
@@ -51,11 +51,11 @@ def build_native(
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
     loaded = load_model(BASE, Path()) if model is None and not nearest else meant(model or "", nearest=nearest)
     made = dict(_natives(loaded))
-    built: dict[str, Callable[[Path], Built]] = {
-        f"{name}{SUFFIX[fmi]}": lambda path, native=native: build_fmu(native, path, fmi, platforms)
-        for name, native in made.items()
-    }
-    return _all_or_none(Path(folder), built)
+
+    def make(name: str, draft: Path) -> Built:
+        return build_fmu(made[name], draft, fmi, platforms)
+
+    return _all_or_none(Path(folder), {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
 
 
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
@@ -96,22 +96,20 @@ def _check_platforms(platforms: Sequence[str]) -> None:
         raise InputError([Fault(Path("--platforms"), 0, 0, fault) for fault in faults])
 
 
-def _all_or_none(folder: Path, built: Mapping[str, Any]) -> list[NativeFmu]:
+def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
     """Every archive, or none where one fails."""
     from fmus.native.compiler import CompilerFailed
     from fmus.native.platforms import NoCompiler
 
-    with tempfile.TemporaryDirectory(prefix="cosim-build-") as name:
-        drafts = {}
+    with tempfile.TemporaryDirectory(prefix="cosim-build-") as drafts:
         try:
-            for file, make in built.items():
-                drafts[file] = make(Path(name) / file)
+            built = {file: make(name, Path(drafts) / file) for name, file in files.items()}
         except NoCompiler as error:
             raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
         except CompilerFailed as error:
             cure = "mend the compiler, or say another in CC"
             raise InputError([Fault(Path("--native"), 0, 0, f"the compiler {error}; {cure}")]) from None
-        return [_moved(draft.path, folder / file, draft.floors) for file, draft in drafts.items()]
+        return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]
 
 
 def _moved(built: Path, path: Path, floors: Mapping[str, str]) -> NativeFmu:

@@ -67,7 +67,9 @@ def _sources2(way: Element) -> None:
 
 
 def _units(layout: Layout) -> Element:
-    return unit_definitions({p.unit for p in (*layout.ports, *layout.locals) if p.unit})
+    return unit_definitions(
+        {unit for unit in (*(p.unit for p in layout.ports), *(v.unit for v in layout.locals)) if unit}
+    )
 
 
 def _experiment(layout: Layout) -> Element:
@@ -187,7 +189,9 @@ def description3(layout: Layout, name: str, identifier: str, version: str, guid:
     root.append(_experiment(layout))
     variables = Element("ModelVariables")
     variables.append(
-        Element("Float64", name="time", valueReference=str(_time(layout)), causality="independent", variability="continuous")
+        Element(
+            "Float64", name="time", valueReference=str(_time(layout)), causality="independent", variability="continuous"
+        )
     )
     for k, port in enumerate(layout.ports):
         variables.append(_port3(k, port))

@@ -131,7 +131,11 @@ def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform
     ways = "co-simulation and model exchange" if native.layout.of("state") else "co-simulation"
     text = (
         f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
-        + (f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled" if missing else "")
+        + (
+            f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
+            if missing
+            else ""
+        )
         + f".</p>{native.text}"
     )
     with tempfile.TemporaryDirectory(prefix="cosim-build-") as name:

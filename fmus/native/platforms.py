@@ -62,24 +62,28 @@ def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     KeyError on a name that is none; NoCompiler.
     """
     own = here()
-    found = {}
-    for wanted in [PLATFORMS[name] for name in asked] or [own]:
-        if wanted is None:
-            raise NoCompiler(f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}")
-        local = compiler() if wanted == own and not (asked and crossing()) else None
-        if local is not None:
-            pic = [] if wanted.suffix == ".dll" else ["-fPIC"]
-            found[wanted] = [*local, *OPTIONS, *pic]
-        elif crossing():
-            pic = [] if wanted.suffix == ".dll" else ["-fPIC"]
-            cross = [sys.executable, "-m", "ziglang", "cc", "-target", wanted.target, "-s"]
-            found[wanted] = [*cross, *OPTIONS, *pic]
-        elif wanted == own:
-            raise NoCompiler(f"no C compiler is found; {CURE}")
-        else:
-            cure = "pip install 'cosim-hovercraft[native]', which brings a compiler that crosses"
-            raise NoCompiler(f"no compiler for {wanted.name} is found; {cure}")
-    return found
+    if own is None and not asked:
+        raise NoCompiler(f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}")
+    wanted = [PLATFORMS[name] for name in asked] or [p for p in PLATFORMS.values() if p == own]
+    return {p: [*_compiler(p, p == own, bool(asked)), *OPTIONS, *_position(p)] for p in wanted}
+
+
+def _compiler(wanted: Platform, own: bool, asked: bool) -> list[str]:
+    """This machine's compiler for itself, the one that crosses for the others and for old versions of glibc."""
+    local = compiler() if own else None
+    if crossing() and (asked or local is None):
+        return [sys.executable, "-m", "ziglang", "cc", "-target", wanted.target, "-s"]
+    if local is not None:
+        return local
+    if own:
+        raise NoCompiler(f"no C compiler is found; {CURE}")
+    cure = "pip install 'cosim-hovercraft[native]', which brings a compiler that crosses"
+    raise NoCompiler(f"no compiler for {wanted.name} is found; {cure}")
+
+
+def _position(wanted: Platform) -> list[str]:
+    """Code of a library may lie anywhere; on Windows all of it may."""
+    return [] if wanted.suffix == ".dll" else ["-fPIC"]
 
 
 def glibc_floor(library: bytes) -> str:

@@ -58,7 +58,8 @@ def table(kind: str, name: str, rows: Iterable[str]) -> str:
 
 def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
     """The tables `variables` and `texts`, and how many texts there are."""
-    rows, texts = [], []
+    rows: list[str] = []
+    texts: list[str] = []
     for port in ports:
         start = number(port.start) if not isinstance(port.start, str) else f"{len(texts)}.0"
         if isinstance(port.start, str):
@@ -223,9 +224,7 @@ class Printer:
         )
         text += "".join(line(f"u[{k}]", value) for k, value in enumerate(starting.values()))
         if self.delay:
-            text += "".join(
-                line(f"late[{k}]", starting.get(q.name, q.start)) for k, q in enumerate(self.delay.memory)
-            )
+            text += "".join(line(f"late[{k}]", starting.get(q.name, q.start)) for k, q in enumerate(self.delay.memory))
         unused = "(void)p, (void)x, (void)memory, (void)u, (void)late;"
         head = "static void starts(const double *p, double *x, double *memory, double *u, double *late)"
         return f"{head}\n{{\n    {unused}\n{text}}}\n"
@@ -269,7 +268,9 @@ class Printer:
         places: Callable[[Iterable[str]], list[str]] = lambda names: [str(self.vr(n)) for n in names]  # noqa: E731
         delayed = [f"{self.delay.name}.{q.name}_start" for q in self.delay.memory] if self.delay else []
         if self.delay and len(delayed) != len(self.model.inputs):
-            raise Unprintable(f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}")
+            raise Unprintable(
+                f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}"
+            )
         inputs = {q.name: k for k, q in enumerate(self.model.inputs)}
         ranges = [
             f"{{{inputs[name]}, {number(v.low)}, {number(v.high)}, {quoted(v.beyond)}}}"

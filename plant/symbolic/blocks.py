@@ -96,7 +96,9 @@ def function(
     nodes = [_Node(({s: e},), None, "") for s, e in (*replaced, *zip(plain, reduced, strict=False))]
     nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
     ordered = _ordered(nodes, reduced[len(plain) :])
-    lines = [line for node in _sunk(ordered, reduced[len(plain) :]) for line in _printed(node, language, places, "    ")]
+    lines = [
+        line for node in _sunk(ordered, reduced[len(plain) :]) for line in _printed(node, language, places, "    ")
+    ]
     printer = language.printer(places)
     lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(reduced[len(plain) :])]
     return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())

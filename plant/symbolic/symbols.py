@@ -25,9 +25,7 @@ class SymbolicModel:
     command: Values
 
 
-def symbolic(
-    model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool = True
-) -> SymbolicModel:
+def symbolic(model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool = True) -> SymbolicModel:
     """Replace every number of the model by a symbol, with the whole catalogue awake or none of it.
 
     Booleans keep their value, or take that of `flags`, which may say it by FMI name.
