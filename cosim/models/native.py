@@ -49,6 +49,7 @@ def build_native(
     _check_platforms(platforms)
     if fmi not in SUFFIX:
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
+    _check_compiler(platforms)
     loaded = load_model(BASE, Path()) if model is None and not nearest else meant(model or "", nearest=nearest)
     made = dict(_natives(loaded))
 
@@ -96,16 +97,23 @@ def _check_platforms(platforms: Sequence[str]) -> None:
         raise InputError([Fault(Path("--platforms"), 0, 0, fault) for fault in faults])
 
 
+def _check_compiler(platforms: Sequence[str]) -> None:
+    """That there is one, before anything is printed."""
+    from fmus.native.platforms import NoCompiler, commands
+
+    try:
+        commands(tuple(platforms))
+    except NoCompiler as error:
+        raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
+
+
 def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
     """Every archive, or none where one fails."""
     from fmus.native.compiler import CompilerFailed
-    from fmus.native.platforms import NoCompiler
 
     with tempfile.TemporaryDirectory(prefix="cosim-build-") as drafts:
         try:
             built = {file: make(name, Path(drafts) / file) for name, file in files.items()}
-        except NoCompiler as error:
-            raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
         except CompilerFailed as error:
             cure = "mend the compiler, or say another in CC"
             raise InputError([Fault(Path("--native"), 0, 0, f"the compiler {error}; {cure}")]) from None

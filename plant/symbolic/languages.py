@@ -81,10 +81,11 @@ class C(Language):
             def doprint(self, expression: Any, assign_to: Any = None) -> str:
                 try:
                     text = " ".join(super().doprint(expression, assign_to).split())
-                except NotImplementedError as error:
-                    raise Unprintable(str(error)) from error
+                except NotImplementedError:  # of sympy before 1.13 a comment in the code
+                    text = "Not supported in C"
                 if "Not supported in C" in text:
-                    unknown = sorted({type(f).__name__ for f in expression.atoms(Function)})
+                    used = {type(f).__name__ for f in expression.atoms(Function)}
+                    unknown = sorted(used - self.known_functions.keys() - {"Piecewise"})
                     raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
                 return text
 
