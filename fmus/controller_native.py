@@ -70,6 +70,7 @@ def controller_native() -> Native:
         "INPUTS": sum(p.causality == "input" for p in ports),
         "OUTPUTS": sum(p.causality == "output" for p in ports),
         "STATES": 0,
+        "MEMORIES": 0,
         "KINKS": 0,
         "RANGES": 0,
         "EFFECTS": 0,

@@ -24,6 +24,8 @@ from fmus.native.compiler import compiler
 from fmus.native.platforms import commands as compilers
 from fmus.native.platforms import crossing, glibc_floor, here
 from fmus.ports import model_ports
+from fmus.state import MEMORY as MEMORY_PART
+from fmus.state import STATE, own_of, with_memory
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.model import Model
@@ -502,3 +504,35 @@ def test_the_host_fmpy_sees_the_same_in_both_ways(native_plant: Path) -> None:
     )
     for name in ("psi", "x", "tilt_right_actual"):  # RK4 across the kink of the rate limit errs by some 1e-5
         assert held[name][-1] == pytest.approx(solved[name][-1], abs=5e-5)
+
+
+def test_the_state_is_read_and_changed_in_python(native_plant: Path) -> None:
+    with Instance(native_plant) as instance:
+        instance.initialize(named(EVERYTHING) | {"vx_start": 0.25, "servo_backlash.play_left_start": 0.01})
+        data = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
+        t, x, (history, *plays) = own_of(data)
+        assert (t, x[5], plays) == (0.0, 0.25, [0.0, 0.01])
+        assert history == [[-0.5, [6.38763, 6.38763, 0.0, 0.0]]]
+        past = [[-0.02, [6.4, 6.4, 0.1, 0.1]], [-0.01, [6.5, 6.5, 0.2, 0.2]]]
+        changed = with_memory(data, {(STATE, 5): 0.5, (MEMORY_PART, 0): past, (MEMORY_PART, 2): 0.02})
+        assert own_of(changed)[2] == [past, 0.0, 0.02]
+        instance.fmu.setFMUstate(instance.fmu.deSerializeFMUstate(changed))
+        again = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
+        assert again == changed
+        assert instance.get(["vx_state"]) == [0.5]
+    for wrong in (data[:50], data[:-8], b"x" * 80):
+        with pytest.raises(ValueError, match="not the state"):
+            own_of(wrong)
+
+
+def test_a_replay_through_the_native_plant_is_that_through_the_one_in_python(
+    native_plant: Path, plant_fmu: Path, tmp_path: Path
+) -> None:
+    import cosim
+
+    log, found = Path(__file__).resolve().parent / "data" / "hovercraft_10s.csv", []
+    for k, fmu in enumerate((native_plant, plant_fmu)):
+        cosim.replay(log, tmp_path / str(k), fmu, report=False)
+        found.append(np.genfromtxt(tmp_path / str(k) / "residual.csv", delimiter=",", names=True))
+    for name in found[0].dtype.names:
+        assert np.allclose(found[0][name], found[1][name], rtol=0, atol=1e-9, equal_nan=True), name

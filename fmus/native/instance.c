@@ -245,9 +245,9 @@ static int check_bounds(Instance *m)
 
 /* -- state -------------------------------------------------------------------------------------------------------- */
 
-/* GUID (GUID_SIZE bytes), then doubles: phase, times, flags, values, which were given, own, rows of history, history;
- * then the texts. */
-#define FIXED (7 + 2 * VARIABLES + OWN)
+/* GUID (GUID_SIZE bytes), then doubles: six sizes, phase, times, flags, values, which were given, own, rows of history,
+ * history; then the texts. Read in Python by fmus/state.py. */
+#define FIXED (13 + 2 * VARIABLES + OWN)
 
 typedef struct {
     size_t size;
@@ -266,6 +266,8 @@ static Snapshot *snapshot(const Instance *m)
     double *d = calloc(FIXED + ROW * rows, sizeof *d), *at = d;
     if (s != NULL && d != NULL) {
         s->size = size;
+        const double sizes[] = {INPUTS, VARIABLES, STATES, MEMORIES, OWN, TEXTS * TEXT_SIZE};
+        for (size_t k = 0; k < 6; k++) *at++ = sizes[k];
         const double flags[] = {m->phase, m->start_time, m->time, m->current, m->warned, m->moved};
         for (size_t k = 0; k < 6; k++) *at++ = flags[k];
         for (int k = 0; k < VARIABLES; k++) *at++ = m->values[k];
@@ -287,12 +289,12 @@ static Snapshot *snapshot(const Instance *m)
 static int restore(Instance *m, const char *bytes, size_t size)
 {
     char guid[GUID_SIZE + 1] = {0};
-    double d[FIXED], *at = d;
+    double d[FIXED], *at = d + 6;
     if (size >= state_size(0)) memcpy(guid, bytes, GUID_SIZE);
     if (strcmp(guid, MODEL_GUID) != 0) return refuse(m, "this FMU state is of another FMU");
     memcpy(d, bytes + GUID_SIZE, sizeof d);
     const double rows = d[FIXED - 1];
-    if (!(rows >= 0.0 && rows <= 1e12 && size == state_size((size_t)rows) && d[0] >= 0.0 && d[0] <= TERMINATED))
+    if (!(rows >= 0.0 && rows <= 1e12 && size == state_size((size_t)rows) && *at >= 0.0 && *at <= TERMINATED))
         return refuse(m, "this FMU state is damaged");
     forget(&m->history);
     const char *row = bytes + GUID_SIZE + sizeof d;
