@@ -24,14 +24,14 @@ def build(folder: FilePath, model: str | None = None, *, nearest: bool = False) 
     if model is None:
         recipes = {name: resolve(recipe)() for name, recipe in MODELS[BASE_NAME].built.items()}
     else:
-        loaded = _meant(model, nearest=nearest)
+        loaded = meant(model, nearest=nearest)
         recipes = {"plant.fmu": loaded.recipe()}
         if loaded.source in MODELS:
             recipes |= {name: resolve(recipe)() for name, recipe in MODELS[loaded.source].beside.items()}
     return [build_fmu(recipe, Path(folder) / name) for name, recipe in recipes.items()]
 
 
-def _meant(model: str, *, nearest: bool) -> LoadedModel:
+def meant(model: str, *, nearest: bool) -> LoadedModel:
     """The model that is named; of a refine the refined one, or the one that came nearest."""
     try:
         file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
