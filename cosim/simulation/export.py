@@ -16,6 +16,7 @@ from cosim.blocks.profile import Profile, profile_function
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
 from cosim.simulation.design import designed_values
+from cosim.simulation.manifest import check_pinned
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario import Connection, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.simulation.scenario_file import ScenarioFile
@@ -48,6 +49,7 @@ def export_ssp(
     file = ScenarioFile(Path(scenario), [*overrides, "noise=off"])
     if nearest:
         take_nearest(file)
+    check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
     faults = list(_refused(file, system))
@@ -96,6 +98,9 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
         yield "noise is left out: SSP has no word for it"
+    given = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
+    if any(tolerance is not None for tolerance in (scenario.tolerance, *given)):
+        yield "tolerance is left out: importers take that of each FMU's default experiment, or none"
     if scenario.goals:
         yield "criteria are left out: SSP has no word for them"
     if scenario.algorithm != "jacobi":
