@@ -13,7 +13,6 @@
 #define MEMORY (m->own + STATES)
 #define ACTING (m->own + STATES + MEMORIES)
 #define SEEN (m->own + STATES + MEMORIES + INPUTS)
-#define STARTED (m->own[STATES + MEMORIES + 2 * INPUTS])
 
 static int delayed(const Instance *m)
 {
@@ -60,7 +59,6 @@ static int initialize(Instance *m)
     for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->given[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
     forget(&m->history);
     if (delayed(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
-    STARTED = 0.0;
     double shaped[INPUTS + MEMORIES + 1];
     shape(m->time, 0.0, delayed(m) ? late : m->values, MEMORY, m->values, m->awake, shaped);
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
@@ -216,7 +214,6 @@ static int update(Instance *m, double *next)
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
     memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
     memcpy(SEEN, m->values, sizeof(double) * INPUTS);
-    STARTED = 1.0;
     return 0;
 }
 
@@ -236,7 +233,10 @@ static int rates(Instance *m, double *dx)
     act(m, u);
     derivatives(m->time, STATE, u, m->values, m->awake, dx);
     for (int i = 0; i < STATES; i++)
-        if (!isfinite(dx[i])) return refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
+        if (!isfinite(dx[i])) {
+            refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
+            return UNDEFINED;
+        }
     return 0;
 }
 
@@ -304,7 +304,7 @@ static int set_states(Instance *m, const double *x, size_t count)
 
 static int get_rates(Instance *m, double *dx, size_t count)
 {
-    return counted(m, count, STATES, "derivatives") || rates(m, dx);
+    return counted(m, count, STATES, "derivatives") ? 1 : rates(m, dx);
 }
 
 static int get_crossings(Instance *m, double *z, size_t count)
