@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
-from cosim.models.file import LoadedModel, load_model
-from cosim.models.fmus import meant
+from cosim.models.file import LoadedModel, meant_model
 from cosim.models.source import Source
-from cosim.registry import BASE, MODELS, resolve
+from cosim.registry import MODELS, resolve
 from cosim.yaml_file import did_you_mean
 from fmus.files import draft_of
 
@@ -50,8 +49,7 @@ def build_native(
     if fmi not in SUFFIX:
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
     _check_compiler(platforms)
-    loaded = load_model(BASE, Path()) if model is None and not nearest else meant(model or "", nearest=nearest)
-    made = dict(_natives(loaded))
+    made = dict(_natives(meant_model(model, nearest=nearest)))
 
     def make(name: str, draft: Path) -> Built:
         return build_fmu(made[name], draft, fmi, platforms)

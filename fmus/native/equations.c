@@ -13,7 +13,6 @@
 #define MEMORY (m->own + STATES)
 #define ACTING (m->own + STATES + MEMORIES)
 #define SEEN (m->own + STATES + MEMORIES + INPUTS)
-#define STARTED (m->own[STATES + MEMORIES + 2 * INPUTS])
 
 static int delayed(const Instance *m)
 {
@@ -60,7 +59,6 @@ static int initialize(Instance *m)
     for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->given[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
     forget(&m->history);
     if (delayed(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
-    STARTED = 0.0;
     double shaped[INPUTS + MEMORIES + 1];
     shape(m->time, 0.0, delayed(m) ? late : m->values, MEMORY, m->values, m->awake, shaped);
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
@@ -216,7 +214,6 @@ static int update(Instance *m, double *next)
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
     memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
     memcpy(SEEN, m->values, sizeof(double) * INPUTS);
-    STARTED = 1.0;
     return 0;
 }
 
@@ -236,7 +233,10 @@ static int rates(Instance *m, double *dx)
     act(m, u);
     derivatives(m->time, STATE, u, m->values, m->awake, dx);
     for (int i = 0; i < STATES; i++)
-        if (!isfinite(dx[i])) return refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
+        if (!isfinite(dx[i])) {
+            refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
+            return UNDEFINED;
+        }
     return 0;
 }
 
@@ -263,20 +263,20 @@ static void slopes(Instance *m, const double *sx, const double *su, double *dx, 
 
 static int get_local(Instance *m, size_t k, double *value)
 {
-    if (k < VARIABLES || k > VARIABLES + 2 * STATES + MEMORIES + KINKS) return is_kind(m, k, REAL);
-    k -= VARIABLES;
-    if (k < STATES) *value = STATE[k];
-    else if (k == 2 * STATES + MEMORIES + KINKS) *value = m->time;
-    else if (k >= 2 * STATES + MEMORIES) {
-        double z[KINKS + 1];
-        crossings(m, z);
-        *value = z[k - 2 * STATES - MEMORIES];
-    } else if (k >= 2 * STATES) *value = MEMORY[k - 2 * STATES];
-    else {
+    const long states = VARIABLES, slopes_of = states + STATES, memory = slopes_of + STATES, kinks = memory + MEMORIES;
+    const long i = (long)k, time = kinks + KINKS; /* the last two are variables in FMI 3.0 */
+    if (i < states || i > time) return is_kind(m, k, REAL);
+    if (i < slopes_of) *value = STATE[i - states];
+    else if (i < memory) {
         double dx[STATES + 1];
         if (rates(m, dx)) return 1;
-        *value = dx[k - STATES];
-    }
+        *value = dx[i - slopes_of];
+    } else if (i < kinks) *value = MEMORY[i - memory];
+    else if (i < time) {
+        double z[KINKS + 1];
+        crossings(m, z);
+        *value = z[i - kinks];
+    } else *value = m->time;
     return 0;
 }
 
@@ -304,7 +304,7 @@ static int set_states(Instance *m, const double *x, size_t count)
 
 static int get_rates(Instance *m, double *dx, size_t count)
 {
-    return counted(m, count, STATES, "derivatives") || rates(m, dx);
+    return counted(m, count, STATES, "derivatives") ? 1 : rates(m, dx);
 }
 
 static int get_crossings(Instance *m, double *z, size_t count)
@@ -328,8 +328,9 @@ static int directional_begin(Instance *m)
 
 static int direction_add(Instance *m, Direction *d, size_t k, double change)
 {
-    if (k < INPUTS) d->u[k] += change;
-    else if (k >= VARIABLES && k < VARIABLES + STATES) d->x[k - VARIABLES] += change;
+    const long i = (long)k - VARIABLES;
+    if ((long)k < INPUTS) d->u[k] += change;
+    else if (i >= 0 && i < STATES) d->x[i] += change;
     else return refuse(m, "directional derivatives are by inputs and states; value reference %zu is neither", k);
     return 0;
 }
@@ -341,8 +342,9 @@ static void direction_follow(Instance *m, Direction *d)
 
 static int direction_read(Instance *m, const Direction *d, size_t k, double *slope)
 {
-    if (k >= INPUTS && k < INPUTS + OUTPUTS) *slope = d->dy[k - INPUTS];
-    else if (k >= VARIABLES + STATES && k < VARIABLES + 2 * STATES) *slope = d->dx[k - VARIABLES - STATES];
+    const long i = (long)k - VARIABLES - STATES, output = (long)k - INPUTS;
+    if (output >= 0 && output < OUTPUTS) *slope = d->dy[output];
+    else if (i >= 0 && i < STATES) *slope = d->dx[i];
     else return refuse(m, "directional derivatives are of outputs and derivatives; value reference %zu is neither", k);
     return 0;
 }

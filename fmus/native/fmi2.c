@@ -27,6 +27,7 @@ static void to_host(Instance *m, int warning, const char *message)
 }
 
 #define STATUS(refused) ((refused) ? fmi2Error : fmi2OK)
+#define TRIED(refused) ((refused) == UNDEFINED ? fmi2Discard : STATUS(refused)) /* a solver may try another step */
 #define KNOWN(component) \
     Instance *m = component; \
     if (m == NULL) return fmi2Error
@@ -387,21 +388,22 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t c
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "derivatives are asked for") || readable(m)) return fmi2Error;
-    return STATUS(get_rates(m, dx, count));
+    if (in_phase(m, SOLVED, "derivatives are asked for") || settled(m)) return fmi2Error;
+    const int refused = get_rates(m, dx, count);
+    return TRIED(refused);
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "event indicators are asked for") || readable(m)) return fmi2Error;
+    if (in_phase(m, SOLVED, "event indicators are asked for") || settled(m)) return fmi2Error;
     return STATUS(get_crossings(m, z, count));
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "states are asked for") || readable(m)) return fmi2Error;
+    if (in_phase(m, SOLVED, "states are asked for") || settled(m)) return fmi2Error;
     return STATUS(get_states(m, x, count));
 }
 

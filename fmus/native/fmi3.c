@@ -15,6 +15,7 @@ static void to_host(Instance *m, int warning, const char *message)
 }
 
 #define STATUS(refused) ((refused) ? fmi3Error : fmi3OK)
+#define TRIED(refused) ((refused) == UNDEFINED ? fmi3Discard : STATUS(refused)) /* a solver may try another step */
 #define KNOWN(instance) \
     Instance *m = instance; \
     if (m == NULL) return fmi3Error
@@ -392,21 +393,22 @@ fmi3Status fmi3SetContinuousStates(fmi3Instance i, const fmi3Float64 x[], size_t
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, fmi3Float64 dx[], size_t count)
 {
     KNOWN(i);
-    if (in_phase(m, SOLVED, "derivatives are asked for") || readable(m)) return fmi3Error;
-    return STATUS(get_rates(m, dx, count));
+    if (in_phase(m, SOLVED, "derivatives are asked for") || settled(m)) return fmi3Error;
+    const int refused = get_rates(m, dx, count);
+    return TRIED(refused);
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance i, fmi3Float64 z[], size_t count)
 {
     KNOWN(i);
-    if (in_phase(m, SOLVED, "event indicators are asked for") || readable(m)) return fmi3Error;
+    if (in_phase(m, SOLVED, "event indicators are asked for") || settled(m)) return fmi3Error;
     return STATUS(get_crossings(m, z, count));
 }
 
 fmi3Status fmi3GetContinuousStates(fmi3Instance i, fmi3Float64 x[], size_t count)
 {
     KNOWN(i);
-    if (in_phase(m, SOLVED, "states are asked for") || readable(m)) return fmi3Error;
+    if (in_phase(m, SOLVED, "states are asked for") || settled(m)) return fmi3Error;
     return STATUS(get_states(m, x, count));
 }
 

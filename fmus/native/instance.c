@@ -174,10 +174,16 @@ static int is_kind(Instance *m, size_t k, Kind kind)
     return refuse(m, "%s is %s, not %s", variables[k].name, KINDS[variables[k].kind], KINDS[kind]);
 }
 
-/* What reads or writes a value comes before: in initialization, what follows from what was set. */
+/* Before something is read: in initialization, what follows from what was set. */
+static int settled(Instance *m)
+{
+    return m->phase == INITIALIZATION ? refresh(m) : 0;
+}
+
+/* Before outputs are read, which a solver may have left behind. */
 static int readable(Instance *m)
 {
-    if (m->phase == INITIALIZATION) return refresh(m);
+    if (settled(m)) return 1;
     if (m->exchange && m->moved && (m->phase == EVENT || m->phase == CONTINUOUS)) return refresh_outputs(m);
     return 0;
 }

@@ -70,6 +70,8 @@ static int advance(Instance *m, double t, double h); /* a communication step, in
 static int refresh_outputs(Instance *m);
 static void restored(Instance *m); /* after values and own were put back */
 
+#define UNDEFINED 2 /* in place of 1: refused for the values of the states, which a solver chose */
+
 /* Say something to the host; 1, so that a refusal is one line. */
 static int refuse(Instance *m, const char *format, ...);
 #if RANGES

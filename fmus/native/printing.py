@@ -127,7 +127,7 @@ class Printer:
             "OUTPUTS": len(self.model.outputs),
             "STATES": len(self.states),
             "MEMORIES": len(self.remembering),
-            "OWN": len(self.states) + len(self.remembering) + 2 * len(self.model.inputs) + 1,
+            "OWN": len(self.states) + len(self.remembering) + 2 * len(self.model.inputs),
             "EFFECTS": len(self.trace.effects),
             "RANGES": len(self.model.valid),
             "BODY_KINKS": body_kinks,
