@@ -297,6 +297,18 @@ def test_a_hostile_archive_is_refused_before_it_is_unpacked(tmp_path: Path) -> N
         assert words in "".join(faults_of(path)), words
 
 
+def test_doubled_connections_through_many_levels_are_told_in_no_time(tmp_path: Path) -> None:
+    ends = '<ssd:Connectors><ssd:Connector name="a" kind="input"/></ssd:Connectors>'
+    inner, link = component("lag"), connection("a", "lag.u")
+    for level in range(24):  # 2^24 ways
+        system = f"<ssd:Elements>{inner}</ssd:Elements><ssd:Connections>{link}{link}</ssd:Connections>"
+        inner, link = f'<ssd:System name="s{level}">{ends}{system}</ssd:System>', connection("a", f"s{level}.a")
+    values = f"<ssd:ParameterBindings>{bound({'s23.a': real(1.0)})}</ssd:ParameterBindings>"
+    whole = f'<ssd:System name="root">{values}<ssd:Elements>{inner}</ssd:Elements></ssd:System>'
+    path = ssp(tmp_path / "deep.ssp", whole, {"resources/lag.fmu": lag_fmu(tmp_path / "lag.fmu")})
+    assert sum("two sources" in line for line in faults_of(path)) == 24
+
+
 def test_faults_leave_nothing_behind(tmp_path: Path) -> None:
     path = pair(tmp_path, connections=connection("a.y", "c.u"))
     done = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])

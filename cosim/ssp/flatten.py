@@ -218,7 +218,7 @@ class _Flattener:
         """Where a connector of a system leads inside."""
         for connection in level.out_of.get((None, connector), ()):
             name, variable = connection.end
-            if name is None:
+            if name is None or level.into[connection.end] is not connection:  # of two sources, a fault, the first
                 continue
             further = (*hops, (level, connection))
             if name in level.parts and variable in level.parts[name].variables:
