@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import shlex
@@ -16,6 +17,7 @@ import typer
 
 from cosim.errors import CosimError, CriterionMissed, Fault, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
+from cosim.garbage import collect_seldom
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -347,6 +349,7 @@ def stages() -> Iterator[Callable[[str, float], None] | None]:
 
 def entry() -> None:
     """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    collecting = collect_seldom()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
@@ -371,6 +374,7 @@ def entry() -> None:
         typer.echo(f"error: {where}{error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
+        gc.set_threshold(*collecting)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
 

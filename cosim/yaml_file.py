@@ -81,10 +81,11 @@ class YamlFile:
         except ValidationError as error:
             raise InputError(self._faults(model, error, data, at)) from None
 
-    def partly(self, model: type[M]) -> tuple[M | None, list[Fault]]:
+    def partly(self, model: type[M], first: str) -> tuple[M | None, list[Fault]]:
         """The document without its faulty parts, so that the rest can be checked too, and their faults.
 
-        None where it cannot do without them, or where a key at its top is at fault, on which the rest depends.
+        None where it cannot do without them, or where a key at its top is at fault, on which the rest may depend. On a
+        key that nobody knows it does not, unless `first` is meant, by which the rest is read.
         """
         data = copy.deepcopy(self.root)
         try:
@@ -92,10 +93,12 @@ class YamlFile:
         except ValidationError as error:
             wrong = error
         faults = self._faults(model, wrong, data)
-        places = [location_in(data, e["loc"], e["type"]) for e in wrong.errors(include_url=False)]
-        if any(len(place) < 2 for place in places):
-            return None, faults
-        for place in places:
+        places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in wrong.errors(include_url=False)]
+        for place, kind in places:
+            of_none = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
+            if len(place) < 2 and not of_none:
+                return None, faults
+        for place, _ in places:
             _leave_out(data, place)
         try:
             return model.model_validate(data), faults

@@ -67,10 +67,10 @@ def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> Non
     )
     told_of = [line.removeprefix(f"{tmp_path}/").partition(";")[0] for line in told(path)]
     assert told_of == [
-        "none.csv: no such file",
         "study.yaml:1:14: noise.psi is 0: it should be greater than 0",
         'study.yaml:1:17: no output "psy"',
         'study.yaml:2:14: no candidate "masss"',
+        "study.yaml:4:16: none.csv: no such file beside the study",
         'study.yaml:5:3: unknown key "validaton"',
     ]
 
@@ -91,9 +91,9 @@ def test_nothing_is_guessed_of_a_study_whose_model_is_not_known(tmp_path: Path, 
 
 def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
-    missing, item = told(tmp_path / "study.yaml")
-    assert "none.csv: no such file" in missing
+    item, missing = told(tmp_path / "study.yaml")
     assert "study.yaml:1:14: candidates.0 is a list" in item
+    assert "study.yaml:2:21: none.csv: no such file" in missing
 
 
 @pytest.mark.parametrize(("share", "counted"), [(0.0, False), (0.4, True), (1.0, False)])

@@ -19,14 +19,14 @@ import numpy as np
 import pytest
 
 from cosim.estimation.candidates import Candidate, Free, candidates
-from cosim.estimation.fit import Fit, fit, inverse
+from cosim.estimation.fit import Fit, _Scoring, fit, inverse
 from cosim.estimation.noise_model import Noise, noise_range
 from cosim.estimation.posing import build_problem, coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
 from cosim.refinement.attribution import Attributor
-from cosim.refinement.evidence import best_of, scattered
+from cosim.refinement.evidence import best_of, held_out, scattered
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
 from cosim.refinement.measure import first_rows
@@ -34,7 +34,8 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.search import Search
 from cosim.refinement.study import read_study
 from cosim.refinement.trust import attributed
-from cosim.refinement.unnamed import left_beside
+from cosim.refinement.unnamed import Leftover, left_beside
+from cosim.refinement.workflow import _follows
 from plant.model import Model
 from tests.ferry import ferry_study
 from tests.logs import write_log
@@ -474,6 +475,44 @@ def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
     found = noise_range(variances, 1)
     assert found.smallest[0] == pytest.approx(math.log(1e-3 / 100.0), abs=0.5)  # between points of a grid of 4
     assert found.plain[0] == pytest.approx(math.log(0.04), abs=0.5)
+
+
+def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(rail: Model, tmp_path: Path) -> None:
+    numbers = {"drag": 3.0, "slope": 0.3}
+    problem = coarsened(posed(rail, tmp_path, 1, 2, numbers=numbers))
+    search = searched(rail, problem)
+    drag, both = (search.hypothesis(parts_of(problem, rail, *names), None) for names in (("drag",), ("drag", "slope")))
+    gained = held_out(search, both, drag)[0]
+    for (names, left_out), learnt in list(search.learnt.items()):  # as logs have it that hardly move
+        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
+    assert held_out(search, both, drag)[0] == pytest.approx(gained, rel=0.02)
+    # but what only one of the two has is as the others have it
+    for (names, left_out), learnt in list(search.learnt.items()):
+        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
+    assert held_out(search, both, drag)[0] < 0.0 < gained
+
+
+def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:
+    """One-sided differences add what bends to what moves; to both sides it cancels."""
+    problem = coarsened(posed(rail, tmp_path, 0, numbers=DRY))
+    h = searched(rail, problem).hypothesis(parts_of(problem, rail, "coulomb"), None, 12)
+    scoring = _Scoring(problem, h.fit.free, h.fit.values, h.fit.noise, None, sensing=True)
+    scoring.scored = scoring._evaluate(scoring.theta)
+    one_sided, _ = scoring.sensitivities()
+    both, _ = scoring.sensitivities(both=True)
+    scoring.difference = scoring.difference / 64.0
+    exact, _ = scoring.sensitivities(both=True)
+    assert np.abs(both - exact).max() < 0.25 * np.abs(one_sided - exact).max()
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_a_term_without_a_name_counts_where_it_gains_all_along(rail: Model, tmp_path: Path, *, steady: bool) -> None:
+    """Of thousands of shapes some gain by a single knock."""
+    problem = coarsened(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
+    search = searched(rail, problem)
+    base, better = (search.hypothesis(parts_of(problem, rail, *n), None).fit for n in ((), ("drag",)))
+    left = Leftover((), better, 10.0, 8.0, among=1 if steady else 10**300)
+    assert _follows(problem, left, better, base, math.inf) is steady
 
 
 def test_the_best_of_many_must_gain_more_than_one_alone() -> None:

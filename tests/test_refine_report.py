@@ -359,6 +359,28 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     assert alone.sentence.startswith("These logs cannot tell dry from push. ")
 
 
+def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(cart: Refinement) -> None:
+    judged = Judged(cart)
+    dry, (push,) = judged.single("dry"), judged.single("push").candidates
+    fuller = replace(dry, candidates=(*dry.candidates, push), score=dry.score - 1.0)
+    claimed = judged(best=dry, rivals=(), fuller=fuller)
+    assert (claimed.name, claimed.claimed) == ("effect_found", dry)
+    assert claimed.sentence.endswith(" (Perhaps push: what that gains may be chance.)")
+    base = cart.attribution.base
+    none = judged(best=base, rivals=(), noise_gain=(0.0,), fuller=dry)
+    assert (none.name, none.sentence.endswith("noise. (Perhaps dry: what that gains may be chance.)")) == (
+        "no_effect",
+        True,
+    )
+    assert "Perhaps" not in judged(best=dry, rivals=(), fuller=None).sentence
+    # where nothing is certain it is one of those that the logs leave open
+    shove = replace(push, name="shove")
+    other = replace(dry, candidates=(shove,))
+    open_ = judged(best=dry, rivals=(other,), fuller=fuller)
+    assert open_.rivals == ("dry", "shove", "dry + push")
+    assert open_.sentence.startswith("These logs cannot tell these apart: dry, or shove, or dry and push. ")
+
+
 def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
     judged = Judged(cart)
     best = judged.single("dry")

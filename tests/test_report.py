@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import pytest
 
 from cosim.arrays import Array
 from cosim.report.data import Series, to_json
+from cosim.report.packed import power
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import make_axis, thin
 from cosim.results import Results
@@ -25,7 +27,7 @@ from cosim.simulation.report.craft.judgement import belief, reference_steps, res
 from cosim.simulation.report.craft.lines import state_panels
 from cosim.simulation.report.craft.roles import find_crafts
 from cosim.simulation.report.craft.topview import pose, reference_track, true_track
-from cosim.simulation.report.page import signal_panels
+from cosim.simulation.report.page import connection_panels, signal_panels
 from cosim.simulation.report.recorded import Run
 
 ROOT = Path(__file__).parent.parent
@@ -109,7 +111,7 @@ class Elements(HTMLParser):
 def test_page_loads_nothing(tmp_path: Path) -> None:
     text = page(tmp_path, craft_run(), manifest())
     assert [target for target in Elements(text).loads if not target.startswith(("#", "data:"))] == []
-    assert re.search(r"https?://|@import|url\(|fetch\(|XMLHttpRequest", text) is None
+    assert re.search(r"https?://|@import|url\(|fetch\(|XMLHttpRequest|import\(", text) is None
 
 
 def test_names_never_become_markup(tmp_path: Path) -> None:
@@ -125,12 +127,12 @@ def test_names_never_become_markup(tmp_path: Path) -> None:
 def test_embedded_data_is_json_that_matches_the_run(tmp_path: Path) -> None:
     results = changed(craft_run(4.0), "plant.vx", np.nan, slice(50, 60))
     data = embedded(page(tmp_path, results, manifest()))
-    assert data["t"][-1] == pytest.approx(4.0)
+    assert data["few"][-1] == pytest.approx(4.0)
     body = data["crafts"][0]
-    assert len(body["u"]) == len(data["t"])
+    assert (len(body["u"]), data["rows"]) == (len(data["few"]), results.time.size)
     # Forward along world X is up: −1000 mm at the end, within the rounding to whole millimetres.
     assert body["v"][-1] == pytest.approx(-1000 * results["plant.x_world"][-1], abs=0.5)
-    assert any(None in series["v"] for series in data["series"].values())
+    assert sum(series["g"] for series in data["series"].values()) == 2  # the speed with a gap, and its error
 
 
 def test_forward_is_up_and_a_left_turn_turns_left() -> None:
@@ -180,7 +182,7 @@ def test_a_run_of_a_few_rows_gives_a_page_and_figures(tmp_path: Path, rows: int)
     results = Results(whole.time[:rows], whole.columns, whole.values[:rows], whole.units)
     text = page(tmp_path, results, manifest(status="failed: plant stopped at t = 0.04 s"))
     assert ("No rows were recorded" in text) is (rows == 0)
-    assert len(embedded(text)["t"]) == rows
+    assert embedded(text)["rows"] == rows
     assert len(write_figures(tmp_path / "figures", results, manifest())) == (0 if rows == 0 else 4)
 
 
@@ -207,9 +209,34 @@ def test_thirty_noisy_seconds_stay_small(tmp_path: Path) -> None:
     assert len(page(tmp_path, craft_run(30.0, noise=0.1), manifest()).encode()) < 600_000
 
 
-def test_an_hour_is_no_larger_than_a_minute(tmp_path: Path) -> None:
-    sizes = [len(page(tmp_path, craft_run(seconds, noise=0.1), manifest())) for seconds in (60.0, 600.0)]
-    assert sizes[1] < 1.3 * sizes[0]  # both are thinned to the same number of points; only digits differ
+def test_half_an_hour_at_50_hz_is_whole_in_a_few_megabytes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    results = craft_run(1800.0)
+    for name in ("plant.psi", "controller.psi", "controller.psi_dot", "controller.ax", "controller.x_hat"):
+        results = changed(results, name, results[name] + 0.01 * rng.normal(size=results.time.size))
+    text = page(tmp_path, results, manifest())
+    assert embedded(text)["rows"] == results.time.size == 90_001
+    assert len(text) < 4e6
+
+
+def test_what_was_sent_and_what_arrived_stand_in_one_chart(tmp_path: Path) -> None:
+    time, rng = np.arange(100) * 0.1, np.random.default_rng(1)
+    sent = np.sin(time)
+    values = np.column_stack([sent, sent + 0.1 * rng.normal(size=100), sent, sent])
+    results = Results(time, ("tank.level", "pump.measured", "pump.speed", "tank.speed"), values, {"tank.level": "m"})
+    noise = {"variance": 0.01, "bias": 0.0}
+    links = [
+        {"from": "tank.level", "to": "pump.measured", "noise": noise},
+        {"from": "pump.speed", "to": "tank.speed"},
+    ]
+    results = Results(results.time, results.columns, results.values, {"tank.level": "m", "pump.measured": "m"})
+    text = page(tmp_path, results, {"scenario": {"connections": links}})
+    run = Run(results, {"scenario": {"connections": links}})
+    noisy, same = connection_panels(run).values()
+    assert [t.label for t in noisy.traces] == ["pump.measured, σ\u00a0=\u00a00.100\u00a0m", "tank.level"]
+    assert [t.label for t in same.traces] == ["pump.speed"]  # one line, where both are the same
+    assert "<h2>Connections</h2>" in text
+    assert "Other signals" not in text  # all are shown
 
 
 def test_thinning_keeps_every_peak_and_gap() -> None:
@@ -262,35 +289,78 @@ def test_a_tile_goes_by_the_band_of_the_criterion_so_that_it_does_not_contradict
     assert "not settled" not in text
 
 
-READ_OUT = """
+ROWS = """
 const data = %s, cells = [{dataset: {key: "k0"}, textContent: ""}], row = {hidden: true, textContent: ""};
-globalThis.CustomEvent = class {};
+globalThis.CustomEvent = class { constructor(name, more) { Object.assign(this, more, {type: name}); } };
 globalThis.location = {hash: "#t=%s"};
+globalThis.window = {addEventListener() {}};
+let rows;
 globalThis.document = {
   getElementById: () => ({textContent: JSON.stringify(data)}),
   querySelector: (s) => (s === "#row" ? row : null),
   querySelectorAll: (s) => (s === "[data-key]" ? cells : []),
-  documentElement: {style: {setProperty() {}}}, dispatchEvent() {}, body: {classList: {add() {}}},
+  documentElement: {style: {setProperty() {}}, classList: {toggle() {}}, dataset: {}}, body: {classList: {add() {}}},
+  dispatchEvent: (event) => { if (event.type === "rows") rows = event.detail.data; },
 };
-%s
-console.log(JSON.stringify([cells[0].textContent, row.hidden, row.textContent]));
+(%s).then(() => {
+  const columns = Object.values(rows.series).map((s) => [...s.v].map((v) => (Number.isNaN(v) ? null : v)));
+  console.log(JSON.stringify([cells[0].textContent, row.hidden, row.textContent, [...rows.t], columns]));
+});
 """
+with_node = pytest.mark.skipif(shutil.which("node") is None, reason="no node to run the page's script")
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no node to run the page's script")
-@pytest.mark.parametrize(("t", "nearest"), [("33.3", 3), ("46.9", 5), ("50", 5)])
-def test_a_read_out_is_of_a_recorded_row_and_names_it(t: str, nearest: int) -> None:
-    time = np.arange(5001) * 0.01
-    values = np.where(np.arange(5001) % 1000 == 0, 7.5, -100.0)  # between the rows in the page all is otherwise
-    series = Series(np.arange(0, 5001, 1000))
-    series.add(Panel("Rate", "°/s", [Trace("a", values, "true")]))
+def told_by_the_script(series: Series, t: str) -> Any:
+    """What the page's script reads out at a time, and every row that it has unpacked."""
     script = (ROOT / "cosim/report/templates/report.js").read_text()
-    code = READ_OUT % (to_json(time, series), t, script)
+    script = script[script.index("(async") :].rstrip().removesuffix(";")
+    code = ROWS % (to_json(series), t, script)
     done = subprocess.run(["node", "-e", code], capture_output=True, text=True, check=True, timeout=60)
-    shown, hidden, told = json.loads(done.stdout)
-    assert shown == "7.5"
+    return json.loads(done.stdout)
+
+
+@with_node
+@pytest.mark.parametrize(("t", "nearest"), [("33.3", 4), ("46.9", 6), ("50", 6)])
+def test_a_read_out_is_of_a_recorded_row_and_names_it(t: str, nearest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.report.data.MOST_CELLS", 6)  # more rows than the page may hold
+    time = np.arange(5001) * 0.01
+    series = Series(time, 1)
+    values = np.full(5001, -100.0)  # between the rows in the page all is otherwise
+    values[series.rows] = 7.5
+    series.add(Panel("Rate", "°/s", [Trace("a", values, "true")]))
+    shown, hidden, told, _, _ = told_by_the_script(series, t)
+    assert shown == "7.5000"
     assert not hidden
-    assert told.startswith(f"numbers: row {1000 * nearest + 1} of 5001, t = {10 * nearest} s; 6 of the rows are in")
+    row = int(series.rows[nearest])
+    assert told.startswith(f"numbers: row {row + 1} of 5001, t = {time[row]:g} s; 7 of the rows are in")
+
+
+@with_node
+def test_the_script_has_every_row_to_five_digits() -> None:
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(1e-4, 0.1, 3000))
+    signals = {
+        "noise": rng.normal(size=3000),
+        "huge": 1e12 * rng.normal(size=3000),
+        "tiny": 1e-12 * rng.normal(size=3000),
+        "pressure": 101325.0 + 0.01 * rng.normal(size=3000),  # moves little beside its size
+        "gaps": np.where(rng.random(3000) < 0.3, np.nan, rng.normal(size=3000)),
+        "first missing": np.where(np.arange(3000) < 7, np.nan, 1.0),
+        "none": np.full(3000, np.nan),
+        "zero": np.zeros(3000),
+        "steps": np.repeat(rng.integers(-(10**6), 10**6, 30), 100).astype(np.float64),
+    }
+    series = Series(time, len(signals))
+    series.add(Panel("All", "1", [Trace(name, values, "true") for name, values in signals.items()]))
+    *_, t, columns = told_by_the_script(series, "1")
+    assert np.abs(np.array(t) - time).max() < 1e-6
+    for (name, values), column in zip(signals.items(), columns, strict=True):
+        read = np.array(column, dtype=np.float64)  # null → NaN
+        good = np.isfinite(values)
+        assert np.array_equal(np.isfinite(read), good), name
+        if good.any() and np.ptp(values[good]) > 0:
+            finest = min(1e-5 * np.abs(values[good]).max(), 1e-3 * np.ptp(values[good]))
+            assert np.abs(read - values)[good].max() <= 5.01 * finest, name
 
 
 def test_saturation_is_the_share_of_time_at_the_limit(tmp_path: Path) -> None:
@@ -329,9 +399,29 @@ def test_without_a_craft_every_signal_is_plotted(tmp_path: Path) -> None:
     units = dict.fromkeys(columns[:-1], "m") | {"spring.force": "N"}
     results = Results(np.arange(3.0), columns, np.ones((3, 10)), units)
     text = page(tmp_path, results, {})
-    assert all(text.count(f"</svg>{name}") == 1 for name in columns)
+    assert all(text.count(f"</svg><span>{name}</span>") == 1 for name in columns)
     panels = signal_panels(Run(results, {}))
     assert [(panel.unit, len(panel.traces)) for panel in panels] == [("m", 6), ("m", 3), ("N", 1)]
+
+
+def test_text_and_items_are_spelled_out_with_the_times_of_their_changes(tmp_path: Path) -> None:
+    exact = {"a.said": ["<b>", "<b>", "x", "x"], "a.raw": [b"\x00\xff"] * 4, "a.n": [2**63 - 1 + k for k in range(4)]}
+    results = Results(np.arange(4.0), ("a.gear",), np.array([[1.0], [1.0], [2.0], [7.0]]), exact=exact)
+    text = page(tmp_path, results, {"items": {"a.gear": {"first": 1, "second": 2}}})
+    cells = ("first; from 2 s second; from 3 s 7", "&lt;b&gt;; from 2 s x", "00ff", f"{2**63 - 1}; from 1 s {2**63}; ")
+    assert all(f'<td class="wrap">{cell}' in text for cell in cells)
+    many = replace(results, time=np.arange(20.0), values=np.arange(20.0)[:, None], exact={})
+    text = page(tmp_path, many, {"items": {"a.gear": {"first": 1}}})
+    assert "0; from 1 s first; from 2 s 2;" in text
+    assert "from 8 s 8; and 11 more changes</td>" in text
+
+
+def test_of_very_many_signals_the_first_are_drawn_and_the_rest_is_said(tmp_path: Path) -> None:
+    names = tuple(f"a.y{k}" for k in range(1003))
+    text = page(tmp_path, Results(np.arange(2.0), names, np.zeros((2, 1003))), {})
+    assert "The first 1000 of 1003 signals; results.csv has all." in text
+    assert "a.y999" in text
+    assert "a.y1000" not in text
 
 
 def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
@@ -343,6 +433,18 @@ def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
     text = page(tmp_path, craft_run(1.0), manifest(criteria=goals))
     assert "2 of 3 criteria were missed (first, final error of plant.psi to 0°: 11.5°, allowed ≤ 5.73°)." in text
     assert all(words in text for words in ("2.50\u00a0s left", "5.73° over", ">not settled</td>"))
+
+
+def test_a_run_of_any_fmus_shows_its_own_criteria_first_those_that_are_missed(tmp_path: Path) -> None:
+    goals = [
+        {"kind": "settling_time", "of": "tank.level", "value": 1.5, "max": 4.0, "unit": "s", "met": True},
+        {"kind": "final_error", "of": "tank.level", "to": 0.0, "value": 0.2, "max": 0.1, "unit": "m", "met": False},
+    ]
+    results = Results(np.arange(3.0), ("tank.level",), np.ones((3, 1)), {"tank.level": "m"})
+    text = page(tmp_path, results, {"criteria": goals})
+    tiles = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd><dd class=\"note\">(.*?)</dd>", text)
+    assert [note.partition(",")[0] for _, _, note in tiles] == ["missed", "met"]
+    assert tiles[0][:2] == ("final error of tank.level to 0\u00a0m", "0.200\u00a0m")
 
 
 def test_ticks_lie_on_the_axis_and_are_told_apart() -> None:
@@ -363,10 +465,9 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
 
 
 def test_a_small_signal_is_read_out_with_digits_of_its_own() -> None:
-    series = Series(np.arange(3))
-    for size in (0.5, 1e-5):
-        series.add(Panel("Position", "m", [Trace("a", np.full(3, size), "true")]))
-    assert [entry["d"] for entry in series.entries.values()] == [3, 6]
+    assert [power(np.full(3, size)) for size in (0.5, 1e-5, 250.0)] == [5, 9, 2]
+    assert power(np.array([100.0, 100.1])) == 5  # and one that moves little, of what it moves
+    assert power(np.array([1e-310])) == 300
 
 
 def test_importing_the_report_loads_neither_jinja2_nor_matplotlib() -> None:

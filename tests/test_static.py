@@ -236,6 +236,14 @@ def test_all_faults_of_a_table_come_at_once_and_nothing_is_written(tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
+def test_rows_too_few_to_tell_an_effect_from_noise_are_refused(tmp_path: Path) -> None:
+    """A coefficient, an effect, three rows more: five are enough, in whatever files."""
+    path = study_of(tmp_path, linear, rows=4)
+    with pytest.raises(InputError, match=r"study.yaml:3:\d+: 4 rows to learn from, and it takes 5: 1 number that may"):
+        read_study(path)
+    assert read_study(study_of(tmp_path, linear, rows=5)).logs
+
+
 def test_parameters_per_log_of_a_table_are_refused(tmp_path: Path) -> None:
     path = study_of(tmp_path, linear)
     path.write_text(path.read_text() + "per_log: [meter_offset]\n")

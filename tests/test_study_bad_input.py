@@ -151,3 +151,15 @@ def test_a_latency_longer_than_a_log_is_told_at_its_place(tmp_path: Path, tanks:
     (tmp_path / "study.yaml").write_text(study.replace("candidates: [leek]\n", ""))
     (tmp_path / "model.yaml").write_text(model.format(5))
     assert len(read_study(tmp_path / "study.yaml").logs) == 1
+
+
+def test_a_key_that_nobody_knows_and_a_log_that_is_not_there_hide_no_other_fault(
+    tmp_path: Path, tanks: dict[str, str]
+) -> None:
+    study = (
+        "model: tank.py:Tank\nlogs: {estimation: [a.csv, none.csv]}\nnois: {level: 1}\n"
+        "tolerance: {colour: 0.1}\ncandidates: [leek]\n"
+    )
+    lines = told(tmp_path, tanks, study)
+    assert [line.split(":")[1:3] for line in lines] == [["2", "28"], ["3", "1"], ["4", "13"], ["5", "14"]]
+    assert lines[0].endswith("none.csv: no such file beside the study; its logs are named from there")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
-from cosim.blocks.guard import check_fmu_file, check_identifiers, reason_of
+from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
@@ -34,6 +34,8 @@ def read_description(path: Path) -> Any:
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
     check_identifiers(path, description)
+    if slips:
+        check_numbers(path, description)
     if not ways(description):
         raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
     _slips[description] = slips

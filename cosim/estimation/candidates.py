@@ -45,9 +45,14 @@ def base_parameters(model: Model, values: Mapping[str, float], tolerance: Mappin
 
     tolerance: parameter → share of it, as the study states it; before what the model states
     """
+    stated = tolerances(model, tolerance)
+    return [_base(model, name, values, share) for name, share in stated.items()]
+
+
+def tolerances(model: Model, tolerance: Mapping[str, float]) -> dict[str, float]:
+    """Base parameter → its tolerance, of those that every fit recalibrates."""
     stated = {p.name: p.tolerance for p in model.parameters if p.tolerance is not None} | dict(tolerance)
-    names = dict.fromkeys((*model.calibrated, *stated))
-    return [_base(model, name, values, stated.get(name, TOLERANCE)) for name in names]
+    return {**{name: stated.get(name, TOLERANCE) for name in model.calibrated}, **stated}
 
 
 def candidates(model: Model, values: Mapping[str, float], varied: Sequence[str]) -> list[Candidate]:

@@ -101,7 +101,7 @@ def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
     e, s = scoring.scored.errors, scoring.scored.variances
-    de, dls = scoring.sensitivities()
+    de, dls = scoring.sensitivities(both=True)  # along a ridge one side sees more than there is
     _, information = scoring.derivatives(de, dls)
     size = scoring.size
     each = de * (e / s) + 0.5 * dls * (1.0 - e * e / s)
@@ -195,19 +195,27 @@ class _Scoring:
     def _objective(self, theta: Array, scored: Scored) -> float:
         return scored.nll + self._penalty(theta)
 
-    def sensitivities(self) -> tuple[Array, Array]:
-        """∂e and ∂ln s by θ in units of the parameters' sizes: one-sided differences, inwards from an upper limit."""
-        e, s = self.scored.errors, self.scored.variances
-        de, dls = np.empty((len(self.theta), len(e))), np.empty((len(self.theta), len(e)))
+    def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
+        """∂e and ∂ln s by θ in units of the parameters' sizes: one-sided differences, inwards from an upper limit.
+
+        both: differences to both sides, where the limits leave room
+        """
+        shape = (len(self.theta), len(self.scored.errors))
+        de, dls = np.empty(shape), np.empty(shape)
         for i, h in enumerate(self.difference):
-            there = self.theta.copy()
-            h = h if there[i] + h <= self.high[i] else -h
-            there[i] += h
-            other = self._evaluate(there)
+            h = h if self.theta[i] + h <= self.high[i] else -h
+            back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
+            ahead, behind = self._beside(i, h), self._beside(i, -back) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
-                de[i] = (other.errors - e) / h * self.size[i]
-                dls[i] = np.log(other.variances / s) / h * self.size[i]
+                de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
+                dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
+
+    def _beside(self, i: int, h: float) -> Scored:
+        """What is scored with one of θ moved by h."""
+        there = self.theta.copy()
+        there[i] += h
+        return self._evaluate(there)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
         """Gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes."""

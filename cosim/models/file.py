@@ -112,7 +112,7 @@ def read_model(path: Path) -> LoadedModel:
     """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
     yaml = YamlFile(path)
     _refuse_study(yaml)
-    content, faults = yaml.partly(ModelFile)
+    content, faults = yaml.partly(ModelFile, "model")
     if content is None:
         raise InputError(faults)
     try:

@@ -31,6 +31,7 @@ LASTING = 3.0  # times as long as an unknown input lasts
 FEWEST = 12  # blocks, over all logs
 DIVERGED = 1e6  # of NLL, that a measurement counts where a filter has diverged
 BACK = 200  # rows before a replay, for a delay to look into
+BY_CHANCE = 0.01  # probability, below which chance is unlikely
 PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
 
 
@@ -91,12 +92,16 @@ def in_scatter(gains: Array, known: float = 0.0) -> float:
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
 
-    What is claimed is as the other logs have it, and what is not as the model has it. For the likelihood the rest, base
-    parameters and noise, settles on the log itself, for both alike: logs that excite little leave it open. Predictions
-    have nothing of the log. Of a single log, halves.
+    What one claims and the other does not is as the other logs have it, or as the model has it. For the likelihood the
+    rest, what both claim, base parameters and noise, settles on the log itself, for both alike: logs that excite little
+    leave it open. Predictions have nothing of the log. Of a single log, halves.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     count = len(problem.logs)
+    both = set(better.names) & set(worse.names)
+    names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
+    shared = tuple(c for c in better.candidates if c.name in both)
+    settling = [f for f in search.free(shared) if f.name not in names]
 
     def one(left_out: int) -> tuple[float, list[Array]]:
         objectives, missed = [], []
@@ -106,8 +111,6 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
             if problem.table:  # on a row or a few, nothing can settle
                 objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
                 continue
-            names = {f.name for c in (*better.candidates, *worse.candidates) for f in c.free}
-            settling = [f for f in search.free(()) if f.name not in names]
             own = {f.name for c in h.candidates for f in c.free}
             stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
             settled = fit(
@@ -143,6 +146,18 @@ def best_of(scatters: float, tried: int) -> float:
     from scipy.special import ndtr, ndtri
 
     return float(-ndtri(ndtr(-scatters) / max(1, tried)))
+
+
+def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
+    """How many times its scatter the gain of the best of several must be, for chance to be unlikely.
+
+    What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
+    blocks of time, and any of those tried could have come by it (Bonferroni).
+    """
+    from scipy.special import stdtrit
+
+    blocks = number_of_blocks(problem, f)
+    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
 
 
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:

@@ -68,6 +68,7 @@ class Attribution:
     reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # why each hypothesis but the best lost
     hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
     effects: int = 0  # how many were on trial
+    fuller: Hypothesis | None = None  # the best one with parts that gain too little to be told from chance
 
     @property
     def noisy(self) -> tuple[bool, ...]:

@@ -12,13 +12,13 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.noise import NORMAL_95
-from cosim.refinement.evidence import as_given, held_out, number_of_blocks, scattered, steadiness
+from cosim.refinement.evidence import as_given, beyond_chance, held_out, scattered, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search import Found, Search, key_of
 
 RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
-SMALL, BY_CHANCE = 3.0, 0.01  # a part gains little, below so many times its cost: then chance must be less likely
+SMALL = 3.0  # a part gains little, below so many times its cost: then chance must be less likely
 NEAR = 8.0  # of score, beyond which none is a rival however it scatters
 SIGNIFICANT = 3.0  # standard deviations from neutral
 LITTLE = "gains little"
@@ -46,8 +46,10 @@ def decided(found: Found) -> Attribution:
                 break
         else:
             break
+    fuller = whole[0] if whole is not None else None
     if whole is not None and (every := _together(search, whole[0], best)):
-        best, support = every, {c.name: _support(search, every, whole[1][c.name]) for c in every.candidates}
+        fuller, best = None, every
+        support = {c.name: _support(search, every, whole[1][c.name]) for c in every.candidates}
         dropped = {n: doubt for n, doubt in dropped.items() if n not in every.names}
     base = search.tried[()]
     if best.candidates:
@@ -58,7 +60,9 @@ def decided(found: Found) -> Attribution:
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     noise = noise_gain(search.problem, best.fit)
     given = as_given(search.problem, base.fit)
-    return Attribution(base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects)
+    return Attribution(
+        base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects, fuller
+    )
 
 
 def _together(search: Search, every: Hypothesis, left: Hypothesis) -> Hypothesis | None:
@@ -71,15 +75,8 @@ def _together(search: Search, every: Hypothesis, left: Hypothesis) -> Hypothesis
 
 
 def surely(search: Search, f: Fit) -> float:
-    """How many times its scatter a gain must be for chance to be unlikely, with so many candidates and blocks of time.
-
-    What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
-    blocks, and any of the candidates could have come by it (Bonferroni).
-    """
-    from scipy.special import stdtrit
-
-    blocks = number_of_blocks(search.problem, f)
-    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / search.on_trial))
+    """How many times its scatter a gain must be for chance to be unlikely, with so many candidates on trial."""
+    return beyond_chance(search.problem, f, search.on_trial)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:

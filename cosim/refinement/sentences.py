@@ -52,7 +52,8 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, model: Mode
     """What rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if model.static else "; `cosim excite` designs it, and says whether any would"
-    return f"{opening} cannot tell {' from '.join(names)}. This may: {experiment}{designed}."
+    apart = f"{' from '.join(names)}" if len(names) < 3 else f"these apart: {', or '.join(names)}"
+    return f"{opening} cannot tell {apart}. This may: {experiment}{designed}."
 
 
 def unexplained(
@@ -195,6 +196,11 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
     return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
+
+
+def perhaps(names: Sequence[str]) -> str:
+    """That something would gain, but too little."""
+    return f" (Perhaps {' and '.join(names)}: what that gains may be chance.)" if names else ""
 
 
 def left_over(term: Unnamed | None, gained: float) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from cosim.errors import Fault, InputError
+from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
 from cosim.kinds import STUDY, kind_by_keys, kind_by_name, refuse_other
@@ -31,6 +32,7 @@ from plant.model import Model
 from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
+SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise
 FINEST, COARSEST = 1e-12, 1e3  # of the largest reading, beyond which a standard deviation is no sensor's
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Between = Literal["held", "interpolated"]
@@ -152,7 +154,7 @@ def read_study(path: Path) -> Study:
     refuse_other(path, kind_by_name(path), STUDY)
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
-    content, faults = yaml.partly(StudyFile)
+    content, faults = yaml.partly(StudyFile, "model")
     if content is None:
         raise InputError(faults)
     try:
@@ -171,6 +173,10 @@ def read_study(path: Path) -> Study:
     digests: dict[str, str] = {}
     warnings: list[str] = []
     for part, name in _entries(content.logs):
+        if not os.path.exists(path.parent / name):
+            place = ("logs", part, getattr(content.logs, part).index(name))
+            faults.append(yaml.fault(place, f"{name}: no such file beside the study; its logs are named from there"))
+            continue
         try:
             log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
         except InputError as error:
@@ -190,6 +196,7 @@ def read_study(path: Path) -> Study:
         logs[part] += whole
     faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
     faults += _listed_twice(yaml, content.logs, digests)
+    faults += _too_few(yaml, content, loaded, logs["estimation"])
     faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
         raise InputError(faults)
@@ -255,6 +262,18 @@ def _too_short(log: Log, horizon: float) -> Fault:
     what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
     cure = f"it takes {least} s, and {plain(20 * log.slowness)} s and more tell more; log longer or leave it out"
     return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
+
+
+def _too_few(yaml: YamlFile, content: StudyFile, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
+    """Tables with fewer rows than it takes to recalibrate the model, to add one parameter, and to see the noise."""
+    if not logs or not loaded.model.static:
+        return
+    numbers = len(tolerances(loaded.model, content.tolerance_of(loaded.model)))
+    rows, least = sum(len(log.time) for log in logs), numbers + 1 + SPARE
+    if rows < least:
+        of = f"{counted(numbers, 'number')} that may be off, one that is missing, and {SPARE} more to see the noise"
+        text = f"{counted(rows, 'row')} to learn from, and it takes {least}: {of}; measure more"
+        yield yaml.fault(("logs", "estimation"), text)
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:

@@ -17,6 +17,7 @@ from cosim.refinement.sentences import (
     experiment_for,
     left_over,
     nothing,
+    perhaps,
     unexplained,
     usual_experiment,
 )
@@ -65,14 +66,14 @@ def judge(
         residual = {**residual, "equation": large}
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
     if not a.best.candidates:
-        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves))
+        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves) + perhaps(_little(a)))
     gained = a.base.score - a.best.score
     hides = large is not None and gained < MUCH * a.noise_gain[list(forced).index(large)]
     if _disputed(a, left) or hides:
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
     if a.rivals:
         return _ambiguous(a, model, residual)
-    sentence = claim(a.best, a.best.candidates, model)
+    sentence = claim(a.best, a.best.candidates, model) + perhaps(_little(a))
     if left.terms:
         sentence += left_over(left.terms[0], gained)
     name = name_of(a.best.candidates, model)
@@ -92,7 +93,7 @@ def _undecided(a: Attribution, model: Model, residual: Mapping[str, Any], *, sti
 
 def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Verdict:
     """The best is in the model until an experiment separates it from its rivals; what they share is certain."""
-    every = (a.best, *a.rivals)
+    every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [[n for n in h.names if n not in common] for h in every]
     experiment = experiment_for(model, [n for names in apart for n in names])
@@ -101,6 +102,11 @@ def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Ver
     sentence = cannot_tell([" and ".join(names) for names in apart], experiment, certainly, model)
     rivals = tuple(TOGETHER.join(h.names) for h in every)
     return Verdict("ambiguous", a.best, rivals, experiment, residual, sentence)
+
+
+def _little(a: Attribution) -> tuple[str, ...]:
+    """Parts that gain, but too little to be told from chance."""
+    return tuple(n for n in a.fuller.names if n not in a.best.names) if a.fuller else ()
 
 
 def name_of(candidates: Sequence[Candidate], model: Model) -> Name:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.estimation.candidates import Candidate, candidates
+from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
@@ -28,7 +29,7 @@ from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement.between import between_rows
-from cosim.refinement.evidence import best_of, predicts
+from cosim.refinement.evidence import best_of, beyond_chance, predicts, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
 from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays, rmse
@@ -43,7 +44,7 @@ from cosim.refinement.sentences import calmer, holds, rises
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
 from cosim.refinement.trust import attributed
-from cosim.refinement.unnamed import left_beside
+from cosim.refinement.unnamed import Leftover, left_beside
 from cosim.refinement.variants import Variant, of_noise, refined_model, variant_of, variants_of
 from cosim.refinement.verdict import Verdict, judge
 from cosim.residuals.apart import MODULES
@@ -149,16 +150,21 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
     units = {"time": "s", **{q.name: q.unit for q in model.states}}
     units |= {f"command {q.name}": q.unit for q in model.inputs}
     left = left_beside(nameless, a.best.fit, search.price, units)
-    if trusted and left.fit is not None:
-        better = predicts(nameless, model.horizon, left.fit, a.best.fit)
-        if better < best_of(BETTER, left.among):  # what is left follows no signal from log to log
-            left = replace(left, terms=(), fit=None, gain=0.0)
+    if left.fit is not None and not _follows(nameless, left, left.fit, a.best.fit, model.horizon):
+        left = replace(left, terms=(), fit=None, gain=0.0)
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
     verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, found, problem)
     return with_leftover(verdict, a, problem, model) if model.static else verdict
+
+
+def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
+    """What is left follows a signal from block to block of time, or from log to log, more than chance would have it."""
+    if problem.trusted:
+        return predicts(problem, horizon, beside, alone) >= best_of(BETTER, left.among)
+    return steadiness(problem, beside, alone) >= beyond_chance(problem, beside, left.among)
 
 
 def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | None:

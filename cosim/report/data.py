@@ -1,4 +1,4 @@
-"""Numbers for the page's script: thinned, rounded, and safe inside a script element."""
+"""Numbers for the page's script: every row of every signal in a chart, and safe inside a script element."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.report.packed import packed, power, power_of_time, whole
 from cosim.report.panels import Panel
 
-SHOWN_DECIMALS = {"m": 3, "m/s": 3, "°": 2, "°/s": 1, "N": 3, "%": 2}  # read out, where that leaves LEAST digits
-DIGITS, LEAST = 4, 2  # of the largest value: kept, and read out at least
+MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
 Numbers = list[float | None]
 
 
@@ -22,13 +22,6 @@ def sample_rows(count: int, limit: int) -> Rows:
     """Every n-th row and the last, at most about `limit`."""
     rows = np.arange(0, count, max(1, math.ceil(count / limit)))
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
-
-
-def decimals(values: Array) -> int:
-    """Decimals that keep DIGITS digits of the largest value."""
-    good = values[np.isfinite(values)]
-    largest = float(np.max(np.abs(good))) if good.size else 0.0
-    return 3 if largest == 0 else min(9, max(0, DIGITS - 1 - math.floor(math.log10(largest))))
 
 
 def rounded(values: Array, digits: int) -> Numbers:
@@ -41,31 +34,51 @@ def rounded(values: Array, digits: int) -> Numbers:
 
 
 class Series:
-    """Signals the script can read out at any time, each under a short key."""
+    """Signals of which the script knows every row, each under a short key.
 
-    def __init__(self, rows: Rows) -> None:
-        self.rows = rows
+    rows: those in the page: all, unless that would be more than MOST_CELLS
+    """
+
+    def __init__(self, time: Array, curves: int) -> None:
+        self.time = time
+        self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
         self.entries: dict[str, dict[str, Any]] = {}
+        self.columns = [whole(time[self.rows], power_of_time(time))]
 
     def add(self, panel: Panel) -> list[str]:
         """Keys of the traces of a panel."""
-        keys = []
-        for trace in panel.traces:
-            key = f"k{len(self.entries)}"
-            values = trace.values[self.rows]
-            digits = decimals(values)
-            shown = min(digits, max(SHOWN_DECIMALS.get(panel.unit, 6), digits - DIGITS + LEAST))
-            self.entries[key] = {"v": rounded(values, digits), "d": shown, "h": int(trace.held)}
-            keys.append(key)
-        return keys
+        return [self.column(trace.values, held=trace.held) for trace in panel.traces]
+
+    def band(self, panel: Panel) -> tuple[str, ...]:
+        """Keys of the lower and the upper edge of a panel's band."""
+        return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
+
+    def column(self, values: Array, *, held: bool = False) -> str:
+        """Key of one signal."""
+        key, kept = f"k{len(self.entries)}", values[self.rows]
+        decimals, good = power(kept), np.isfinite(kept)
+        gaps = not bool(good.all())
+        self.columns.append(whole(kept, decimals))
+        if gaps:
+            self.columns.append(good.astype(np.int64))
+        self.entries[key] = {"p": decimals, "h": int(held), "g": int(gaps)}
+        return key
 
 
-def to_json(time: Array, series: Series, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({})) -> str:
     """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element.
 
-    `row` and `of`: the rows that are here, counted from 1, and how many there are in all.
+    `row` and `of`: the n-th rows that are here, counted from 1, and how many there are in all.
     """
-    rows = {"row": (series.rows + 1).tolist(), "of": int(time.size)}
-    data = {"t": rounded(time[series.rows], 6), **rows, "series": series.entries, **more}
+    every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
+    data = {
+        "rows": int(series.rows.size),
+        "every": every,
+        "of": int(series.time.size),
+        "p": power_of_time(series.time),
+        "series": series.entries,
+        "packed": packed(series.columns),
+        **more,
+    }
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,19 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Keys:
+    """Under which the script knows every row of a panel's traces, and of the edges of its band."""
+
+    traces: tuple[str, ...] = ()
+    band: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Plot:
-    """A panel ready to be set: curves, band and limits in the box, ticks in percent."""
+    """A panel ready to be set: curves, band and limits in the box, ticks in percent.
+
+    levels: the limits in the panel's unit; keys: where the script finds its rows
+    """
 
     title: str
     unit: str
@@ -68,6 +79,11 @@ class Plot:
     y: Axis
     zero: int | None
     summary: str
+    levels: tuple[float, ...] = ()
+    keys: Keys = field(default_factory=Keys)
+
+
+NO_KEYS = Keys()
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
@@ -185,11 +201,11 @@ def time_axis(time: Array) -> Axis:
 
 
 def make_plot(
-    panel: Panel, time: Array, x: Axis, keys: Sequence[str] = (), limit: int = 1000, over: str = "time in s"
+    panel: Panel, time: Array, x: Axis, keys: Keys = NO_KEYS, limit: int = 1000, over: str = "time in s"
 ) -> Plot:
-    """Draw a panel; `keys` name the series a script may read the values of each curve from, `over` what x is."""
+    """Draw a panel; `keys` name the series in which a script finds the rows of its curves, `over` says what x is."""
     y = value_axis(panel)
-    names = list(keys) + [""] * (len(panel.traces) - len(keys))
+    names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
         Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key)
         for trace, key in zip(panel.traces, names, strict=True)
@@ -200,7 +216,7 @@ def make_plot(
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
     return Plot(
         panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
-        panel.limit_label, x, y, zero, _summary(panel, over),
+        panel.limit_label, x, y, zero, _summary(panel, over), tuple(panel.limits), keys,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
     stem = page.name.partition(".")[0]
     # a page's own script listens to that of all pages, so it comes first; a style goes over that of all pages
     style = "".join(_text(f) for f in (TEMPLATES / "report.css", page.with_name(f"{stem}.css")))
-    script = "".join(_text(f) for f in (page.with_name(f"{stem}.js"), TEMPLATES / "report.js"))
+    script = "".join(_text(f) for f in (page.with_name(f"{stem}.js"), TEMPLATES / "charts.js", TEMPLATES / "report.js"))
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 

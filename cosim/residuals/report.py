@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.report.data import Series, sample_rows, to_json
+from cosim.report.data import to_json
+from cosim.report.drawing import Drawing
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
-from cosim.report.svg import Plot, make_plot, time_axis
+from cosim.report.svg import Plot
 from cosim.report.tables import Badge, Row
 from cosim.residuals import words
 from cosim.residuals.compare import ChannelSummary, Comparison
@@ -26,7 +27,6 @@ from cosim.text import MISSING, amount, counted, display, percent, plain, size
 from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
-POINTS = 1000  # a curve
 STEMS = 100  # of an autocorrelation
 
 
@@ -61,11 +61,7 @@ def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
     """Everything the template names."""
     log, drive = comparison.log, comparison.drive
-    series, x = Series(sample_rows(log.rows, POINTS)), time_axis(log.time)
-
-    def draw(panels: Sequence[Panel]) -> list[Plot]:
-        return [make_plot(p, log.time, x, series.add(p), POINTS) for p in panels]
-
+    drawing = Drawing(log.time, 8 * len(log.outputs) + len(log.inputs))
     windowed, measure = comparison.measure in comparison.replays, comparison.measure
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
@@ -83,10 +79,10 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "skipped": words.horizon_name(skipped),
         "least": words.horizon_name(skipped + measure),
         "basis": "the free run" if comparison.basis == FREE_RUN else words.horizon_name(comparison.basis),
-        "within": draw(_pair_panels(comparison, measure)) if windowed else [],
-        "free": draw(_pair_panels(comparison, FREE_RUN)),
-        "residual": draw(_residual_panels(comparison)),
-        "commands": draw(_command_panels(log)),
+        "within": drawing.plots(_pair_panels(comparison, measure)) if windowed else [],
+        "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
+        "residual": drawing.plots(_residual_panels(comparison)),
+        "commands": drawing.plots(_command_panels(log)),
         "autocorrelation": _autocorrelation(comparison),
         "inputs": _input_correlation(comparison),
         "rows": [_row(c, horizons) for c in comparison.channels],
@@ -96,7 +92,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
         "repeat": shlex.join(_command(log, drive, passing)),
-        "data": to_json(log.time, series),
+        "data": to_json(drawing.series),
         "version": __version__,
     }
 

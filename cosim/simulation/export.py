@@ -128,7 +128,7 @@ def _refused(file: ScenarioFile, system: System) -> Iterator[Fault]:
             yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers take FMI 1.0 and 2.0")
         elif (component.interface or ways(description)[0]) != "co-simulation":
             yield file.fault(where, "is run by model exchange; the importers of SSPs run co-simulation")
-    for k, connection in zip(file.connection_lines, scenario.connections, strict=True):
+    for k, connection in zip(file.places["connections"], scenario.connections, strict=True):
         yield from _unfit(file, system, k, connection)
 
 

@@ -20,19 +20,22 @@ from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
-from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, starts
+from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, spelled, starts
 from cosim.simulation.report.subject import Subject, subject_of
-from cosim.simulation.report.verdicts import criteria, failed, outcome
+from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_TILES = 4
+MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
+MOST_DRAWN = 1000  # signals that a page shows
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
     run = recorded(results, manifest)
-    drawing = Drawing(run.time, len(run.results.columns))
+    drawing = Drawing(run.time, min(MOST_DRAWN, len(run.results.columns)))
     subject = subject_of(run, drawing)
     page = render(subject.template if subject else TEMPLATE, context(run, drawing, subject), [TEMPLATE.parent])
     with atomic_write(path) as stream:
@@ -50,19 +53,24 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
     """Everything the template names."""
     judged = criteria(run)
-    others = signal_panels(run, subject.shown if subject else frozenset()) if run.time.size else []
+    shown = subject.shown if subject else frozenset[str]()
+    links = connection_panels(run, shown) if run.time.size else {}
+    others = signal_panels(run, shown.union(*links)) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
         "outcome": outcome(run, judged),
         "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
         "badges": badges(run, judged),
-        "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
-        "others": drawing.without_values(others),
+        "tiles": [*(subject.tiles if subject else _goals(judged)), *_speed(run)],
+        "links": drawing.plots(list(links.values())),
+        "others": drawing.plots(others),
+        "spelled": spelled(run),
+        "undrawn": _undrawn(len(_left(run, shown))),
         "criteria": judged,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
-        "data": to_json(run.time, drawing.series, subject.data if subject else {}),
+        "data": to_json(drawing.series, subject.data if subject else {}),
         "provenance": provenance(run),
         "connections": connections(run),
         "starts": starts(run),
@@ -74,6 +82,16 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
     }
 
 
+def _goals(judged: Sequence[Criterion]) -> list[Row]:
+    """The scenario's own criteria, those that are missed first."""
+    first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
+    return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
+
+
+def _judgement(c: Criterion) -> list[str]:
+    return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
+
+
 def _speed(run: Run) -> list[Row]:
     factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
     if not math.isfinite(factor):
@@ -81,11 +99,36 @@ def _speed(run: Run) -> list[Row]:
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
 
 
+def connection_panels(run: Run, shown: frozenset[str] = frozenset()) -> dict[tuple[str, str], Panel]:
+    """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
+    panels: dict[tuple[str, str], Panel] = {}
+    for link in connections(run):
+        ends = (link.source, link.target)
+        recorded = all(end in run.results and end not in shown for end in ends)
+        if not recorded or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MOST_CONNECTIONS:
+            continue
+        unit, factor = display(run.unit(link.target))
+        sent, arrived = (run.results[end] * factor for end in ends)
+        as_sent = Trace(link.source, sent, "true")
+        other = Trace(f"{link.target}, {link.noise}" if link.noise else link.target, arrived, "estimate")
+        traces = [as_sent] if np.array_equal(sent, arrived, equal_nan=True) else [other, as_sent]
+        title = f"{link.source} → {link.target}"
+        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _marked(run, ends, traces))
+    return panels
+
+
+def _left(run: Run, shown: frozenset[str]) -> list[str]:
+    return [column for column in run.results.columns if column not in shown]
+
+
+def _undrawn(signals: int) -> str:
+    return f"The first {MOST_DRAWN} of {signals} signals; results.csv has all." if signals > MOST_DRAWN else ""
+
+
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
-    left = [column for column in run.results.columns if column not in shown]
+    """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
     panels = []
-    for unit, columns in by_unit(left, run.unit):
+    for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
         shown_unit, factor = display(unit)
         traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))

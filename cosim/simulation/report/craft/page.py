@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.report.data import rounded
 from cosim.report.drawing import Drawing
 from cosim.report.panels import Panel
 from cosim.report.svg import Plot
@@ -56,7 +57,7 @@ def subject(run: Run, drawing: Drawing) -> Subject:
     """The page about the crafts of a run: motion, states, estimation, tilts."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
-    rows = drawing.series.rows
+    rows = drawing.few
     view = make_view(crafts, rows) if run.time.size else None
     drawn = [craft for craft in crafts if view and last_row(true_track(craft)) is not None]
     pages = [craft_page(*pair, drawing) for pair in zip(crafts, called, strict=True)] if run.time.size else []
@@ -65,21 +66,21 @@ def subject(run: Run, drawing: Drawing) -> Subject:
         values={"pages": pages, "view": view},
         tiles=tiles(run, crafts),
         shown=frozenset(shown_columns(crafts)),
-        data={"crafts": [poses(craft, rows) for craft in drawn]},
+        data={"few": rounded(run.time[rows], 6), "crafts": [poses(craft, rows, drawing.series) for craft in drawn]},
     )
 
 
 def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
     """The sections about `craft`, drawn."""
     panels = state_panels(craft)
-    states = drawing.with_values(panels)
+    states = drawing.plots(panels)
     return CraftPage(
         name=craft.name,
         estimator=craft.estimator or "",
         motion=account.motion_sentence(craft, called),
         states=states,
-        errors=drawing.with_values(error_panels(craft)),
-        tilts=drawing.with_values(tilt_panels(craft)),
+        errors=drawing.plots(error_panels(craft)),
+        tilts=drawing.plots(tilt_panels(craft)),
         belief=account.belief_sentence(craft),
         band=account.band_sentence(craft),
         tilt=account.tilt_sentence(craft),

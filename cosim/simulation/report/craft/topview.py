@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array, Rows
-from cosim.report.data import rounded
+from cosim.report.data import Series, rounded
 from cosim.report.svg import Axis, extent, make_axis, polyline, round_step, runs
 from cosim.simulation.report.craft.roles import SIDES, Craft
 from cosim.simulation.report.recorded import number
@@ -262,8 +262,8 @@ def _thrust_note(craft: Craft) -> str:
     return f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
 
 
-def poses(craft: Craft, rows: Rows) -> dict[str, Any]:
-    """What moves in the picture: millimetres and degrees of craft and ghost, arrows and tilts."""
+def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
+    """What moves in the picture: millimetres and degrees of craft and ghost, arrows, tilts (every row of these)."""
     entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
     for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
         if track is not None:
@@ -274,4 +274,5 @@ def poses(craft: Craft, rows: Rows) -> dict[str, Any]:
         if force is not None and tilt is not None:
             entry[f"force_{side}"] = rounded(force[rows], 4)
             entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)
+            entry[f"tilt_{side}_key"] = series.column(tilt * DEGREES)
     return entry

@@ -2,7 +2,7 @@
 (() => {
   "use strict";
   const one = (selector, root = document) => root.querySelector(selector);
-  let between, fixed, bodies = null;
+  let between, series, bodies = null;
 
   // The same arrow the server draws: along the craft's axis, forward up, in millimetres.
   function arrow(reach) {
@@ -49,13 +49,15 @@
       one(`[data-arrow="${side}"]`, body.craft).setAttribute("d", force == null ? "" : arrow(force * entry.scale));
       if (tilt == null || !body.dials) continue;
       one(`[data-tilt="${side}"]`, body.dials).setAttribute("transform", `rotate(${tilt.toFixed(2)})`);
-      one(`[data-tilt-text="${side}"]`, body.dials).textContent = fixed(entry["tilt_" + side][nearest] ?? tilt, 1) + "°";
+      const exact = series[entry[`tilt_${side}_key`]];
+      one(`[data-tilt-text="${side}"]`, body.dials).textContent = exact.text(exact.v[nearest]) + "°";
     }
   }
 
   document.addEventListener("moment", ({ detail }) => {
-    ({ between, fixed } = detail);
+    ({ between, data: { series } } = detail);
     bodies ??= bodiesOf(detail.data);
-    for (const body of bodies) drawBody(body, detail.row, detail.share, detail.nearest);
+    const [row, share] = detail.locate(detail.now, detail.data.few);
+    for (const body of bodies) drawBody(body, row, share, detail.nearest);
   });
 })();

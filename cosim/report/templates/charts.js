@@ -1,0 +1,334 @@
+// Charts that can be looked into: zoom by dragging, by keys or with two fingers, all charts of the page together; curves
+// that can be hidden; pictures and numbers of what is shown. What is drawn at first is what the page came with.
+document.addEventListener("rows", (event) => {
+  "use strict";
+  const page = event.detail, { data, locate, timeText } = page, time = data.t, count = time.length;
+  const W = 4000, H = 1000, LEAST = 2; // the box of a chart; rows that a view shows at least
+  const whole = { from: time[0], to: time[count - 1] };
+  let view = { ...whole };
+
+  const all = (selector, root) => [...root.querySelectorAll(selector)];
+  const make = (name, attributes = {}, text = "") => {
+    const element = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+    element.textContent = text;
+    return element;
+  };
+
+  // -- axes --------------------------------------------------------------------------------------
+  function roundStep(least, angle) {
+    if (angle && least > 10 && least <= 360) return [15, 30, 45, 90, 180, 360].find((part) => part >= least);
+    const power = 10 ** Math.floor(Math.log10(least));
+    return power * ([1, 2, 2.5, 5].find((m) => m * power >= least * (1 - 1e-9)) ?? 10);
+  }
+
+  function axis(low, high, number, angle = false) {
+    if (high - low <= 1e-9 * Math.max(Math.abs(low), Math.abs(high))) {
+      const room = 0.1 * Math.abs(low) || 1;
+      low -= room; high += room;
+    }
+    const step = roundStep((high - low) / number, angle);
+    let decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    if (Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals++;
+    const ticks = [];
+    for (let i = Math.ceil(low / step - 1e-9); i <= Math.floor(high / step + 1e-9); i++) {
+      const value = i * step, text = decimals > 9 || Math.abs(value) >= 1e6 ? String(Number(value.toPrecision(6))) : value.toFixed(decimals);
+      ticks.push({ share: (value - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
+    }
+    return { low, high, ticks };
+  }
+
+  // -- drawing -----------------------------------------------------------------------------------
+  // Rows of the view, and one beyond each end, so that curves go through to the edge.
+  function rowsInView() {
+    const [low] = locate(view.from), [high, share] = locate(view.to);
+    return [low, Math.min(count - 1, high + (share > 0 ? 1 : 0))];
+  }
+
+  // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
+  function path(series, [low, high], x, y, columns) {
+    const { v, held } = series, parts = [], bucket = Math.max(1, Math.floor((high - low) / columns));
+    let pen = false, before = 0;
+    const put = (row) => {
+      const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
+      parts.push(!pen ? `M${a} ${b}` : held ? `H${a}V${b}` : `L${a} ${b}`);
+      pen = true; before = row;
+    };
+    for (let begin = low; begin <= high; begin += bucket) {
+      const end = Math.min(high + 1, begin + bucket);
+      let least = -1, most = -1, gap = false;
+      for (let row = begin; row < end; row++) {
+        if (Number.isNaN(v[row])) { gap = true; continue; }
+        if (least < 0 || v[row] < v[least]) least = row;
+        if (most < 0 || v[row] > v[most]) most = row;
+      }
+      if (least < 0) { pen = false; continue; }
+      for (const row of least === most ? [least] : least < most ? [least, most] : [most, least]) put(row);
+      if (gap && bucket === 1) pen = false;
+    }
+    return parts.join("") + (parts.length === 1 ? `h18` : "");
+  }
+
+  function bandPath([lower, upper], [low, high], x, y, columns) {
+    const rows = [], step = Math.max(1, Math.floor((high - low) / columns));
+    let text = "", there = [];
+    const close = () => {
+      if (there.length) text += "M" + there.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L")
+        + "L" + there.reverse().map((r) => `${x(time[r]).toFixed(0)} ${y(lower.v[r]).toFixed(0)}`).join("L") + "z";
+      there = [];
+    };
+    for (let row = low; row <= high; row += step) rows.push(row);
+    for (const row of rows) if (Number.isNaN(lower.v[row]) || Number.isNaN(upper.v[row])) close(); else there.push(row);
+    close();
+    return text;
+  }
+
+  class Chart {
+    constructor(figure) {
+      this.figure = figure;
+      this.box = figure.querySelector("[data-box]");
+      this.svg = figure.querySelector(".box svg");
+      this.lines = all("[data-line]", figure).map((p) => ({ path: p, key: p.dataset.line, series: data.series[p.dataset.line], on: true, label: "" }));
+      this.band = figure.querySelector("[data-band]");
+      this.edges = this.band ? this.band.dataset.band.split(" ").map((key) => data.series[key]) : null;
+      this.levels = all("[data-level]", figure).map((p) => ({ path: p, value: Number(p.dataset.level) }));
+      this.grid = figure.querySelector(".grid"); this.zero = figure.querySelector(".zero");
+      this.yTicks = figure.querySelector(".y-ticks"); this.xTicks = figure.querySelector(".x-ticks");
+      const kept = [this.grid, this.yTicks, this.xTicks], drawn = all("path", this.svg);
+      const inner = kept.map((e) => e.innerHTML), shapes = drawn.map((p) => p.getAttribute("d"));
+      const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
+      this.original = () => {
+        kept.forEach((e, k) => { e.innerHTML = inner[k]; });
+        drawn.slice(home).forEach((p, k) => { p.setAttribute("d", shapes[home + k]); });
+      };
+      this.stale = false; this.near = true;
+    }
+
+    get atHome() { return view.from === whole.from && view.to === whole.to && this.lines.every((l) => l.on); }
+
+    range(rows) {
+      let low = Infinity, high = -Infinity;
+      const see = (v) => { for (let k = rows[0]; k <= rows[1]; k++) { if (v[k] < low) low = v[k]; if (v[k] > high) high = v[k]; } };
+      for (const line of this.lines) if (line.on) see(line.series.v);
+      if (low > high) [low, high] = [0, 1];
+      if (this.atFull) for (const level of this.levels) { low = Math.min(low, level.value); high = Math.max(high, level.value); }
+      const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1;
+      return [low - margin, high + margin];
+    }
+
+    get atFull() { return view.from === whole.from && view.to === whole.to; }
+
+    axes() {
+      const rows = rowsInView(), angle = this.figure.dataset.unit === "\u00b0";
+      const y = axis(...this.range(rows), 5, angle), x = axis(view.from, view.to, 6);
+      return { rows, x, y, u: (t) => W * (t - view.from) / (view.to - view.from), v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))) };
+    }
+
+    draw() {
+      this.stale = false;
+      for (const line of this.lines) line.path.toggleAttribute("hidden", !line.on);
+      if (this.atHome) { this.original(); return; }
+      const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.box.clientWidth || 500);
+      this.grid.innerHTML = y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("")
+        + x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
+      this.yTicks.innerHTML = y.ticks.map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
+      this.xTicks.innerHTML = x.ticks.map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
+      for (const line of this.lines) if (line.on) line.path.setAttribute("d", path(line.series, rows, u, v, columns));
+      if (this.band) this.band.setAttribute("d", bandPath(this.edges, rows, u, v, columns));
+      for (const level of this.levels) level.path.setAttribute("d", `M0 ${v(level.value).toFixed(0)}h${W}`);
+      if (this.zero) this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0).toFixed(0)}h${W}` : "");
+    }
+
+    spoken() {
+      const row = page.at(), unit = this.figure.dataset.unit;
+      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${l.series.text(l.series.v[row])} ${unit}`);
+      return `t = ${timeText(row)} s: ${values.join(", ")}`;
+    }
+  }
+
+  // Only charts that are seen are drawn at once; the others when they come into sight, or are printed.
+  const charts = all("[data-chart]", document).map((figure) => new Chart(figure));
+  const watcher = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      const chart = charts.find((c) => c.figure === entry.target);
+      chart.near = entry.isIntersecting;
+      if (chart.near && chart.stale) chart.draw();
+    }
+  }, { rootMargin: "300px" });
+  for (const chart of charts) watcher.observe(chart.figure);
+  addEventListener("beforeprint", () => { for (const chart of charts) if (chart.stale) chart.draw(); });
+
+  function look(from, to) {
+    const least = LEAST * (whole.to - whole.from) / (count - 1);
+    if (to - from < least) [from, to] = [(from + to - least) / 2, (from + to + least) / 2];
+    if (to - from >= whole.to - whole.from) [from, to] = [whole.from, whole.to];
+    if (from < whole.from) [from, to] = [whole.from, whole.from + to - from];
+    if (to > whole.to) [from, to] = [whole.to - (to - from), whole.to];
+    view = { from, to };
+    page.look(from, to);
+    document.documentElement.classList.toggle("zoomed", from !== whole.from || to !== whole.to);
+    for (const chart of charts) { chart.stale = true; if (chart.near) chart.draw(); }
+  }
+  const home = () => look(whole.from, whole.to);
+  function scale(factor, about) { look(about - (about - view.from) * factor, about + (view.to - about) * factor); }
+
+  // -- pointer, fingers, keys ------------------------------------------------------------------------
+  const told = make("p", { class: "unseen", role: "status", "aria-live": "polite" });
+  document.body.append(told);
+  const timeAt = (box, x) => {
+    const frame = box.getBoundingClientRect();
+    return view.from + (view.to - view.from) * Math.min(1, Math.max(0, (x - frame.left) / frame.width));
+  };
+  const nearest = (t) => { const [row, share] = locate(t); return share < 0.5 ? row : row + 1; };
+
+  function listen(chart) {
+    const { box } = chart, fingers = new Map();
+    let begun = null, mark = null, apart = 0;
+    const unmark = () => { mark?.remove(); mark = null; begun = null; };
+    box.addEventListener("pointerdown", (event) => {
+      if (event.button) return;
+      box.setPointerCapture(event.pointerId);
+      fingers.set(event.pointerId, event.clientX);
+      if (event.pointerType !== "touch") begun = event.clientX;
+      if (fingers.size === 2) { const [a, b] = fingers.values(); apart = Math.max(8, Math.abs(a - b)); }
+      page.seek(nearest(timeAt(box, event.clientX)));
+    });
+    box.addEventListener("pointermove", (event) => {
+      if (fingers.has(event.pointerId)) fingers.set(event.pointerId, event.clientX);
+      if (fingers.size === 2) {
+        const [a, b] = fingers.values(), now = Math.max(8, Math.abs(a - b));
+        scale(apart / now, timeAt(box, (a + b) / 2));
+        apart = now;
+        return;
+      }
+      page.seek(nearest(timeAt(box, event.clientX)));
+      if (begun === null || Math.abs(event.clientX - begun) < 5) return;
+      mark ??= box.appendChild(make("span", { class: "marked", "aria-hidden": "true" }));
+      const frame = box.getBoundingClientRect(), ends = [begun, event.clientX].map((x) => Math.min(frame.right, Math.max(frame.left, x)) - frame.left).sort((p, q) => p - q);
+      mark.style.left = ends[0] + "px"; mark.style.width = ends[1] - ends[0] + "px";
+    });
+    const up = (event) => {
+      fingers.delete(event.pointerId);
+      if (mark) look(...[timeAt(box, begun), timeAt(box, event.clientX)].sort((p, q) => p - q));
+      else if (event.type === "pointerup") page.settle(nearest(timeAt(box, event.clientX)));
+      unmark();
+    };
+    box.addEventListener("pointerup", up);
+    box.addEventListener("pointercancel", (event) => { fingers.delete(event.pointerId); unmark(); });
+    box.addEventListener("dblclick", home);
+    box.addEventListener("wheel", (event) => { // a wheel alone scrolls the page
+      if (!event.ctrlKey && !event.metaKey) return;
+      event.preventDefault();
+      scale(event.deltaY > 0 ? 1.25 : 0.8, timeAt(box, event.clientX));
+    }, { passive: false });
+    box.addEventListener("keydown", (event) => {
+      if (event.altKey || event.ctrlKey || event.metaKey) return;
+      const row = page.at(), some = event.shiftKey ? Math.max(1, Math.round((rowsInView()[1] - rowsInView()[0]) / 20)) : 1, [low, high] = rowsInView();
+      const rows = { ArrowLeft: row - some, ArrowRight: row + some, Home: low, End: high };
+      if (event.key in rows) page.settle(Math.min(count - 1, Math.max(0, rows[event.key])));
+      else if (event.key === "+" || event.key === "=") scale(0.5, time[page.at()]);
+      else if (event.key === "-") scale(2, time[page.at()]);
+      else if (event.key === "0" || event.key === "Escape") home();
+      else return;
+      event.preventDefault();
+      const t = time[page.at()], width = view.to - view.from;
+      if (t < view.from || t > view.to) look(t - width / 2, t + width / 2);
+      told.textContent = chart.spoken();
+    });
+    box.tabIndex = 0;
+    box.setAttribute("role", "application");
+    box.setAttribute("aria-roledescription", "chart");
+    box.setAttribute("aria-label", `${chart.figure.dataset.title}: arrow keys move the cursor from row to row, plus and minus zoom, 0 shows all`);
+  }
+
+  // -- legend ----------------------------------------------------------------------------------------
+  function toggles(chart) {
+    for (const entry of all("[data-toggle]", chart.figure)) {
+      const line = chart.lines.find((l) => l.key === entry.dataset.toggle);
+      line.label = entry.querySelector("span").textContent;
+      if (chart.lines.length < 2) continue;
+      const button = make("button", { type: "button", class: "entry", "aria-pressed": "true", title: "show or hide" });
+      button.append(...entry.childNodes);
+      entry.replaceWith(button);
+      button.addEventListener("click", () => {
+        line.on = !line.on;
+        button.setAttribute("aria-pressed", String(line.on));
+        chart.draw();
+      });
+    }
+  }
+
+  // -- pictures and numbers ------------------------------------------------------------------------------
+  const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+  function picture(chart) {
+    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = 70, top = 56, right = 20, bottom = 46;
+    const bw = w - left - right, bh = h - top - bottom, style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
+    const px = (t) => left + bw * u(t) / W, py = (value) => top + bh * v(value) / H, parts = [];
+    const text = (a, b, words, anchor, more = "") => parts.push(`<text x="${a}" y="${b}" text-anchor="${anchor}" ${more}>${escape(words)}</text>`);
+    parts.push(`<rect width="${w}" height="${h}" fill="${colour("--card")}"/>`);
+    for (const t of y.ticks) { const at = (top + bh * (1 - t.share)).toFixed(1); parts.push(`<path d="M${left} ${at}h${bw}" stroke="${colour("--grid")}"/>`); text(left - 8, Number(at) + 4, t.text, "end"); }
+    for (const t of x.ticks) { const at = (left + bw * t.share).toFixed(1); parts.push(`<path d="M${at} ${top}v${bh}" stroke="${colour("--grid")}"/>`); text(at, top + bh + 18, t.text, "middle"); }
+    parts.push(`<svg x="${left}" y="${top}" width="${bw}" height="${bh}" viewBox="${left} ${top} ${bw} ${bh}">`);
+    if (chart.band) parts.push(`<path d="${bandPath(chart.edges, rows, px, py, bw)}" fill="${colour("--band")}" fill-opacity="${colour("--band-alpha")}"/>`);
+    for (const level of chart.levels) parts.push(`<path d="M${left} ${py(level.value).toFixed(1)}h${bw}" stroke="${colour("--reference")}" stroke-dasharray="5 4"/>`);
+    let along = left;
+    const legend = [];
+    for (const line of chart.lines) {
+      if (!line.on) continue;
+      const look = getComputedStyle(line.path), dash = look.strokeDasharray === "none" ? "" : `stroke-dasharray="${look.strokeDasharray.replaceAll("px", "")}"`;
+      const pen = `fill="none" stroke="${look.stroke}" stroke-width="${parseFloat(look.strokeWidth)}" opacity="${look.opacity}" ${dash}`;
+      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw)}"/>`);
+      legend.push(() => { parts.push(`<path ${pen} d="M${along} 40h22"/>`); text(along + 28, 44, line.label, "start"); along += 52 + 7.2 * line.label.length; });
+    }
+    parts.push("</svg>");
+    for (const entry of legend) entry();
+    text(left, 22, `${chart.figure.dataset.title} [${chart.figure.dataset.unit}]`, "start", 'font-weight="600" font-size="15"');
+    text(w - right, h - 10, "time [s]", "end");
+    return `<svg xmlns="${chart.svg.namespaceURI}" width="${w}" height="${h}" viewBox="0 0 ${w} ${h}" font-family="system-ui, sans-serif" font-size="12" fill="${colour("--ink")}">${parts.join("")}</svg>`;
+  }
+
+  function numbers(chart) {
+    const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words), unit = chart.figure.dataset.unit;
+    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [["time [s]", ...lines.map((l) => quoted(`${l.label} [${unit}]`))].join(",")];
+    for (let row = low; row <= high; row++) {
+      rows.push([timeText(row), ...lines.map((l) => (Number.isNaN(l.series.v[row]) ? "" : l.series.text(l.series.v[row])))].join(",").replaceAll("\u2212", "-"));
+    }
+    return rows.join("\n") + "\n";
+  }
+
+  function save(content, name) {
+    const address = URL.createObjectURL(content), link = make("a", { href: address, download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(address), 10000);
+  }
+
+  function savePng(svg, name) {
+    const image = new Image();
+    image.onload = () => {
+      const canvas = make("canvas", { width: 2 * image.width, height: 2 * image.height });
+      canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+      canvas.toBlob((content) => save(content, name));
+    };
+    image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(svg);
+  }
+
+  function tools(chart) {
+    const row = make("span", { class: "tools" }), name = chart.figure.dataset.title.replace(/[^\w.-]+/g, "_").slice(0, 80) || "chart";
+    const ways = {
+      PNG: () => savePng(picture(chart), name + ".png"),
+      SVG: () => save(new Blob([picture(chart)], { type: "image/svg+xml" }), name + ".svg"),
+      CSV: () => save(new Blob([numbers(chart)], { type: "text/csv" }), name + ".csv"),
+    };
+    for (const [kind, does] of Object.entries(ways)) {
+      const button = make("button", { type: "button", title: `save what this chart shows as ${kind}`, "aria-label": `${chart.figure.dataset.title} as ${kind}` }, kind);
+      button.addEventListener("click", does);
+      row.append(button);
+    }
+    const back = make("button", { type: "button", class: "back", title: "show the whole run in every chart" }, "whole run");
+    back.addEventListener("click", home);
+    row.append(back);
+    chart.figure.querySelector(".axes").append(row);
+  }
+
+  for (const chart of charts) { toggles(chart); tools(chart); listen(chart); }
+});
