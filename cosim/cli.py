@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, CriterionMissed, FmuError, InputError, SimulationError, Terminated
+from cosim.errors import CosimError, CriterionMissed, Fault, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
 from cosim.garbage import collect_seldom
 from cosim.version import __version__
@@ -112,10 +112,29 @@ def build(
     nearest: Annotated[
         bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
     ] = False,
+    native: Annotated[
+        bool,
+        typer.Option("--native", help="Compiled FMUs that need no Python: plant-native.fmu, controller-native.fmu."),
+    ] = False,
+    fmi: Annotated[int, typer.Option("--fmi", help="Version of FMI of native FMUs, 2 or 3.")] = 2,
+    platforms: Annotated[
+        str, typer.Option("--platforms", help="Of native FMUs: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+    ] = "",
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from cosim.models.fmus import build as build_fmus
 
+    if native:
+        from cosim.models.native import build_native
+
+        asked = [name.strip() for name in platforms.split(",") if name.strip()]
+        for made in build_native(out, model, nearest=nearest, fmi=fmi, platforms=asked):
+            say(made.sentence)
+        return
+    only_native = [name for name, given in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if given]
+    if only_native:
+        message = "is of native FMUs; add --native, or leave it out"
+        raise InputError([Fault(Path(name), 0, 0, message) for name in only_native])
     for path in build_fmus(out, model, nearest=nearest):
         say(f"built {path}")
 

@@ -90,6 +90,14 @@ def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
     return {f"{kind.name}.{p.name}": p for kind in kinds for p in parameters_of(kind)}
 
 
+class Validity(NamedTuple):
+    """Within what an input stays, and what happens to the model beyond, in words."""
+
+    low: float
+    high: float
+    beyond: str
+
+
 class Equations(NamedTuple):
     """The body, bound to a namespace and to parameter values.
 
@@ -127,6 +135,7 @@ class Model(Parametric):
     ] = {}  # effect or parameter → signals its form says to look at
     measured: ClassVar[tuple[str, ...]] = ()  # outputs that are usually logged; without, those of `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → how far from its start an experiment may take it
+    valid: ClassVar[Mapping[str, Validity]] = {}  # input → the range that the model was made for; beyond, it warns once
     planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
@@ -157,7 +166,11 @@ class Model(Parametric):
         return {}
 
     def warning(self, command: Values) -> str | None:
-        """What to warn of where a command leaves the range the model was made for."""
+        """What to warn of where a command leaves the range the model was made for, by `valid`."""
+        for q, value in zip(self.inputs, command, strict=True):
+            known = self.valid.get(q.name)
+            if known and not known.low <= value <= known.high:
+                return f"{q.name} {value:g} {q.unit}: {known.beyond}"
         return None
 
     def start_input(self) -> dict[str, Number]:

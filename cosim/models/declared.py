@@ -18,7 +18,7 @@ from cosim.yaml_file import did_you_mean
 from fmus.units import parse
 from plant.delay import Delay
 from plant.gain import Gain
-from plant.model import Effect, Model, overrides
+from plant.model import Effect, Model, Validity, overrides
 from plant.quantities import Parameter, Quantity, parameters_of
 from plant.sensors import Drift, LeverArm, SensorError
 
@@ -87,6 +87,7 @@ _MAPPINGS: tuple[tuple[str, type, Any], ...] = (
     ("start_variance", str, (int, float)),
     ("excursion", str, (int, float)),
     ("told_apart_by", frozenset, str),
+    ("valid", str, Validity),
 )
 _WRITTEN = {
     "suspect": '{"parameter": ("input",)}',
@@ -94,6 +95,7 @@ _WRITTEN = {
     "sensor_variance": '{"output": variance}',
     "start_variance": '{"state": variance}',
     "excursion": '{"input or output": how far from its start}',
+    "valid": '{"input": Validity(low, high, "what happens beyond")}',
     "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
 }
 

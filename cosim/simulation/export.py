@@ -24,7 +24,7 @@ from cosim.simulation.system import System, build_system
 from cosim.ssp.structure import Units
 from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
 from cosim.table import read_columns
-from fmus.native.source import Change, NoCompiler, TimeSignal, build_source
+from fmus.native.source import Change, CompilerFailed, NoCompiler, TimeSignal, build_source
 from fmus.units import computed_in, parse
 
 TYPES = ("Real", "Integer", "Boolean")  # that all importers connect
@@ -196,8 +196,8 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
         used = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
         signals = _recorded(file.resolve(component.file), used)
     try:
-        fmu = build_source(name, signals, folder / f"{name}.fmu")
-    except NoCompiler as error:
+        fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
+    except (NoCompiler, CompilerFailed) as error:
         message = f"becomes an FMU of C, which cannot be compiled: {error}"
         raise InputError([file.fault(("components", name), message)]) from None
     return Model(name, fmu, [Port(n, "output", "Real", s.unit) for n, s in signals.items()])

@@ -1,40 +1,24 @@
-"""A native FMU without inputs: signals that step and ramp in time, printed as C and compiled.
-
-The signals are printed as tables above `source.c`, which is FMI 2.0 around them.
-"""
+"""A native FMU without inputs: signals that step and ramp in time, printed as tables above `source.c`."""
 
 from __future__ import annotations
 
-import hashlib
-import platform
 import re
-import subprocess
-import tempfile
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from fmus import __version__
-from fmus.files import draft_of
-from fmus.native.compiler import compiler
-from fmus.units import parse, unit_definitions
+from fmus.description import Description
+from fmus.native.compiler import CompilerFailed
+from fmus.native.layout import Layout
+from fmus.native.package import Native, build_native, part
+from fmus.native.platforms import NoCompiler
+from fmus.native.printing import Sources, variable_tables
+from fmus.ports import Port
+from fmus.units import parse
 
-EPOCH = (1980, 1, 1, 0, 0, 0)
-SHELL = Path(__file__).with_name("source.c")
-OPTIONS = ("-O2", "-std=c99", "-shared", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off")
 ALWAYS = -1e300  # [s]
-PLATFORMS = {
-    ("Linux", "x86_64"): ("linux64", ".so"),
-    ("Linux", "aarch64"): ("aarch64-linux", ".so"),
-    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
-    ("Darwin", "arm64"): ("darwin64", ".dylib"),
-}
-
-
-class NoCompiler(RuntimeError):
-    """Why a source cannot be compiled."""
+TEXT = "<p>Outputs that are functions of time: steps, ramps, recorded values.</p>"
+__all__ = ["Change", "CompilerFailed", "NoCompiler", "TimeSignal", "build_source"]
 
 
 @dataclass(frozen=True)
@@ -61,37 +45,28 @@ class TimeSignal:
         return (Change(ALWAYS, self.begin, self.begin), *self.changes)
 
 
-def build_source(name: str, signals: Mapping[str, TimeSignal], path: Path) -> Path:
-    """Write the FMU, whole or not at all; NoCompiler where it cannot be compiled here."""
-    command, place = compiler(), PLATFORMS.get((platform.system(), platform.machine()))
-    if command is None or place is None:
-        what = (
-            "no C compiler was found" if place is not None else f"{platform.system()} {platform.machine()} is not known"
-        )
-        raise NoCompiler(f"{what}; install one, or name it by CC")
-    identifier = f"source_{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
-    body = tables(signals)
-    shell = SHELL.read_text(encoding="utf-8")
-    guid = hashlib.sha256((identifier + "".join(f"{n} {s.unit}\n" for n, s in signals.items()) + body + shell).encode())
-    text = f'#define GUID "{{{guid.hexdigest()[:32]}}}"\n{body}\n{shell}'
-    with tempfile.TemporaryDirectory(prefix="cosim-source-") as made:
-        source, library = Path(made) / f"{identifier}.c", Path(made) / f"{identifier}{place[1]}"
-        source.write_text(text, encoding="utf-8")
-        full = [*command, *OPTIONS, "-o", str(library), str(source), "-lm"]
-        try:
-            subprocess.run(full, check=True, capture_output=True, timeout=120)
-        except (OSError, subprocess.SubprocessError) as error:
-            said = (getattr(error, "stderr", b"") or b"").decode("utf-8", "replace").strip().splitlines()
-            raise NoCompiler(f"{command[0]} failed: {said[-1] if said else error}") from None
-        members = {
-            "modelDescription.xml": _description(name, identifier, guid.hexdigest()[:32], signals),
-            f"sources/{source.name}": text.encode(),
-            f"binaries/{place[0]}/{library.name}": library.read_bytes(),
-        }
-    with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
-        for member, data in members.items():
-            archive.writestr(zipfile.ZipInfo(member, EPOCH), data, zipfile.ZIP_DEFLATED)
-    return path
+def build_source(
+    name: str, signals: Mapping[str, TimeSignal], path: Path, step: float = 0.01, stop: float = 10.0
+) -> Path:
+    """Write the FMU, whole or not at all. NoCompiler, CompilerFailed.
+
+    step, stop: of its default experiment [s]
+    """
+    return build_native(native_source(name, signals, step, stop), path).path
+
+
+def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, stop: float) -> Native:
+    """What makes the FMU of these signals."""
+    units = {output: signal.unit if parse(signal.unit) else "" for output, signal in signals.items()}
+    ports = tuple(Port(output, "output", 0.0, unit, "a function of time") for output, unit in units.items())
+    none: dict[str, Sequence[str]] = {port.name: () for port in ports}
+    about = Description("Signals that step and ramp in time", ports, none, none, step, stop, variable_step=True)
+    variables, texts = variable_tables(ports)
+    sizes = {"VARIABLES": len(ports), "OUTPUTS": len(ports), "TEXTS": texts}
+    sizes |= dict.fromkeys(("INPUTS", "STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
+    called = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
+    parts = {file: part(file) for file in ("source.c", "steps_only.c")}
+    return Native(called, Layout(about), Sources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT)
 
 
 def tables(signals: Mapping[str, TimeSignal]) -> str:
@@ -104,54 +79,9 @@ def tables(signals: Mapping[str, TimeSignal]) -> str:
         "RATE": [c.rate for c in changes],
     }
     counts = ", ".join(str(len(signal.pieces)) for signal in signals.values())
-    lines = [f"#define SIGNALS {len(signals)}", f"static const int COUNT[] = {{{counts}}};"]
+    lines = [f"static const int CHANGES[] = {{{counts}}};"]
     for name, column in columns.items():
         lines.append(f"static const double {name}[] = {{")
         lines += ["    " + ", ".join(v.hex() for v in column[k : k + 6]) + "," for k in range(0, len(column), 6)]
         lines.append("};")
     return "\n".join(lines)
-
-
-def _description(name: str, identifier: str, guid: str, signals: Mapping[str, TimeSignal]) -> bytes:
-    root = Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=name,
-        guid=f"{{{guid}}}",
-        description="Signals that step and ramp in time",
-        generationTool=f"cosim {__version__}",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
-    )
-    way = SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=identifier,
-        needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
-    SubElement(SubElement(way, "SourceFiles"), "File", name=f"{identifier}.c")
-    units = {signal.unit for signal in signals.values() if signal.unit and parse(signal.unit) is not None}
-    if units:
-        root.append(unit_definitions(units))
-    variables = SubElement(root, "ModelVariables")
-    structure = SubElement(root, "ModelStructure")
-    listed = {part: SubElement(structure, part) for part in ("Outputs", "InitialUnknowns")}
-    for k, (output, signal) in enumerate(signals.items()):
-        variable = SubElement(
-            variables,
-            "ScalarVariable",
-            name=output,
-            valueReference=str(k),
-            causality="output",
-            variability="continuous",
-            initial="calculated",
-            description="A function of time",
-        )
-        SubElement(variable, "Real", {"unit": signal.unit} if signal.unit in units else {})
-        for part in listed.values():
-            SubElement(part, "Unknown", index=str(k + 1), dependencies="")
-    indent(root)
-    return bytes(tostring(root, encoding="UTF-8", xml_declaration=True))
