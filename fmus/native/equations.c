@@ -177,7 +177,7 @@ static int held(Instance *m)
 {
     if (!m->exchange || m->phase != CONTINUOUS || !discrete(m)) return 0;
     for (int k = 0; k < INPUTS; k++)
-        if (m->values[k] != SEEN[k])
+        if (fabs(m->values[k] - SEEN[k]) > 1e-9 * (1.0 + fabs(SEEN[k]))) /* a host that interpolates rounds */
             return refuse(m, "%s moves between events, at t = %.15g s: a delay or play takes inputs that are piecewise constant; "
                              "change it in event mode, or leave the effect dormant", variables[k].name, m->time);
     return 0;
