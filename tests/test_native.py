@@ -359,7 +359,7 @@ def test_a_command_out_of_range_is_warned_of_once(native_plant: Path, plant_fmu:
                 instance.step(k * STEP, STEP, {"duty_left": 7.5})
             said.append(instance.log)
     assert said[0] == said[1]
-    assert "at t = 0 s: duty_left 7.5 %%: extrapolates a thrust line fitted on 6-7 %%" in said[0][0]
+    assert "at t = 0 s: duty 6.38763 %%, 7.5 %%: extrapolates a thrust line fitted on 6-7 %%" in said[0][0]
     assert len(said[0]) == 1
 
 

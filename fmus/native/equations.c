@@ -74,14 +74,20 @@ static void restored(Instance *m)
 static void check_range(Instance *m, double t)
 {
 #if RANGES
-    if (m->warned) return;
-    for (int k = 0; k < RANGES; k++) {
+    for (int k = 0; k < RANGES && !m->warned; k++) {
         const Range *r = &RANGE[k];
-        if (r->low <= m->values[r->input] && m->values[r->input] <= r->high) continue;
+        char values[256] = "";
+        int inside = 1;
+        size_t used = 0;
+        for (int i = r->first; i < r->first + r->count; i++) {
+            const double value = m->values[RANGE_INPUT[i]];
+            inside = inside && r->low <= value && value <= r->high;
+            const char *join = i > r->first ? ", " : "", *unit = variables[RANGE_INPUT[i]].unit;
+            if (used < sizeof values) used += (size_t)snprintf(values + used, sizeof values - used, "%s%g %s", join, value, unit);
+        }
+        if (inside) continue;
         m->warned = 1;
-        const Variable *v = &variables[r->input];
-        warn(m, "at t = %g s: %s %g %s: %s", t, v->name, m->values[r->input], v->unit, r->beyond);
-        return;
+        warn(m, "at t = %g s: %s %s: %s", t, r->quantity, values, r->beyond);
     }
 #else
     (void)m, (void)t;
