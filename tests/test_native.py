@@ -437,6 +437,20 @@ def bessel(x: Number) -> Number:
     assert not (tmp_path / "out").exists()
 
 
+def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_path: Path) -> None:
+    text = TANK.replace("return self.rate * level", "return level / self.rate")
+    (tmp_path / "tank.py").write_text(text, encoding="utf-8")
+    place = text[
+        : text.index("    def loss(self, m: Namespace, level: Number) -> Number:\n        return level")
+    ].count("\n")
+    with pytest.raises(InputError) as error:
+        build_native(tmp_path / "out", f"{tmp_path}/tank.py:Tank")
+    assert str(error.value).startswith(
+        f"{tmp_path}/tank.py:{place + 1}:5: cannot be printed as C: leak has no value where"
+    )
+    assert "rate is 0" in str(error.value)
+
+
 def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cosim.cli", "build", "-o", str(tmp_path), "--native"]
     done = subprocess.run([*command, "--platforms", "linux32,win64"], capture_output=True, text=True, cwd=ROOT)
