@@ -20,7 +20,7 @@ from plant.quantities import Quantity, parameter
 from plant.rigid_body import thrust_vector
 
 QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad], as far as a propeller tilts
-DUTY_FITTED = Validity(6.0, 7.0, "extrapolates a thrust line fitted on 6-7 %")  # [%], eq 4.20
+DUTY_FITTED = Validity("duty", ("duty_right", "duty_left"), 6.0, 7.0, "extrapolates a thrust line fitted on 6-7 %")
 DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
 
 STATES = (
@@ -70,7 +70,6 @@ EXCURSION = {
     **dict.fromkeys(("tilt_right", "tilt_left"), math.radians(12)),
     **dict.fromkeys(("x_world", "y_world"), 0.8),
 }
-VALID = dict.fromkeys(("duty_right", "duty_left"), DUTY_FITTED)
 PLANAR = PlanarFrame(x="x_world", y="y_world", heading="psi", forward="vx", right="vy")
 TOLD_APART_BY = {
     frozenset(
@@ -106,7 +105,7 @@ class Hovercraft(Model):
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
     told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
-    measured, excursion, planar, valid = MEASURED, EXCURSION, PLANAR, VALID
+    measured, excursion, planar, valid = MEASURED, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")

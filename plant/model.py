@@ -91,8 +91,10 @@ def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
 
 
 class Validity(NamedTuple):
-    """Within what an input stays, and what happens to the model beyond, in words."""
+    """Within what inputs of one quantity stay, and what happens to the model beyond, in words."""
 
+    quantity: str
+    inputs: tuple[str, ...]
     low: float
     high: float
     beyond: str
@@ -135,7 +137,7 @@ class Model(Parametric):
     ] = {}  # effect or parameter → signals its form says to look at
     measured: ClassVar[tuple[str, ...]] = ()  # outputs that are usually logged; without, those of `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → how far from its start an experiment may take it
-    valid: ClassVar[Mapping[str, Validity]] = {}  # input → the range that the model was made for; beyond, it warns once
+    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges that the model was made for; beyond one, it warns once
     planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
@@ -167,10 +169,11 @@ class Model(Parametric):
 
     def warning(self, command: Values) -> str | None:
         """What to warn of where a command leaves the range the model was made for, by `valid`."""
-        for q, value in zip(self.inputs, command, strict=True):
-            known = self.valid.get(q.name)
-            if known and not known.low <= value <= known.high:
-                return f"{q.name} {value:g} {q.unit}: {known.beyond}"
+        acting = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
+        for quantity, inputs, low, high, beyond in self.valid:
+            values = [acting[name] for name in inputs]
+            if not all(low <= value <= high for value, _ in values):
+                return f"{quantity} {', '.join(f'{value:g} {unit}' for value, unit in values)}: {beyond}"
         return None
 
     def start_input(self) -> dict[str, Number]:

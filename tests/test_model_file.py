@@ -133,15 +133,15 @@ ONE_CHANGE = {
     ),
     "valid of nothing known": (
         FORCED,
-        f'{FORCED}\n    valid = {{"torqe": __import__("plant.model").model.Validity(-1.0, 1.0, "it breaks")}}',
+        f'{FORCED}\n    valid = (__import__("plant.model").model.Validity("M", ("torqe",), -1, 1, "it breaks"),)',
         "valid =",
         'valid: no input "torqe"',
     ),
     "valid that says nothing": (
         FORCED,
-        f'{FORCED}\n    valid = {{"torque": (-1.0, 1.0)}}',
+        f'{FORCED}\n    valid = ("torque", -1.0, 1.0)',
         "valid =",
-        "valid is a dictionary: {",
+        "valid is a tuple: (Validity(",
     ),
     "excursion of no size": (
         FORCED,

@@ -73,6 +73,8 @@ def _shape(kind: type[Model]) -> Found:
     for name in ("forced", "calibrated", "measured"):
         if not _all(getattr(kind, name), str):
             yield kind, name, f'{name} is a tuple of names, with a comma even after a single one: ("name",)'
+    if not (isinstance(kind.valid, tuple) and _all(kind.valid, Validity)):
+        yield kind, "valid", 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'
     for name, key, value in _MAPPINGS:
         given = getattr(kind, name)
         if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):
@@ -87,7 +89,6 @@ _MAPPINGS: tuple[tuple[str, type, Any], ...] = (
     ("start_variance", str, (int, float)),
     ("excursion", str, (int, float)),
     ("told_apart_by", frozenset, str),
-    ("valid", str, Validity),
 )
 _WRITTEN = {
     "suspect": '{"parameter": ("input",)}',
@@ -95,7 +96,6 @@ _WRITTEN = {
     "sensor_variance": '{"output": variance}',
     "start_variance": '{"state": variance}',
     "excursion": '{"input or output": how far from its start}',
-    "valid": '{"input": Validity(low, high, "what happens beyond")}',
     "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
 }
 

@@ -74,14 +74,20 @@ static void restored(Instance *m)
 static void check_range(Instance *m, double t)
 {
 #if RANGES
-    if (m->warned) return;
-    for (int k = 0; k < RANGES; k++) {
+    for (int k = 0; k < RANGES && !m->warned; k++) {
         const Range *r = &RANGE[k];
-        if (r->low <= m->values[r->input] && m->values[r->input] <= r->high) continue;
+        char values[256] = "";
+        int inside = 1;
+        size_t used = 0;
+        for (int i = r->first; i < r->first + r->count; i++) {
+            const double value = m->values[RANGE_INPUT[i]];
+            inside = inside && r->low <= value && value <= r->high;
+            const char *join = i > r->first ? ", " : "", *unit = variables[RANGE_INPUT[i]].unit;
+            if (used < sizeof values) used += (size_t)snprintf(values + used, sizeof values - used, "%s%g %s", join, value, unit);
+        }
+        if (inside) continue;
         m->warned = 1;
-        const Variable *v = &variables[r->input];
-        warn(m, "at t = %g s: %s %g %s: %s", t, v->name, m->values[r->input], v->unit, r->beyond);
-        return;
+        warn(m, "at t = %g s: %s %s: %s", t, r->quantity, values, r->beyond);
     }
 #else
     (void)m, (void)t;
@@ -177,7 +183,7 @@ static int held(Instance *m)
 {
     if (!m->exchange || m->phase != CONTINUOUS || !discrete(m)) return 0;
     for (int k = 0; k < INPUTS; k++)
-        if (m->values[k] != SEEN[k])
+        if (fabs(m->values[k] - SEEN[k]) > 1e-9 * (1.0 + fabs(SEEN[k]))) /* a host that interpolates rounds */
             return refuse(m, "%s moves between events, at t = %.15g s: a delay or play takes inputs that are piecewise constant; "
                              "change it in event mode, or leave the effect dormant", variables[k].name, m->time);
     return 0;

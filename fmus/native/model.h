@@ -29,9 +29,10 @@ typedef struct {
     double start, low, high; /* of a string: its place among the texts */
 } Variable;
 
-/* Within what an input stays, or it is said once what happens beyond. */
+/* Within what inputs of one quantity stay, or it is said once what happens beyond. */
 typedef struct {
-    int input;
+    const char *quantity;
+    int first, count; /* among RANGE_INPUT */
     double low, high;
     const char *beyond;
 } Range;

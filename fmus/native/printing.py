@@ -272,17 +272,19 @@ class Printer:
                 f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}"
             )
         inputs = {q.name: k for k, q in enumerate(self.model.inputs)}
-        ranges = [
-            f"{{{inputs[name]}, {number(v.low)}, {number(v.high)}, {quoted(v.beyond)}}}"
-            for name, v in sorted(self.model.valid.items(), key=lambda pair: inputs[pair[0]])
-        ]
+        listed = [str(inputs[name]) for v in self.model.valid for name in v.inputs]
+        ranges, first = [], 0
+        for v in self.model.valid:
+            limits = f"{number(v.low)}, {number(v.high)}"
+            ranges.append(f"{{{quoted(v.quantity)}, {first}, {len(v.inputs)}, {limits}, {quoted(v.beyond)}}}")
+            first += len(v.inputs)
         return "".join(
             (
                 table("char *const", "STATE_NAME", [quoted(q.name) for q in self.states]),
                 table("int", "STATE_START", places(f"{q.name}_start" for q in self.states)),
                 table("int", "MEMORY_START", places(f"{e.name}.{q.name}_start" for e, q in self.remembering)),
                 table("int", "DELAY_START", places(delayed)),
-                table("Range", "RANGE", ranges) if ranges else "",
+                table("int", "RANGE_INPUT", listed) + table("Range", "RANGE", ranges) if ranges else "",
             )
         )
 

@@ -20,7 +20,14 @@ APART = ("shape", "remember")  # hooks that the integrator calls, not the equati
 
 
 class NotNeutral(ValueError):
-    """An effect whose lines have no value at its neutral value, so that it cannot be left out at run time."""
+    """An effect whose lines have no value at its neutral value, so that it cannot be left out at run time.
+
+    owner, hook: its class and the hook, where it is one effect's fault
+    """
+
+    def __init__(self, text: str, owner: type | None = None, hook: str = "") -> None:
+        super().__init__(text)
+        self.owner, self.hook = owner, hook
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,8 @@ class Trace:
             awake = sympy.sympify(value)
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
-                raise NotNeutral(f"{effect.name} has no value where {_at(effect)}: {name} gives {asleep}")
+                text = f"{effect.name} has no value where {_at(effect)}: {name} gives {asleep}"
+                raise NotNeutral(text, type(effect), name)
             if asleep == awake and (awake in passed or awake.is_Number):
                 return awake
             symbol = sympy.Symbol(f"b{len(self._calls)}_{len(block.values)}", real=True)
