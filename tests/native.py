@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -123,9 +122,3 @@ def rk4(f: Callable[[float, Any], Any], t: float, x: Any, h: float, substeps: in
 def dop853(f: Callable[[float, Any], Any], t: float, x: Any, end: float) -> Any:
     """An integration far finer than what is compared."""
     return solve_ivp(f, (t, end), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-
-
-@functools.cache
-def libraries() -> list[str]:
-    """What our own C is compiled with, warnings as errors."""
-    return ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
