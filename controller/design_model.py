@@ -41,14 +41,13 @@ def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
     A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ = T_N/(τ·m).
     Eq E.4 prints 34.27 and 24.17, the values of an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
     """
-    A = np.zeros((5, 5))
+    A, B = _zeros(p, 5, 5), _zeros(p, 5, 2)
     A[0, 1] = A[1, 4] = A[2, 3] = 1.0
     A[1, 1] = -p.friction / p.mass
     A[3, 3] = -p.yaw_damping / p.izz
     A[4, 4] = -1.0 / p.lag
     turn = p.arm * p.thrust_nominal / p.izz
     push = p.thrust_nominal / (p.lag * p.mass)
-    B = np.zeros((5, 2))
     B[3] = turn, -turn
     B[4] = push, push
     return A, B
@@ -60,8 +59,13 @@ def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
     The thesis reads x₅ from the accelerometer. By Newton's law it reads total acceleration,
     a_x = x₅ − (c/m)·x₂: variant `consistent`, which makes ẋ observable.
     """
-    H = np.zeros((3, 5))
+    H = _zeros(p, 3, 5)
     H[0, 2] = H[1, 3] = H[2, 4] = 1.0
     if estimator == "consistent":
         H[2, 1] = -p.friction / p.mass
     return H
+
+
+def _zeros(p: ModelNumbers, *shape: int) -> Matrix:
+    """A matrix for numbers of this kind: floats, or symbols of which the design is printed."""
+    return np.zeros(shape, dtype=float if isinstance(p.mass, (int, float)) else object)

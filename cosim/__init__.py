@@ -13,14 +13,16 @@ if TYPE_CHECKING:
     from cosim.api import check, compare, read, refine, replay, run, simulate
     from cosim.experiment.excite import excite
     from cosim.models.fmus import build
+    from cosim.simulation.export import export_ssp
 
-__all__ = ["build", "check", "compare", "excite", "read", "refine", "replay", "run", "simulate"]
+__all__ = ["build", "check", "compare", "excite", "export_ssp", "read", "refine", "replay", "run", "simulate"]
 
 _PLACES = {
     "build": "cosim.models.fmus",
     "check": "cosim.api",
     "compare": "cosim.api",
     "excite": "cosim.experiment.excite",
+    "export_ssp": "cosim.simulation.export",
     "read": "cosim.api",
     "refine": "cosim.api",
     "replay": "cosim.api",

@@ -20,8 +20,9 @@ from controller.loop import Loop
 from cosim.blocks.noise import gaussian, stream
 from cosim.isolation import worker
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows, allocate, mapped_table
+from cosim.isolation.watch import Watch
 from cosim.simulation.master import PROGRESS_EVERY, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system

@@ -24,10 +24,10 @@ from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
 from cosim.refinement.study import read_study
 from cosim.registry import BASE
-from cosim.simulation.apart import MODULES, Recipe, simulate_apart
-from cosim.simulation.components import Designed
+from cosim.simulation.apart import MODULES, simulate_apart
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned
+from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.yaml_file import YamlFile
@@ -66,6 +66,8 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
             if faults := check_fmu(path, worker):
                 raise InputError(faults)
             return fmu_warnings(path)
+        case kinds.SSP:
+            return check_ssp(path, worker)
         case kinds.LOG:
             return log_findings(path, load_model(model, Path()).model)
         case kinds.CODE:
@@ -117,7 +119,8 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
     scenario = worker.folder / "check.json"
     scenario.write_text(json.dumps(content), encoding="utf-8")
     try:
-        return _run_once(ScenarioFile(scenario), path, worker)
+        file = ScenarioFile(scenario)
+        return _run_once(file, build_system(file), path, worker)
     except InputError as error:
         return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
 
@@ -139,22 +142,28 @@ def check_scenario(path: Path, worker: Worker | None = None) -> None:
     """Read a scenario or manifest as a run would, and with a worker step it once; InputError with its faults."""
     file = ScenarioFile(path)
     check_pinned(file)
-    designed = designed_values(file)
-    system = build_system(file, designed)
-    if worker is not None and (faults := _run_once(file, path, worker, designed, system)):
+    system = build_system(file, designed_values(file))
+    if worker is not None and (faults := _run_once(file, system, path, worker)):
         raise InputError(faults)
 
 
-def _run_once(
-    file: ScenarioFile, path: Path, worker: Worker, designed: Designed | None = None, system: System | None = None
-) -> list[Fault]:
+def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:
+    """Read an SSP as a run would, step it once with a worker; what is to be known of it. InputError with its faults."""
+    with tempfile.TemporaryDirectory(prefix="cosim-check-") as folder:
+        file, warnings = lay_out(path, Path(folder))
+        if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
+            shown = (replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
+            raise InputError(list(shown))
+        return [f"warning: {text}" for text in warnings]
+
+
+def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
     """Why the first step of a scenario fails; `path` is what it is told of."""
-    step, recipe = file.scenario.step, Recipe(file.path, (), False, designed or {})
     limits = file.scenario.limits or Limits(step=LONGEST, load=LONGEST)
     worker.start()
     beside = Path(tempfile.gettempdir())
     try:
-        made = simulate_apart(worker, recipe, system or build_system(file), 1, step, beside, limits)
+        made = simulate_apart(worker, system, 1, file.scenario.step, beside, limits)
     except FmuError as error:
         return [Fault(path, 0, 0, str(error).removeprefix(f"{path.resolve()} "), error.exit_code)]
     if made.failure is None:

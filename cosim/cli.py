@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import shlex
@@ -12,8 +13,9 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, FmuError, InputError, SimulationError, Terminated
+from cosim.errors import CosimError, Fault, FmuError, InputError, SimulationError, Terminated
 from cosim.files import is_full
+from cosim.garbage import collect_seldom
 from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
 from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, stages
@@ -49,7 +51,7 @@ def main(
 
 @app.command()
 def run(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or a manifest.json to repeat that run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the scenario without."),
@@ -73,7 +75,7 @@ def run(
         bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
     ] = False,
 ) -> None:
-    """Co-simulate a scenario: results.csv, manifest.json and report.html."""
+    """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
@@ -85,7 +87,8 @@ def run(
     if coupling:
         from cosim.simulation.coupling import coupling_error
 
-        say(coupling_error(scenario, overrides, nearest=nearest, in_process=in_process).sentence)
+        source = Path(outcome.manifest["source"])
+        say(coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence)
     told(outcome, report=report, open_=open_, as_json=as_json)
 
 
@@ -101,12 +104,53 @@ def build(
     nearest: Annotated[
         bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
     ] = False,
+    native: Annotated[
+        bool,
+        typer.Option("--native", help="Compiled FMUs that need no Python: plant-native.fmu, controller-native.fmu."),
+    ] = False,
+    fmi: Annotated[int, typer.Option("--fmi", help="Version of FMI of native FMUs, 2 or 3.")] = 2,
+    platforms: Annotated[
+        str, typer.Option("--platforms", help="Of native FMUs: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+    ] = "",
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from cosim.models.fmus import build as build_fmus
 
+    if native:
+        from cosim.models.native import build_native
+
+        asked = [name.strip() for name in platforms.split(",") if name.strip()]
+        for made in build_native(out, model, nearest=nearest, fmi=fmi, platforms=asked):
+            say(made.sentence)
+        return
+    only_native = [name for name, given in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if given]
+    if only_native:
+        message = "is of native FMUs; add --native, or leave it out"
+        raise InputError([Fault(Path(name), 0, 0, message) for name in only_native])
     for path in build_fmus(out, model, nearest=nearest):
         say(f"built {path}")
+
+
+@app.command("export-ssp")
+def export(
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The file to write; without, NAME.ssp in this folder.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. step=0.01.")
+    ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    ] = False,
+) -> None:
+    """Write a scenario as an SSP 1.0 that other simulators run: noise off, references as FMUs."""
+    from cosim.simulation.export import export_ssp
+
+    exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
+    for note in exported.notes:
+        typer.echo(f"note: {note}", err=True)
+    say(f"wrote {exported.path}")
 
 
 @app.command()
@@ -249,6 +293,7 @@ register(app)
 
 def entry() -> None:
     """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    collecting = collect_seldom()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
@@ -275,6 +320,7 @@ def entry() -> None:
         typer.echo(f"error: {where}{error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
+        gc.set_threshold(*collecting)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
 

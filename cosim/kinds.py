@@ -9,14 +9,15 @@ from typing import Any
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import YamlFile
 
-LOG, FMU, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE = (
-    "a log", "an FMU", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
+LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE = (
+    "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
     "a model's Python file",
 )  # fmt: skip
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
     FMU: "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check {file}` checks it, "
     "a scenario names it as fmu:, `cosim replay LOG.csv --plant {file}` drives it",
+    SSP: "`cosim run {file}` runs it",
     SCENARIO: "`cosim run {file}` runs it",
     MANIFEST: "`cosim run {file}` repeats its run",
     STUDY: "`cosim refine {file}` refines its model",
@@ -33,6 +34,8 @@ def kind_by_name(path: Path) -> str | None:
         return LOG
     if ending == ".py":
         return CODE
+    if ending in {".ssp", ".ssd"}:
+        return SSP
     try:
         return FMU if ending == ".fmu" or (path.is_file() and zipfile.is_zipfile(path)) else None
     except (OSError, ValueError):

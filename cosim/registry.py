@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 
@@ -31,6 +31,7 @@ class Known:
     model:   its class
     recipe:  of its FMU, from parameter values
     built:   file → recipe: what `cosim build` makes without a model named; beside: FMUs made with any model of it
+    native:  name → what makes a native FMU beside its own
     rig:     what plays its experiments
     design:  the designer of its controller, behind `design:` of a scenario
     """
@@ -39,6 +40,7 @@ class Known:
     recipe: str
     built: Mapping[str, str]
     beside: Mapping[str, str]
+    native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
 
@@ -54,6 +56,7 @@ MODELS = {
             "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
         },
         beside={"controller.fmu": "fmus.recipes:controller_recipe"},
+        native={"controller": "fmus.controller_native:controller_native"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",
     )

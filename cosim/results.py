@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,14 @@ class Results:
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Array:
-        return self.values[:, self.columns.index(name)]
+        return self.values[:, self._places[name]]
 
     def __contains__(self, name: str) -> bool:
-        return name in self.columns
+        return name in self._places
+
+    @cached_property
+    def _places(self) -> Mapping[str, int]:
+        return {name: k for k, name in enumerate(self.columns)}
 
     def write_csv(self, path: Path) -> None:
         """Write `time` and every column; numbers as the shortest text that reads back bit for bit."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -24,6 +24,7 @@ MOST_FAULTS = 200  # shown of a file
 LONGEST = 80  # characters of a name or value that are shown
 WORDS, LONGEST_WORD = 2000, 100  # among which one is sought that was meant
 M = TypeVar("M", bound=BaseModel)
+Origin = Callable[[Location, str, int], Fault]
 
 
 def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
@@ -41,10 +42,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class YamlFile:
-    """A YAML document and where each of its parts stands; `root` is its data, not to be changed."""
+    """A YAML document and where each of its parts stands; `root` is its data, not to be changed.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    origin: of a document that was made from another file, where there the fault of a part stands
+    """
+
+    def __init__(self, path: Path, origin: Origin | None = None) -> None:
+        self.path, self.origin = path, origin
         text = _text(path)
         try:
             self._document = document_of(text)
@@ -64,7 +68,9 @@ class YamlFile:
         return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
-        """A fault at a place of this file."""
+        """A fault at a place of this file, or of the one from which it was made."""
+        if self.origin is not None:
+            return self.origin((*self._within, *location), message, exit_code)
         return Fault(self.path, *self.place(location, key), message, exit_code)
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:

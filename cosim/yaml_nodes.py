@@ -10,26 +10,17 @@ import json
 from functools import lru_cache
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
+from cosim.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_number
+
+__all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
 
 MOST_YAML, MOST_JSON = 800_000, 8_000_000  # characters that are read within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which take the time
 MOST_PARTS = 400_000  # keys and values, aliases followed
-DEEPEST = 60  # parts within parts
 MERGE = "<<"
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
-
-
-class NotYaml(Exception):
-    """Text that is no YAML, or none that is read here: line and column from 1, and why."""
-
-    def __init__(self, line: int, column: int, problem: str) -> None:
-        super().__init__(problem)
-        self.line, self.column = line, column
 
 
 @lru_cache(maxsize=2)  # a file is looked at for its kind, and then read
@@ -68,26 +59,26 @@ class Document:
     def _compose(self) -> Any:
         """The nodes of the text."""
         if not self._composed:
-            self._node, self._composed = _nodes(self._text), True
+            self._node, self._composed = nodes(self._text), True
         return self._node
 
-    def pairs(self, node: MappingNode) -> dict[str, tuple[Any, Any]]:
+    def pairs(self, node: Any) -> dict[str, tuple[Any, Any]]:
         """Key → nodes of the key and of its value, merged ones included."""
         if id(node) not in self._pairs:
             self._pairs[id(node)] = self._pairs_of(node, 0)
         return self._pairs[id(node)]
 
-    def _pairs_of(self, node: MappingNode, depth: int) -> dict[str, tuple[Any, Any]]:
+    def _pairs_of(self, node: Any, depth: int) -> dict[str, tuple[Any, Any]]:
         own: dict[str, tuple[Any, Any]] = {}
         merged: dict[str, tuple[Any, Any]] = {}
         if depth > DEEPEST:
             raise _fault(node, "merges itself")
         for key, value in node.value:
-            if not isinstance(key, ScalarNode):
+            if key.id != "scalar":
                 raise _fault(key, "a key is text, no list and no mapping")
-            if key.value == MERGE and key.style is None:
-                for other in value.value if isinstance(value, SequenceNode) else [value]:
-                    if not isinstance(other, MappingNode):
+            if key.value == MERGE and not key.style:
+                for other in value.value if value.id == "sequence" else [value]:
+                    if other.id != "mapping":
                         raise _fault(value, "what is merged is a mapping, or a list of such")
                     merged = {**self._pairs_of(other, depth + 1), **merged}
             elif (name := _whole(key)) in own:
@@ -109,11 +100,11 @@ class Document:
             return UNKNOWN
         for depth, step in enumerate(location):
             last = depth == len(location) - 1
-            if isinstance(node, MappingNode) and step in (pairs := self.pairs(node)):
+            if node.id == "mapping" and step in (pairs := self.pairs(node)):
                 at, value = pairs[str(step)]
                 # of a part within which something is missing its key is the place
-                mark = (at if (key and last) or (not last and not isinstance(value, ScalarNode)) else value).start_mark
-            elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
+                mark = (at if (key and last) or (not last and value.id != "scalar") else value).start_mark
+            elif node.id == "sequence" and isinstance(step, int) and step < len(node.value):
                 value = node.value[step]
                 mark = value.start_mark
             else:
@@ -127,7 +118,6 @@ class _Plain:
 
     def __init__(self, root: Any, document: Document) -> None:
         self.document, self.parts = document, 0
-        self.scalars = YAML(typ="safe", pure=True).constructor
         self.data = None if root is None else self._of(root, 0)
 
     def _of(self, node: Any, depth: int) -> Any:
@@ -136,11 +126,11 @@ class _Plain:
             raise _fault(node, f"has more than {MOST_PARTS} parts, aliases followed; write less")
         if depth > DEEPEST:
             raise _fault(node, "is nested too deep")
-        if isinstance(node, MappingNode):
+        if node.id == "mapping":
             self._known(node, "map")
             pairs = self.document.pairs(node)
             return {key: self._of(value, depth + 1) for key, (_, value) in pairs.items()}
-        if isinstance(node, SequenceNode):
+        if node.id == "sequence":
             self._known(node, "seq")
             return [self._of(value, depth + 1) for value in node.value]
         return self._scalar(node)
@@ -155,7 +145,7 @@ class _Plain:
                 return text.lower() == "true"
             case "int" | "float":
                 try:
-                    return getattr(self.scalars, f"construct_yaml_{kind}")(node)
+                    return whole_number(node) if kind == "int" else number(node)
                 except (ValueError, IndexError):
                     raise _fault(node, f'"{text[:30]}" is no number') from None
             case "str" | "timestamp" | "merge" | "value":
@@ -186,29 +176,6 @@ def _tag(node: Any) -> str:
 
 def _fault(node: Any, problem: str) -> NotYaml:
     return NotYaml(node.start_mark.line + 1, node.start_mark.column + 1, problem)
-
-
-def _nodes(text: str) -> Any:
-    """The node at the root of a YAML text, None of an empty one."""
-    try:
-        return YAML(typ="safe", pure=True).compose(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        said = (
-            [error.context, error.problem]
-            if str(error.problem).startswith("but ")
-            else [error.problem or error.context]
-        )
-        problem = " ".join(" ".join(filter(None, said)).split()) or "cannot be understood"
-        raise NotYaml(
-            mark.line + 1 if mark else 1, mark.column + 1 if mark else 1, f"not YAML: {problem[:200]}"
-        ) from None
-    except RecursionError:
-        raise NotYaml(1, 1, "is nested too deep") from None
-    except YAMLError as error:
-        raise NotYaml(1, 1, f"is not YAML: {(str(error).splitlines() or ['unreadable'])[0][:200]}") from None
-    except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):  # of its scanner
-        raise NotYaml(1, 1, "is not YAML: it cannot be understood") from None
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

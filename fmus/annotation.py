@@ -12,10 +12,10 @@ from plant.traits import Traits
 FRAME = ("x", "y", "heading", "forward", "right")
 
 
-def annotation(traits: Traits) -> Element:
-    """`VendorAnnotations`: that the state is ours to read, or there is none; rates, limits, a motion in a plane."""
+def annotation(traits: Traits, state: str = "json") -> Element:
+    """`VendorAnnotations`: in what form the state is ours to read; rates, limits, a motion in a plane."""
     root = Element("VendorAnnotations")
-    node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state="json")  # FMI allows one element
+    node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state=state)  # FMI allows one element
     if traits.static:
         node.set("static", "true")
     for name, rate in traits.rates.items():

@@ -1,4 +1,4 @@
-"""An FMU's archive, looked at before anything in it is unpacked or parsed.
+"""The archive of an FMU or of an SSP, looked at before anything in it is unpacked or parsed.
 
 Refused is what would fill disk or memory, what would be written outside its folder, and XML that defines entities.
 """
@@ -11,12 +11,13 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO, TypeVar
 from xml.parsers import expat
 
 DESCRIPTION = "modelDescription.xml"
-PARSED = (DESCRIPTION, "sources/buildDescription.xml")  # what a host parses
+STRUCTURE = "SystemStructure.ssd"
 MOST_FILES = 20_000
 MOST_UNPACKED = 1_000_000_000  # bytes
 LARGE, MOST_RATIO = 50_000_000, 100.0  # bytes, from which a ratio of packing beyond this is a bomb
@@ -42,6 +43,23 @@ class BadArchive(ValueError):
     """Why the archive is not opened."""
 
 
+@dataclass(frozen=True)
+class Contents:
+    """What an archive of one kind must hold, and what a host parses of it: by name, or by ending."""
+
+    standard: str
+    needed: str
+    parsed: tuple[str, ...]
+
+    def parses(self, name: str) -> bool:
+        """Whether this file of it is parsed."""
+        return name in self.parsed or PurePosixPath(name).suffix.lower() in self.parsed
+
+
+FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
+SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
+
+
 def check_archive(path: Path) -> None:
     """BadArchive where the archive is none, would take too much or would leave its folder; OSError if unreadable."""
     _read(path, lambda archive: None)
@@ -52,14 +70,14 @@ def description_of(path: Path) -> bytes:
     return _read(path, lambda archive: archive.read(DESCRIPTION))
 
 
-def unpack(path: Path, folder: Path) -> None:
+def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
     """Unpack it into a folder; BadArchive where that fails. A link in it becomes a file that holds its target."""
 
     def all_of(archive: zipfile.ZipFile) -> None:
         for member in archive.infolist():
             archive.extract(member, folder)
 
-    _read(path, all_of)
+    _read(path, all_of, kind)
 
 
 def check_identifier(identifier: str | None) -> None:
@@ -68,7 +86,7 @@ def check_identifier(identifier: str | None) -> None:
         raise BadArchive(f'its modelIdentifier "{str(identifier)[:60]}" is no name of a file')
 
 
-def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken]) -> Taken:
+def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken], kind: Contents = FMU) -> Taken:
     with path.open("rb") as stream:
         _check_directory(stream, path.stat().st_size)
         try:
@@ -79,14 +97,13 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken]) -> Taken:
             members = archive.infolist()
             for member in members:
                 _check_member(member)
-            _check_sizes(members)
+            _check_sizes(members, kind)
             names = {m.filename for m in members}
-            if DESCRIPTION not in names:
-                raise BadArchive(f"it has no {DESCRIPTION}")
+            if kind.needed not in names:
+                raise BadArchive(f"it has no {kind.needed}")
             try:
-                for name in PARSED:
-                    if name in names:
-                        _check_xml(name, archive.read(name))
+                for name in filter(kind.parses, names):
+                    check_xml(name, archive.read(name), kind.standard)
                 return take(archive)
             except BadArchive:
                 raise
@@ -133,24 +150,27 @@ def _check_member(member: zipfile.ZipInfo) -> None:
         raise BadArchive(f'"{member.filename[:60]}" in it is packed in a way that is not known here')
 
 
-def _check_sizes(members: list[zipfile.ZipInfo]) -> None:
+def _check_sizes(members: list[zipfile.ZipInfo], kind: Contents) -> None:
     """What it would take on the disk: zipfile unpacks no more of a file than is declared."""
     unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
     ratio = unpacked / max(1, packed)
     if unpacked > MOST_UNPACKED or (unpacked > LARGE and ratio > MOST_RATIO):
         raise BadArchive(f"it would unpack to {unpacked / 1e6:.0f} MB, {ratio:.0f} times its size: a zip bomb?")
     for member in members:
-        if member.filename in PARSED and member.file_size > MOST_XML:
+        if kind.parses(member.filename) and member.file_size > MOST_XML:
             most = f"more than the {MOST_XML / 1e6:.0f} MB that are read"
             raise BadArchive(f"its {member.filename} has {member.file_size / 1e6:.0f} MB, {most}")
 
 
-def _check_xml(name: str, text: bytes) -> None:
-    """No document type, in which entities could grow without end or name files of this machine; not too deep."""
+def check_xml(name: str, text: bytes, standard: str) -> None:
+    """BadArchive where it is no XML, is too deep, or has a document type.
+
+    In that entities could grow without end, or name files of this machine.
+    """
     depth = count = 0
 
     def refuse(*_: object) -> None:
-        raise BadArchive(f"its {name} has a DOCTYPE, which FMI knows nothing of; take it out")
+        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
 
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count

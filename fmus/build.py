@@ -85,12 +85,12 @@ def build(recipe: Recipe, path: Path) -> Path:
         members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
         xml = members.pop("modelDescription.xml")
         # the page names the GUID, which is made of everything else: a placeholder stands there until it is known
-        guid = f"{{{_digest(members, xml_of(recipe, xml, ''))[:32]}}}"
+        guid = f"{{{digest(members, xml_of(recipe, xml, ''))[:32]}}}"
         page = "documentation/index.html"
         members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
         members["modelDescription.xml"] = xml_of(recipe, xml, guid)
     with draft_of(path) as target:
-        _write_zip(target, members)
+        write_zip(target, members)
     return path
 
 
@@ -109,7 +109,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
         identity += (class_name,)
-    tag = _digest(sources, repr(identity).encode())[:12]
+    tag = digest(sources, repr(identity).encode())[:12]
     package = f"{_snake(class_name)}_{tag}"
     for name, text in sources.items():
         file = folder / package / name
@@ -171,7 +171,8 @@ def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
         yield "model.png", icon.read_bytes()
 
 
-def _write_zip(path: Path, members: dict[str, bytes]) -> None:
+def write_zip(path: Path, members: dict[str, bytes]) -> None:
+    """An archive whose bytes hang on nothing but its members."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, EPOCH)
@@ -179,7 +180,7 @@ def _write_zip(path: Path, members: dict[str, bytes]) -> None:
             packed.writestr(info, members[name])
 
 
-def _digest(members: dict[str, bytes], more: bytes) -> str:
+def digest(members: dict[str, bytes], more: bytes) -> str:
     """SHA-256 over names and contents."""
     sha = hashlib.sha256()
     for name in sorted(members):

@@ -37,7 +37,9 @@ def model_text(model: Model) -> str:
     return documented(type(model), model.equations) + NEEDS.format(substep=1000 * model.substep) + listed
 
 
-def write_documentation(folder: Path, about: Description, text: str, version: str, licence: Path) -> None:
+def write_documentation(
+    folder: Path, about: Description, text: str, version: str, licence: Path, way: str = "FMI 2.0 co-simulation"
+) -> None:
     """Write `index.html` and the licence."""
     folder.mkdir(parents=True, exist_ok=True)
     title = escape(about.description)
@@ -45,7 +47,7 @@ def write_documentation(folder: Path, about: Description, text: str, version: st
     tables = "".join(f"<h2>{head}</h2>{_table([p for p in about.ports if p.causality == c])}" for head, c in groups)
     page = (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f"<h1>{title}</h1><p>Version {escape(version)} · FMI 2.0 co-simulation · communication step {about.step} s<br>"
+        f"<h1>{title}</h1><p>Version {escape(version)} · {way} · communication step {about.step} s<br>"
         f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{GUID_PLACEHOLDER}</code></p>'
         f"{text}{tables}</html>\n"
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from plant.effects import CATALOGUE
 from plant.effects.sensors import SENSORS
 from plant.effects.terms import HovercraftEffect, Motion
-from plant.model import Equations, Model, Number, Values, overrides
+from plant.model import Equations, Model, Number, Validity, Values, overrides
 from plant.namespaces import SCALAR, Namespace
 from plant.planar import PlanarFrame, world_velocity
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
@@ -20,7 +20,7 @@ from plant.quantities import Quantity, parameter
 from plant.rigid_body import thrust_vector
 
 QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad], as far as a propeller tilts
-DUTY_FITTED = (6.0, 7.0)  # [%], eq 4.20
+DUTY_FITTED = Validity("duty", ("duty_right", "duty_left"), 6.0, 7.0, "extrapolates a thrust line fitted on 6-7 %")
 DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
 
 STATES = (
@@ -105,7 +105,7 @@ class Hovercraft(Model):
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
     told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
-    measured, excursion, planar = MEASURED, EXCURSION, PLANAR
+    measured, excursion, planar, valid = MEASURED, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
 
     mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
     izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")
@@ -141,13 +141,6 @@ class Hovercraft(Model):
     roll_ground_effect: bool = parameter(
         True, unit="", doc="ground effect of each propeller at its own height; the thesis takes one height"
     )
-
-    def warning(self, command: Values) -> str | None:
-        """The thrust line was fitted on 6-7 % of duty (eq 4.20); beyond, it is extrapolated."""
-        low, high = DUTY_FITTED
-        if low <= command[0] <= high and low <= command[1] <= high:
-            return None
-        return f"duty {command[0]:g} %, {command[1]:g} %: extrapolates a thrust line fitted on {low:g}-{high:g} %"
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
         """Both propellers spin at the nominal duty: T_i = T_OGE(δ_N), eq 4.20."""

@@ -90,6 +90,16 @@ def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
     return {f"{kind.name}.{p.name}": p for kind in kinds for p in parameters_of(kind)}
 
 
+class Validity(NamedTuple):
+    """Within what inputs of one quantity stay, and what happens to the model beyond, in words."""
+
+    quantity: str
+    inputs: tuple[str, ...]
+    low: float
+    high: float
+    beyond: str
+
+
 class Equations(NamedTuple):
     """The body, bound to a namespace and to parameter values.
 
@@ -127,6 +137,7 @@ class Model(Parametric):
     ] = {}  # effect or parameter → signals its form says to look at
     measured: ClassVar[tuple[str, ...]] = ()  # outputs that are usually logged; without, those of `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → how far from its start an experiment may take it
+    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges that the model was made for; beyond one, it warns once
     planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
@@ -157,7 +168,12 @@ class Model(Parametric):
         return {}
 
     def warning(self, command: Values) -> str | None:
-        """What to warn of where a command leaves the range the model was made for."""
+        """What to warn of where a command leaves the range the model was made for, by `valid`."""
+        acting = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
+        for quantity, inputs, low, high, beyond in self.valid:
+            values = [acting[name] for name in inputs]
+            if not all(low <= value <= high for value, _ in values):
+                return f"{quantity} {', '.join(f'{value:g} {unit}' for value, unit in values)}: {beyond}"
         return None
 
     def start_input(self) -> dict[str, Number]:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from cosim.models.native import build_native
 from fmus.build import Recipe, build
+from fmus.native.compiler import compiler
 from fmus.recipes import controller_recipe, plant_recipe
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -17,9 +19,11 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(autouse=True, scope="session")
 def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Designs are cached in a folder of the tests', so that no test lives on an earlier session's."""
-    before = os.environ.get("XDG_CACHE_HOME")
-    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+    """Designs and kernels are cached in a folder of this session, so that no test lives on an earlier one's."""
+    before, base = os.environ.get("XDG_CACHE_HOME"), tmp_path_factory.getbasetemp()
+    cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    cache.mkdir(exist_ok=True)
+    os.environ["XDG_CACHE_HOME"] = str(cache)
     yield
     if before is None:
         del os.environ["XDG_CACHE_HOME"]
@@ -39,6 +43,21 @@ def plant_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def controller_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _built(controller_recipe(), "controller.fmu", tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the native plant and controller for FMI 2.0."""
+    if compiler() is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("native")
+    build_native(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def native_plant(native_fmus: Path) -> Path:
+    return native_fmus / "plant-native.fmu"
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ folder left. One JSON line at the end; exit 1 where one of them was not so.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -141,9 +142,10 @@ class Trial:
             time.sleep(0.02)
         time.sleep(1.5)
         if case.to_worker:
-            children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-            for child in children:
-                os.kill(int(child), case.number)
+            with contextlib.suppress(OSError):  # it has ended, which is told by its exit code
+                children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+                for child in children:
+                    os.kill(int(child), case.number)
         else:
             process.send_signal(case.number)
 

@@ -4,14 +4,32 @@ from __future__ import annotations
 
 import json
 import sys
+from typing import Any
 
 from ecospy import EcosSimulation, EcosSimulationStructure
 from ecospy.lib import EcosLib
 
 
+def rows_of(simulation: EcosSimulation, job: dict[str, Any], parameters: str | None) -> list[list[float]]:
+    """Rows of a simulation, from its initialization on."""
+    if not simulation.init(parameter_set=parameters):
+        raise SystemExit(EcosLib.get_last_error())
+    columns = [column.replace(".", "::", 1) for column in job["columns"]]
+    rows = [[simulation.get_real(c) for c in columns]]
+    for _ in range(job["steps"]):
+        simulation.step(1)
+        rows.append([simulation.get_real(c) for c in columns])
+    simulation.terminate()
+    return rows
+
+
 def main() -> None:
     job = json.load(sys.stdin)
     EcosLib.set_log_level("err")
+    if "ssp" in job:
+        with EcosSimulation(ssp_path=job["ssp"], step_size=job["step"]) as simulation:
+            json.dump(rows_of(simulation, job, job["parameters"]), sys.stdout)
+        return
     with EcosSimulationStructure() as structure:
         for name, path in job["fmus"].items():
             structure.add_model(name, path)
@@ -20,14 +38,7 @@ def main() -> None:
         starts = {f"{name}::{key}": v for name, values in job["start"].items() for key, v in values.items()}
         structure.add_parameter_set("start", starts)
         with EcosSimulation(structure=structure, step_size=job["step"]) as simulation:
-            if not simulation.init(parameter_set="start"):
-                raise SystemExit(EcosLib.get_last_error())
-            columns = [column.replace(".", "::", 1) for column in job["columns"]]
-            rows = [[simulation.get_real(c) for c in columns]]
-            for _ in range(job["steps"]):
-                simulation.step(1)
-                rows.append([simulation.get_real(c) for c in columns])
-            simulation.terminate()
+            rows = rows_of(simulation, job, "start")
     json.dump(rows, sys.stdout)
 
 

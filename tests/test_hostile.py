@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from cosim import yaml_parsers
 from cosim.checks import check_files
 from cosim.errors import InputError
+from cosim.yaml_nodes import Document, NotYaml
 from fmus.archive import BadArchive, check_archive, unpack
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
@@ -177,6 +179,48 @@ def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) ->
     assert caught.value.exit_code == 2
     assert words in str(caught.value)
     assert len(caught.value.faults) < 10
+
+
+def test_both_parsers_of_yaml_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert yaml_parsers._libyaml() is not None, "this project depends on it"
+    text = """# of all kinds
+a: &x {b: 1, "c d": 0o17, 'e''f': [yes, on, True, ~, null, 0x1f, 1e3, -.inf, 012, 1_000, 2020-01-01, 1:30, é]}
+g: |
+  two
+  lines
+h: {<<: *x, b: 2}
+? i
+: >-
+  folded
+  text
+"""
+    said = []
+    for long in (0, 10**9):
+        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        document = Document(text)
+        places = [document.place(where, key) for where in (("a", "e'f", 8), ("h", "b"), ("i",)) for key in (0, 1)]
+        said.append((repr(document.data), places))
+    assert said[0] == said[1]
+    assert "'c d': 15" in said[0][0]
+    assert "['yes', 'on', True, None, None, 31, 1000.0, -inf, 12, 1000" in said[0][0]
+
+
+@pytest.mark.parametrize("fault", ["a: b: c", "a: [1, 2", "a: 1\na: 2", "x: {? {a: b}}", "*a", "a: '", "a: \x01"])
+def test_a_fault_of_a_long_file_is_told_as_that_of_a_short_one(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
+    said = []
+    for long in (0, 10**9):
+        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        with pytest.raises(NotYaml) as error:
+            Document(f"first: [1]\n{fault}\n")
+        said.append((error.value.line, error.value.column, str(error.value)))
+    assert said[0] == said[1]
+
+
+def test_very_deep_yaml_is_refused_by_both_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
+    for long in (0, 10**9):
+        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        with pytest.raises(NotYaml, match="nested too deep"):
+            Document("[" * 5000 + "]" * 5000 + " #")
 
 
 def test_of_thousands_of_faults_in_a_scenario_the_first_are_told(tmp_path: Path) -> None:

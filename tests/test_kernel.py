@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from cosim.estimation.posing import start_state
 from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.compiled import CompiledKernel
-from cosim.kernel.generate import generate
+from cosim.kernel.generate import Generated, generate
 from cosim.kernel.interface import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.jit import JitKernel
 from cosim.kernel.settling import settling
@@ -172,6 +173,35 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
     return own_model("table.py:Table", folder)
 
 
+@pytest.fixture(scope="module")
+def generated(table: Model) -> Generated:
+    """The table's kernel, to be compiled by numba."""
+    return generate(table, ("angle",), Python())
+
+
+@pytest.fixture(scope="module")
+def made(generated: Generated, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that holds it, compiled."""
+    folder = tmp_path_factory.mktemp("kept")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        JitKernel(generated)
+    return folder
+
+
+@pytest.fixture
+def cache(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The cache of one test, with the table's kernel in it."""
+    shutil.copytree(made, tmp_path / "cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return cached("", "").parent
+
+
+def hits(k: JitKernel) -> list[int]:
+    """How often numba took each function from its cache."""
+    return [sum(f.stats.cache_hits.values()) for f in (k._module.filter, k._module.simulate)]
+
+
 @pytest.mark.parametrize("cc", ["", "false", "no-such-compiler", 'gcc "'])
 def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
     table: Model, monkeypatch: pytest.MonkeyPatch, cc: str
@@ -194,18 +224,15 @@ def files(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
 
 
-def test_another_process_takes_the_kernel_from_the_cache(table: Model) -> None:
-    g = generate(table, ("angle",), Python())
-    JitKernel(g)
-    folder = cached("", "").parent
-    before = files(folder)
+def test_another_process_takes_the_kernel_from_the_cache(generated: Generated, cache: Path) -> None:
+    before = files(cache)
     call = (
         "import sys, pickle; from cosim.kernel.jit import JitKernel; k = JitKernel(pickle.load(sys.stdin.buffer));"
         "print(sum(k._module.filter.stats.cache_hits.values()), sum(k._module.simulate.stats.cache_hits.values()))"
     )
-    run = subprocess.run([sys.executable, "-c", call], input=pickle.dumps(g), capture_output=True, check=True)
+    run = subprocess.run([sys.executable, "-c", call], input=pickle.dumps(generated), capture_output=True, check=True)
     assert run.stdout.split() == [b"1", b"1"]
-    assert files(folder) == before
+    assert files(cache) == before
 
 
 def test_where_neither_is_to_be_had_the_cure_is_told(table: Model, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,21 +251,31 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
     assert elsewhere == cached("source", ".py")
 
 
-@pytest.mark.parametrize("language", [pytest.param(C(), marks=NEEDS_C), Python()], ids=["C", "numba"])
-def test_a_damaged_cache_is_made_anew(
-    language: C | Python, table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@NEEDS_C
+def test_a_damaged_cache_of_c_is_made_anew(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    make = {C: CompiledKernel, Python: JitKernel}[type(language)]
-    g = generate(table, ("angle",), language)
-    make(g)
-    folder = cached("", "").parent
-    assert files(folder)
-    for file in files(folder):
-        file.unlink() if file.suffix == ".so" else None  # the one loaded above is mapped
+    g = generate(table, ("angle",), C())
+    CompiledKernel(g)
+    for file in files(cached("", "").parent):
+        file.unlink()  # the one loaded above is mapped
         file.write_bytes(b"damaged")
+    assert finite(CompiledKernel(g), table)
+
+
+def test_a_damaged_cache_of_numba_is_made_anew(generated: Generated, table: Model, cache: Path) -> None:
+    assert hits(JitKernel(generated)) == [1, 1]
+    for file in files(cache):
+        file.write_bytes(b"damaged")
+    k = JitKernel(generated)
+    assert hits(k) == [0, 0]
+    assert finite(k, table)
+
+
+def finite(k: CompiledKernel | JitKernel, table: Model) -> bool:
+    """It simulates the table."""
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    assert np.isfinite(make(g).simulate(data, parameters(table, g.layout), np.zeros(3), np.zeros(0)).states).all()
+    states = k.simulate(data, parameters(table, k.layout), np.zeros(3), np.zeros(0)).states
+    return bool(np.isfinite(states).all())
 
 
 def cut(file: Path) -> None:
@@ -272,16 +309,9 @@ def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
-def test_what_numba_keeps_may_be_cut(
-    table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, suffix: str
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    g = generate(table, ("angle",), Python())
-    JitKernel(g)
-    chosen = [file for file in files(cached("", "").parent) if file.suffix == suffix]
+def test_what_numba_keeps_may_be_cut(generated: Generated, table: Model, cache: Path, suffix: str) -> None:
+    chosen = [file for file in files(cache) if file.suffix == suffix]
     assert chosen
     for file in chosen:
         cut(file)
-    data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
-    states = JitKernel(g).simulate(data, parameters(table, g.layout), np.zeros(3), np.zeros(0)).states
-    assert np.isfinite(states).all()
+    assert finite(JitKernel(generated), table)

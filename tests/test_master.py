@@ -99,7 +99,7 @@ def test_start_time_shifts_the_clock_of_every_component(project: Path) -> None:
 def test_an_unconnected_input_is_reported_and_keeps_its_start_value(project: Path) -> None:
     file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["noise=off"])
     file.scenario.connections.pop()  # controller.tilt_left → plant.tilt_left
-    file.connection_lines.pop()
+    file.places["connections"].pop()
     system = build_system(file)
     assert any("plant.tilt_left" in w for w in system.warnings)
     assert np.all(simulate(system, 10, H)["plant.tilt_left"] == 0.0)

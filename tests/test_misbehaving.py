@@ -296,6 +296,25 @@ def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, k
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
+KILLED = """import os, signal, sys; from pathlib import Path; from cosim.isolation.process import Worker
+worker = Worker("cosim.simulation.apart"); worker.start(); worker.take_along(Path(sys.argv[1]))
+os.kill(os.getpid(), signal.SIGKILL)"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL")
+def test_what_goes_with_a_worker_goes_though_it_had_no_work_yet(tmp_path: Path) -> None:
+    folder = tmp_path / "rows of a run"
+    folder.mkdir()
+    (folder / "rows").touch()
+    environment = {**ENVIRONMENT, "TMPDIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", KILLED, str(folder)], env=environment, check=False)
+    for _ in range(200):
+        if not list(tmp_path.iterdir()):
+            break
+        time.sleep(0.1)
+    assert not list(tmp_path.iterdir())
+
+
 # -- replay, refine and check ---------------------------------------------------------------------
 
 
@@ -304,14 +323,16 @@ def measured_log(folder: Path) -> Path:
     return write_log(path, {"time": time_, "u0": 0.0 * time_, "u1": np.sin(time_), "y1": np.cos(time_)})
 
 
-def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path) -> None:
+def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (temporary := tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))  # where others replay nothing meanwhile
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault", 100)
     with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
         replay(log, tmp_path / "out", fmu)
     assert stopped.value.exit_code == 4
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["results.csv"]
     assert rows_in(tmp_path / "out") == 100
-    assert not list(Path(tempfile.gettempdir()).glob("cosim-replay-rows-*"))
+    assert not list(temporary.glob("cosim-replay-rows-*"))
 
 
 def test_a_replay_ends_at_its_limits_with_the_rows_before(tmp_path: Path) -> None:

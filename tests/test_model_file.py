@@ -131,6 +131,18 @@ ONE_CHANGE = {
         "excursion =",
         'no input or output "torqe"; did you mean "torque"?',
     ),
+    "valid of nothing known": (
+        FORCED,
+        f'{FORCED}\n    valid = (__import__("plant.model").model.Validity("M", ("torqe",), -1, 1, "it breaks"),)',
+        "valid =",
+        'valid: no input "torqe"',
+    ),
+    "valid that says nothing": (
+        FORCED,
+        f'{FORCED}\n    valid = ("torque", -1.0, 1.0)',
+        "valid =",
+        "valid is a tuple: (Validity(",
+    ),
     "excursion of no size": (
         FORCED,
         f'{FORCED}\n    excursion = {{"torque": 0.0}}',

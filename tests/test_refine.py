@@ -42,12 +42,17 @@ from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.studies import FEW, holds, named, proven, refined, study_of
+from tests.tank import tank_study
 
 
 @pytest.fixture(scope="module")
 def rubbing(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
-    """A study with dry friction in it, refined once for the tests that look at it."""
-    return refined(tmp_path_factory.mktemp("rubbing"), {"coulomb_friction": {"force": 0.06}})
+    """A study with dry friction in it, refined once for the tests that look at it, where another one was before."""
+    folder = tmp_path_factory.mktemp("rubbing")
+    (folder / "out").mkdir()
+    for name in ("nearest.yaml", "nearest.fmu"):
+        (folder / "out" / name).write_text("earlier")
+    return refined(folder, {"coulomb_friction": {"force": 0.06}})
 
 
 def test_a_missing_force_is_found_and_the_sealed_error_falls_to_the_noise(rubbing: Refinement) -> None:
@@ -393,8 +398,8 @@ def in_study(folder: Path, old: str, new: str) -> None:
 
 
 def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, out = study_of(tmp_path / "study", {}), tmp_path / "out"
-    in_study(path.parent, FEW, "[mass]")
+    (tmp_path / "study").mkdir()
+    path, out = tank_study(tmp_path / "study"), tmp_path / "out"
     out.mkdir()
     files = ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "refine.json", "report.html")
     for name in files:
@@ -409,11 +414,9 @@ def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypa
     assert {p.name: p.read_text() for p in out.iterdir()} == dict.fromkeys(files, "earlier")
 
 
-def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinement, tmp_path: Path) -> None:
-    for name in ("nearest.yaml", "nearest.fmu"):
-        (tmp_path / name).write_text("earlier")
-    assert refine(rubbing.study.path, tmp_path).record["grade"] == "claimed"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
+def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinement) -> None:
+    assert rubbing.record["grade"] == "claimed"
+    assert sorted(p.name for p in rubbing.folder.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
 
 
 def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -365,7 +365,13 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     fuller = replace(dry, candidates=(*dry.candidates, push), score=dry.score - 1.0)
     claimed = judged(best=dry, rivals=(), fuller=fuller)
     assert (claimed.name, claimed.claimed) == ("effect_found", dry)
-    assert claimed.sentence.endswith(" Perhaps push too: what that gains may be chance.")
+    assert claimed.sentence.endswith(" (Perhaps push: what that gains may be chance.)")
+    base = cart.attribution.base
+    none = judged(best=base, rivals=(), noise_gain=(0.0,), fuller=dry)
+    assert (none.name, none.sentence.endswith("noise. (Perhaps dry: what that gains may be chance.)")) == (
+        "no_effect",
+        True,
+    )
     assert "Perhaps" not in judged(best=dry, rivals=(), fuller=None).sentence
     # where nothing is certain it is one of those that the logs leave open
     shove = replace(push, name="shove")

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -403,6 +404,26 @@ def test_without_a_craft_every_signal_is_plotted(tmp_path: Path) -> None:
     assert [(panel.unit, len(panel.traces)) for panel in panels] == [("m", 6), ("m", 3), ("N", 1)]
 
 
+def test_text_and_items_are_spelled_out_with_the_times_of_their_changes(tmp_path: Path) -> None:
+    exact = {"a.said": ["<b>", "<b>", "x", "x"], "a.raw": [b"\x00\xff"] * 4, "a.n": [2**63 - 1 + k for k in range(4)]}
+    results = Results(np.arange(4.0), ("a.gear",), np.array([[1.0], [1.0], [2.0], [7.0]]), exact=exact)
+    text = page(tmp_path, results, {"items": {"a.gear": {"first": 1, "second": 2}}})
+    cells = ("first; from 2 s second; from 3 s 7", "&lt;b&gt;; from 2 s x", "00ff", f"{2**63 - 1}; from 1 s {2**63}; ")
+    assert all(f'<td class="wrap">{cell}' in text for cell in cells)
+    many = replace(results, time=np.arange(20.0), values=np.arange(20.0)[:, None], exact={})
+    text = page(tmp_path, many, {"items": {"a.gear": {"first": 1}}})
+    assert "0; from 1 s first; from 2 s 2;" in text
+    assert "from 8 s 8; and 11 more changes</td>" in text
+
+
+def test_of_very_many_signals_the_first_are_drawn_and_the_rest_is_said(tmp_path: Path) -> None:
+    names = tuple(f"a.y{k}" for k in range(1003))
+    text = page(tmp_path, Results(np.arange(2.0), names, np.zeros((2, 1003))), {})
+    assert "The first 1000 of 1003 signals; results.csv has all." in text
+    assert "a.y999" in text
+    assert "a.y1000" not in text
+
+
 def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
     goals = [
         {"kind": "settling_time", "of": "plant.psi", "value": 1.5, "max": 4.0, "unit": "s", "met": True},
@@ -412,6 +433,18 @@ def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:
     text = page(tmp_path, craft_run(1.0), manifest(criteria=goals))
     assert "2 of 3 criteria were missed (first, final error of plant.psi to 0°: 11.5°, allowed ≤ 5.73°)." in text
     assert all(words in text for words in ("2.50\u00a0s left", "5.73° over", ">not settled</td>"))
+
+
+def test_a_run_of_any_fmus_shows_its_own_criteria_first_those_that_are_missed(tmp_path: Path) -> None:
+    goals = [
+        {"kind": "settling_time", "of": "tank.level", "value": 1.5, "max": 4.0, "unit": "s", "met": True},
+        {"kind": "final_error", "of": "tank.level", "to": 0.0, "value": 0.2, "max": 0.1, "unit": "m", "met": False},
+    ]
+    results = Results(np.arange(3.0), ("tank.level",), np.ones((3, 1)), {"tank.level": "m"})
+    text = page(tmp_path, results, {"criteria": goals})
+    tiles = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd><dd class=\"note\">(.*?)</dd>", text)
+    assert [note.partition(",")[0] for _, _, note in tiles] == ["missed", "met"]
+    assert tiles[0][:2] == ("final error of tank.level to 0\u00a0m", "0.200\u00a0m")
 
 
 def test_ticks_lie_on_the_axis_and_are_told_apart() -> None:

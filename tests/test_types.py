@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from cosim.checks import check_files
 from cosim.errors import FmuError, InputError
 from cosim.results import Results
 from cosim.simulation.coupling import coupling_error
@@ -362,3 +363,105 @@ def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path
 def test_a_number_that_is_no_item_of_an_enumeration_is_a_fault(tmp_path: Path) -> None:
     path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": 7}}})
     assert any("a.e_in is 7; it is one of first (1), second (2)" in told for told in faults_of(path))
+
+
+def test_a_value_that_is_no_item_stops_the_run_when_it_comes_and_is_told_with_both_names(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    signals = {"n": {"start": 2, "changes": [{"at": 0.5, "to": 7}]}}
+    components = {"r": {"block": "reference", "signals": signals}, "a": fmu, "b": fmu}
+    path = scenario(tmp_path, components, (("r.n", "a.i_in"), ("a.i_out", "b.e_in")))
+    said = r"b\.e_in at t = 0\.5 s: 7, which comes from a\.i_out, is none of its items: first 1, second 2"
+    with pytest.raises(StoppedRun, match=said) as stopped:
+        results_of(path)
+    assert list(stopped.value.results["b.e_out"]) == [2] * 5
+    components["r"] = {"block": "reference", "signals": {"n": {"start": 7}}}
+    with pytest.raises(StoppedRun, match=r"b\.e_in at t = 0 s: 7, which comes from a\.i_out"):
+        results_of(scenario(tmp_path, components, (("r.n", "a.i_in"), ("a.i_out", "b.e_in"))))
+
+
+def test_enumerations_of_one_name_with_other_items_are_not_connected(tmp_path: Path) -> None:
+    one, other = typed_fmu(tmp_path), tmp_path / "other.fmu"
+    with zipfile.ZipFile(one) as archive, zipfile.ZipFile(other, "w") as changed:
+        for name in archive.namelist():
+            changed.writestr(name, archive.read(name).replace(b'"second"', b'"third"'))
+    path = scenario(tmp_path, {"a": {"fmu": str(one)}, "b": {"fmu": str(other)}}, (("a.e_out", "b.e_in"),))
+    told = (
+        "enumerations of one name, Gear, with other items: a.e_out has first 1, second 2, b.e_in has first 1, third 2"
+    )
+    assert told in faults_of(path)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_every_type_goes_through_an_fmu_in_a_process_of_its_own(tmp_path: Path, version: int) -> None:
+    fmu, largest = str(typed_fmu(tmp_path, version)), 2**63 - 3
+    if version == 2:
+        start: dict[str, Any] = {"r_in": 0.5, "i_in": -5, "b_in": True, "s_in": 'a "b", c', "e_in": "second"}
+        wires = [(f"a.{k}_out", f"b.{k}_in") for k in "ribse"]
+        events = [{"at": 0.5, "set": {"a.s_in": "later", "a.e_in": "first", "a.r_in": 2}}]
+    else:
+        start = {"a": [1, 2, 3, 4], "n": largest, "byte": 255, "s": "text", "raw": "00ff"}
+        pairs = ("twice", "a"), ("next", "n"), ("byte_out", "byte"), ("s_out", "s"), ("raw_out", "raw")
+        wires = [(f"a.{output}", f"b.{taken}") for output, taken in pairs]
+        events = []
+    csv_of = []
+    for process in ({}, {"process": "own"}):
+        components = {"a": {"fmu": fmu, "start": start, **process}, "b": {"fmu": fmu, **process}}
+        out = tmp_path / f"out{len(csv_of)}"
+        run(scenario(tmp_path, components, wires, events=events, record=["a.*"]), out, report=False)
+        csv_of.append((out / "results.csv").read_text())
+    assert csv_of[0] == csv_of[1]
+    assert ("later" if version == 2 else str(largest + 2)) in csv_of[0]
+
+
+def test_outputs_of_an_fmu_in_a_process_of_its_own_are_read_again_after_initialization(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path)), "process": "own"}
+    path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.late", "b.r_in"),))
+    first = run(path, tmp_path / "out", report=False).results
+    assert (first["a.late"][0], first["b.r_out"][0]) == (7, 7)
+
+
+def test_faulty_faults_and_events_hide_no_other_fault_and_move_no_place(tmp_path: Path) -> None:
+    fmu = f"{{fmu: {typed_fmu(tmp_path)}}}"
+    path = tmp_path / "scenario.yaml"
+    path.write_text(
+        f"""name: many
+duration: 1
+step: 0.1
+components: {{a: {fmu}, b: {fmu}}}
+connections: [{{from: a.r_out, to: b.r_in}}]
+faults:
+  - {{on: b.r_in, kind: melt}}
+  - {{on: b.r_in, kind: bias}}
+  - {{on: b.r_in, kind: delay, delay: -1}}
+  - {{on: b.i_in, kind: freeze}}
+events:
+  - {{at: soon, set: {{b.gain: 1}}}}
+  - {{at: 7, set: {{b.gain: 1}}}}
+"""
+    )
+    with pytest.raises(InputError) as caught:
+        system_of(path)
+    told = {fault.line: fault.message for fault in caught.value.faults}
+    words = {7: "melt", 8: "bias needs value", 9: "delay is -1", 10: "no connection", 12: "soon", 13: "7 s is not"}
+    assert told.keys() == words.keys()
+    assert all(words[line] in message for line, message in told.items()), told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            'tolerance="0.003"',
+            'tolerance="log.csv"',
+            'tolerance of its default experiment is "log.csv", which is no number',
+        ),
+        ('value="2"', 'value="rad"', 'item second of Gear is "rad", which is no whole number'),
+        ('factor="0.10471975511965977"', 'factor="x"', "a value in its modelDescription.xml is of the wrong kind"),
+    ],
+)
+def test_text_in_place_of_a_number_in_a_description_is_told(tmp_path: Path, old: str, new: str, words: str) -> None:
+    fmu = typed_fmu(tmp_path, **{old: new})
+    with pytest.raises(InputError) as caught:
+        check_files([fmu])
+    assert [words in fault.message for fault in caught.value.faults] == [True]
+    assert words in faults_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
-from cosim.blocks.guard import check_fmu_file, check_identifiers, reason_of
+from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
@@ -36,6 +36,8 @@ def read_description(path: Path) -> Any:
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
     check_identifiers(path, description)
+    if slips:
+        check_numbers(path, description)
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
             size = "×".join(map(str, variable.shape))

@@ -14,7 +14,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +82,17 @@ class FmuBlock:
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values = start
+        self._made_of = (
+            partial(
+                type(self),
+                way=way,
+                tolerance=tolerance,
+                recorded=recorded,
+                logging=logging,
+                solver=solver,
+            ),
+            (name, path, description, start, connected),
+        )
         # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
         self.nominal_step = "pythonfmu" in (description.generationTool or "").lower()
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
@@ -100,6 +111,10 @@ class FmuBlock:
         self._folder: Path | None = None
         self._initialized = False
         self._time = 0.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process makes its own of the same."""
+        return self._made_of
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ from cosim.errors import FmuError
 from fmus.archive import BadArchive, check_archive, check_identifier
 
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
+EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
+CONVERSION = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
@@ -39,6 +42,34 @@ def check_identifiers(path: Path, description: Any) -> None:
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
         raise FmuError(f"{path} is not a valid FMU: {error}") from None
+
+
+def check_numbers(path: Path, description: Any) -> None:
+    """FmuError where a description that breaks the schema has text in place of a number that is used here."""
+    for whole, what, value in _numbers(description):
+        try:
+            int(value) if whole else float(value)
+        except (TypeError, ValueError):
+            said = f'{what} is "{str(value)[:60]}", which is no {"whole " if whole else ""}number'
+            raise FmuError(f"{path} is not a valid FMU: {said}") from None
+
+
+def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
+    """Whether it is whole, what it is, and itself, of each number that is there."""
+    of_parts: list[tuple[str, Any, tuple[str, ...]]] = []
+    of_parts.append(("its default experiment", description.defaultExperiment, EXPERIMENT))
+    for unit in description.unitDefinitions:
+        of_parts += [(f"unit {unit.name}", part, CONVERSION) for part in (unit.baseUnit, *unit.displayUnits)]
+    for part in (*description.typeDefinitions, *description.modelVariables):
+        simple = description.fmiVersion == "1.0" and getattr(part, "type", "") in {"Real", "Integer", "Enumeration"}
+        of_parts.append((part.name, part, (*BOUNDS, *(("start",) if simple else ()))))
+    for what, part, names in of_parts:
+        for name in names:
+            value = getattr(part, name, None)
+            if value is not None and value != "":
+                yield False, f"{name} of {what}", value
+    for type_ in description.typeDefinitions:
+        yield from ((True, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ())
 
 
 def without_wrapping(words: str) -> str:

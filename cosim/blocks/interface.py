@@ -34,7 +34,7 @@ class Signal:
     """An input or output: its name, its unit, and what the unit is in SI (None where undefined).
 
     kind:     its type by FMI's name, "" of a number that is no FMU's
-    items:    name → number, of an enumeration
+    items:    name → number, of an enumeration, whose type's name is `declared`
     array:    of an element, the array's name
     local:    recorded on request; no output, so it is not connected
     relative: a difference, such as of temperatures: a unit's offset is of no matter
@@ -48,6 +48,7 @@ class Signal:
     array: str = ""
     local: bool = False
     relative: bool = False
+    declared: str = ""
 
     @property
     def whole(self) -> bool:

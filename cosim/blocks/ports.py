@@ -80,7 +80,8 @@ class Ports:
         local = variable.causality not in {"input", "output"}
         array = variable.name if variable.shape else ""
         meaning = unit_definition(self.description, unit)
-        return Signal(name, unit, meaning, variable.type, items, array, local, relative)
+        type_name = declared.name if items is not None else ""
+        return Signal(name, unit, meaning, variable.type, items, array, local, relative, type_name)
 
 
 def _doubles(exchanges: Iterable[Exchange]) -> Exchange | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from pydantic import Field, field_validator
 
@@ -47,20 +48,27 @@ class Profile(Part):
 
 def profile_function(profile: Profile, factor: float = 1.0) -> Callable[[float], float]:
     """Value at a time: the last step, or the point reached on the last ramp (a new change interrupts a ramp)."""
-    times = [change.at for change in profile.changes]
     begins = [profile.start]
     for before, change in zip(profile.changes, profile.changes[1:], strict=False):
         begins.append(_reached(begins[-1], before.to, before.rate, change.at - before.at))
 
-    def value(t: float) -> float:
-        # a time that is a step's time but for rounding belongs to the step
-        k = bisect.bisect_right(times, t + 1e-9) - 1
-        if k < 0:
-            return factor * profile.start
-        change = profile.changes[k]
-        return factor * _reached(begins[k], change.to, change.rate, t - change.at)
+    changes = [(change.to, change.rate) for change in profile.changes]
+    return partial(_value, [change.at for change in profile.changes], begins, changes, factor)
 
-    return value
+
+def _value(
+    times: Sequence[float],
+    begins: Sequence[float],
+    changes: Sequence[tuple[float, float | None]],
+    factor: float,
+    t: float,
+) -> float:
+    # a time that is a step's time but for rounding belongs to the step
+    k = bisect.bisect_right(times, t + 1e-9) - 1
+    if k < 0:
+        return factor * begins[0]
+    to, rate = changes[k]
+    return factor * _reached(begins[k], to, rate, t - times[k])
 
 
 def _reached(begin: float, to: float, rate: float | None, elapsed: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -80,4 +81,8 @@ def playback(name: str, path: Path, names: Container[str] = ()) -> Source:
 
 
 def _held(times: Sequence[float], values: Sequence[float]) -> Callable[[float], float]:
-    return lambda t: values[max(0, bisect.bisect_right(times, t + 1e-9) - 1)]
+    return partial(_last, times, values)
+
+
+def _last(times: Sequence[float], values: Sequence[float], t: float) -> float:
+    return values[max(0, bisect.bisect_right(times, t + 1e-9) - 1)]

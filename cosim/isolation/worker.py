@@ -22,12 +22,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from cosim.errors import CosimError
+from cosim.garbage import collect_seldom
 from cosim.isolation.rows import Progress, mapped_progress
 from cosim.isolation.scratch import remove
 
 HEAD = struct.Struct("!Q")
 GRACE = 10  # [s] between the end of the caller and that of a worker that holds the interpreter
-PROGRESS = "progress"
+PROGRESS, ALONG = "progress", "along"
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def receive(stream: Any) -> bytes | None:
 def main() -> None:
     """Import what is asked for, then do one job after the other."""
     global progress
+    collect_seldom()
     asked, answers = _own_streams()
     _end_with_caller()
     begin: Begin = pickle.loads(receive(asked) or sys.exit())
@@ -133,15 +135,19 @@ def _read(asked: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> Non
     """Hand on the jobs, an empty one to end; where the caller has ended, end with all that is left."""
     while (content := receive(asked)) is not None:
         jobs.put(content)
-    remove(scratch)
-    for path in left:
+    for path in (*_along(scratch), scratch):
         remove(path)
     if os.name == "posix" and os.getpgid(0) == os.getpid():
         os.killpg(0, signal.SIGKILL)  # what an FMU has started too
     os._exit(1)
 
 
-left: list[Path] = []  # files to take away where the caller has ended
+def _along(scratch: Path) -> list[Path]:
+    """Folders to take away where the caller has ended: it says so itself, as a job may not have begun yet."""
+    try:
+        return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]
+    except (OSError, ValueError):
+        return []
 
 
 def _end_with_caller() -> None:

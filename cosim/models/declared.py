@@ -18,7 +18,7 @@ from cosim.yaml_file import did_you_mean
 from fmus.units import parse
 from plant.delay import Delay
 from plant.gain import Gain
-from plant.model import Effect, Model, overrides
+from plant.model import Effect, Model, Validity, overrides
 from plant.quantities import Parameter, Quantity, parameters_of
 from plant.sensors import Drift, LeverArm, SensorError
 
@@ -73,6 +73,8 @@ def _shape(kind: type[Model]) -> Found:
     for name in ("forced", "calibrated", "measured"):
         if not _all(getattr(kind, name), str):
             yield kind, name, f'{name} is a tuple of names, with a comma even after a single one: ("name",)'
+    if not (isinstance(kind.valid, tuple) and _all(kind.valid, Validity)):
+        yield kind, "valid", 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'
     for name, key, value in _MAPPINGS:
         given = getattr(kind, name)
         if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):

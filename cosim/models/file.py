@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFun
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.models.declared import checked
+from cosim.models.refined import NoNearest, names_refine, refined_file
 from cosim.models.source import Source
 from cosim.registry import BASE, BASE_NAME, MODELS, resolve
 from cosim.yaml_file import YamlFile, did_you_mean
@@ -244,3 +245,17 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
         ]
     with atomic_write(path) as stream:
         stream.write("\n".join(lines) + "\n")
+
+
+def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
+    """The model that is named, base without a name; of a refine the refined one, or the one that came nearest."""
+    if model is None and nearest:
+        cure = "name the folder of a refine as --model, or leave it out"
+        raise InputError([Fault(Path("--nearest"), 0, 0, f"says nothing without a model; {cure}")])
+    if model is None:
+        return load_model(BASE, Path())
+    try:
+        file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
+    except NoNearest as error:
+        raise InputError([Fault(Path(model), 0, 0, str(error))]) from None
+    return load_model(str(file), Path())

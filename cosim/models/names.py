@@ -65,6 +65,7 @@ def named(kind: type[Model]) -> Found:
         ("start_variance", "state", [*kind.start_variance], states),
         ("measured", "output", [*kind.measured], outputs),
         ("excursion", "input or output", [*kind.excursion], [*inputs, *outputs]),
+        ("valid", "input", [n for v in kind.valid for n in v.inputs], inputs),
         ("planar", "output", [*frame.names] if frame else [], outputs),
         ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
         ("drawn_against", "candidate", [*kind.drawn_against], candidates),

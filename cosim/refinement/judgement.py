@@ -46,7 +46,7 @@ def decided(found: Found) -> Attribution:
                 break
         else:
             break
-    fuller = whole[0] if whole is not None and best.candidates else None
+    fuller = whole[0] if whole is not None else None
     if whole is not None and (every := _together(search, whole[0], best)):
         fuller, best = None, every
         support = {c.name: _support(search, every, whole[1][c.name]) for c in every.candidates}

@@ -199,8 +199,8 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
 
 
 def perhaps(names: Sequence[str]) -> str:
-    """That parts more would gain, but too little."""
-    return f" Perhaps {' and '.join(names)} too: what that gains may be chance." if names else ""
+    """That something would gain, but too little."""
+    return f" (Perhaps {' and '.join(names)}: what that gains may be chance.)" if names else ""
 
 
 def left_over(term: Unnamed | None, gained: float) -> str:

@@ -66,7 +66,7 @@ def judge(
         residual = {**residual, "equation": large}
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
     if not a.best.candidates:
-        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves))
+        return Verdict("no_effect", None, (), "", residual, nothing(a.hidden, moves) + perhaps(_little(a)))
     gained = a.base.score - a.best.score
     hides = large is not None and gained < MUCH * a.noise_gain[list(forced).index(large)]
     if _disputed(a, left) or hides:

@@ -14,9 +14,10 @@ from cosim.arrays import Array
 from cosim.errors import SimulationError
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker, fmi_calls
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER, Rows, allocate, mapped_table, read_table
 from cosim.isolation.scratch import Held, scratch
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay
 from fmus.state import Memory, Own
@@ -42,7 +43,6 @@ class Loaded:
 
 def load(asked: Loaded) -> None:
     """Have a drive ready; its FMU is loaded at the first run."""
-    here.left.append(asked.table.parent)
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
     here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
@@ -186,6 +186,7 @@ class DriveApart(Drive):
         return self._held.path / "rows"
 
     def _load(self) -> None:
+        self._worker.take_along(self._file.parent)
         allocate(self._file, 8 * self._most * len(self.outputs))
         between = frozenset(name for name in self.inputs if name in self._interpolated)
         asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,29 +14,18 @@ from cosim.errors import DiskFull, FmuError, SimulationError, Terminated, stoppe
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Watch, Worker, fmi_calls
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_beside, read_table
 from cosim.isolation.scratch import Held, scratch
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, results_of, simulate
-from cosim.simulation.nearest import take_nearest
 from cosim.simulation.own_process import in_own_processes
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import System, build_system
+from cosim.simulation.system import System
 
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
 SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What a worker puts the same system together from."""
-
-    scenario: Path
-    overrides: tuple[str, ...]
-    nearest: bool
-    designed: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -65,17 +53,6 @@ def simulate_here(system: System, steps: int, h: float, progress: Callable[[int]
 # -- in the worker ------------------------------------------------------------------------------
 
 
-def _read(recipe: Recipe) -> ScenarioFile:
-    file = ScenarioFile(recipe.scenario, recipe.overrides)
-    if recipe.nearest:
-        take_nearest(file)
-    return file
-
-
-def _build(recipe: Recipe) -> System:
-    return build_system(_read(recipe), recipe.designed)
-
-
 @dataclass(frozen=True)
 class Ended:
     """How the steps ended in a worker; the rows themselves stand in the files.
@@ -89,20 +66,16 @@ class Ended:
     notes: Sequence[str] = ()
 
 
-def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
+def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits) -> Ended:
     """Simulate into the table in a file."""
-    here.left.append(table.parent)
-    file = _read(recipe)
-    whole = build_system(file, recipe.designed)
-    own = {name: getattr(c, "process", None) == "own" for name, c in file.scenario.components.items()}
-    system = in_own_processes(whole, own, (_build, (recipe,)), file.scenario.limits)
+    system = in_own_processes(system, limits)
     for stage in system.stages:
         here.overheard(stage.component)
     progress = here.progress
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        made = simulate(system, steps, file.scenario.step, rows=Rows(mapped, beside, progress.made, progress.doing))
+        made = simulate(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing))
     except StoppedRun as run:
         made, failure = run.results, run.error
     except FmuError as error:
@@ -112,7 +85,7 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
     except OSError as error:
         if not is_full(error):
             raise
-        now = system.start + file.scenario.step * max(0, progress.made[0] - 1)
+        now = system.start + h * max(0, progress.made[0] - 1)
         full = f"the disk is full: {_too_few(progress.made[0], steps + 1)}"
         return Ended(said_of(system), DiskFull("the run", now, full))
     finally:
@@ -125,7 +98,6 @@ def simulate_rows(recipe: Recipe, steps: int, table: Path) -> Ended:
 
 def simulate_apart(
     worker: Worker,
-    recipe: Recipe,
     system: System,
     steps: int,
     h: float,
@@ -134,12 +106,12 @@ def simulate_apart(
     progress: Callable[[int], None] | None = None,
 ) -> Stepped:
     """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
-    columns = len(system.columns)
+    columns, limits = len(system.columns), limits or Limits()
     watch = Watch(
         [stage.component.name for stage in system.stages],
         [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
         lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
-        limits or Limits(),
+        limits,
         8 * columns,
         progress=progress,
     )
@@ -149,9 +121,10 @@ def simulate_apart(
         counters = worker.progress
         held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(held.remove)
+        worker.take_along(held.path)
         table = held.path / ROWS
         try:
-            ended = worker.call(simulate_rows, recipe, count - 1, table, watch=watch)
+            ended = worker.call(simulate_rows, system, count - 1, h, table, limits, watch=watch)
         except SimulationError as error:
             ended = Ended(failure=error)
         except (KeyboardInterrupt, Terminated) as stop:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from cosim.blocks.description import read_description, ways
@@ -23,9 +25,10 @@ Designed = Mapping[str, Mapping[str, float]]  # component → start values
 def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
     """Every component by name, in the order of the file; one with a fault is left out."""
     found: dict[str, Component] = {}
+    read = cache(read_description)  # several components may be of one FMU
     for name, component in file.scenario.components.items():
         try:
-            block = _component(file, name, component, designed.get(name, {}), diagnosis)
+            block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
         except InputError as error:
             diagnosis.found += error.faults
         except FmuError as error:
@@ -40,6 +43,7 @@ def _component(
     name: str,
     component: FmuComponent | ReferenceComponent | PlaybackComponent,
     designed: Mapping[str, float],
+    read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> Component | None:
     if isinstance(component, ReferenceComponent):
@@ -47,11 +51,16 @@ def _component(
     if isinstance(component, PlaybackComponent):
         sources = (connection.source.partition(".") for connection in file.scenario.connections)
         return playback(name, file.resolve(component.file), {v for owner, _, v in sources if owner == name})
-    return _fmu(file, name, component, designed, diagnosis)
+    return _fmu(file, name, component, designed, read, diagnosis)
 
 
 def _fmu(
-    file: ScenarioFile, name: str, component: FmuComponent, designed: Mapping[str, float], diagnosis: Diagnosis
+    file: ScenarioFile,
+    name: str,
+    component: FmuComponent,
+    designed: Mapping[str, float],
+    read: Callable[[Path], Any],
+    diagnosis: Diagnosis,
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
@@ -59,10 +68,11 @@ def _fmu(
         cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
-    description = read_description(path)
+    description = read(path)
     given = {**designed, **component.start}
+    variables = {v.name: v for v in description.modelVariables} if given else {}
     typed_values = {
-        variable: _start(name, description, variable, value, diagnosis) for variable, value in given.items()
+        variable: _start(name, description, variables, variable, value, diagnosis) for variable, value in given.items()
     }
     start = {variable: value for variable, value in typed_values.items() if value is not None}
     targets = (connection.target.partition(".") for connection in file.scenario.connections)
@@ -98,12 +108,14 @@ def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[
     return frozenset(found)
 
 
-def _start(name: str, description: Any, variable_name: str, given: Any, diagnosis: Diagnosis) -> Any:
+def _start(
+    name: str, description: Any, variables: Mapping[str, Any], variable_name: str, given: Any, diagnosis: Diagnosis
+) -> Any:
     """A start value in the type and unit of its variable; a fault and None where it does not fit."""
     where: Place = ("components", name, "start", variable_name)
-    variable = next((v for v in description.modelVariables if v.name == variable_name), None)
+    variable = variables.get(variable_name)
     if variable is None:
-        known = [v.name for v in description.modelVariables if settable(v)]
+        known = [v.name for v in variables.values() if settable(v)]
         diagnosis.note(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
         return None
     if not settable(variable):

@@ -18,7 +18,7 @@ from cosim.errors import Interrupted
 from cosim.files import FilePath
 from cosim.isolation.process import Worker
 from cosim.results import Results
-from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
+from cosim.simulation.apart import MODULES, simulate_apart, simulate_here
 from cosim.simulation.design import designed_values
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
@@ -82,13 +82,12 @@ def _results(path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, 
     for one in (given, file):
         if nearest:
             take_nearest(one)
-    designed = designed_values(given)
-    system = build_system(file, designed)
+    system = build_system(file, designed_values(given))
     if worker is None:
         stepped = simulate_here(system, steps, step)
     else:
-        recipe, beside = Recipe(file.path, overrides, nearest, designed), Path(tempfile.gettempdir())
-        stepped = simulate_apart(worker, recipe, system, steps, step, beside, file.scenario.limits)
+        beside = Path(tempfile.gettempdir())
+        stepped = simulate_apart(worker, system, steps, step, beside, file.scenario.limits)
     if isinstance(stepped.failure, Interrupted):
         raise stepped.failure
     if stepped.failure is not None:

@@ -22,7 +22,7 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
     found: dict[int, dict[str, dict[str, Any]]] = {}
     connected = {c.target for c in scenario.connections}
     variables = {name: {v.name: v for v in block.description.modelVariables} for name, block in blocks.items()}
-    for k, event in enumerate(scenario.events):
+    for k, event in zip(file.places["events"], scenario.events, strict=True):
         point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration

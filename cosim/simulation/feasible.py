@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
@@ -36,8 +37,9 @@ def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
     stated = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (stated.line, stated.column) for f in file.faults):
         return  # the step is faulty itself
+    states = cache(sampled_by)  # several components may be of one FMU
     for block in components:
-        parameter = sampled_by(block.path) if isinstance(block, FmuBlock) else None
+        parameter = states(block.path) if isinstance(block, FmuBlock) else None
         if parameter is None:
             continue
         own = next((v.start for v in block.description.modelVariables if v.name == parameter), None)

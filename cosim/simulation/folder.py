@@ -31,14 +31,17 @@ def manifest_in(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def check_ours(folder: Path, name: str, *, force: bool = False) -> None:
-    """InputError where a folder holds what the run of another scenario, or another command, left."""
+def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
+    """InputError where a folder holds what the run of another scenario or SSP, or another command, left."""
     if force or not folder.is_dir():
         return
-    scenario = manifest_in(folder).get("scenario")
+    manifest = manifest_in(folder)
+    scenario, packed = manifest.get("scenario"), manifest.get("ssp")
     left = scenario.get("name") if isinstance(scenario, dict) else None
+    if ssp is not None and isinstance(packed, dict) and packed.get("path") == str(ssp.resolve()):
+        return
     by = next((verb for file, verb in OTHERS.items() if (folder / file).is_file()), None)
-    if left is not None and left != name:
+    if left is not None and (ssp is not None or left != name):
         what = f'holds the run of another scenario, "{left}"'
     elif by is not None:
         what = f"holds what `{by}` left"

@@ -161,6 +161,8 @@ class _Run:
         _transfer(self.row, self.held, 0)
 
     def _record_first(self) -> None:
+        for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.pulls)):
+            transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
         for call in self.after:
             call(0)
         ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))

@@ -66,12 +66,21 @@ class Connection(Part):
     to:     the input, `component.variable`; it has one source
     noise:  what the connection adds
     factor: in place of the conversion of their units
+    offset: added after the factor, in the unit of the input
     """
 
     source: Variable = Field(alias="from")
     target: Variable = Field(alias="to")
     noise: Noise | None = None
     factor: Number | None = None
+    offset: Number | None = None
+
+    @property
+    def conversion(self) -> tuple[float, float] | None:
+        """Factor and offset; None where the units say what becomes of a value."""
+        if self.factor is None and self.offset is None:
+            return None
+        return 1.0 if self.factor is None else self.factor, self.offset or 0.0
 
 
 class Disturbance(Part):

@@ -16,7 +16,7 @@ from cosim.errors import Fault, InputError
 from cosim.kinds import MANIFEST, SCENARIO, check_given, kind_by_keys, kind_by_name, refuse_other
 from cosim.registry import BASE, MODELS
 from cosim.simulation.scenario import Scenario
-from cosim.yaml_file import YamlFile, did_you_mean, location_in, short
+from cosim.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.yaml_nodes import Document, NotYaml
 
 MOST_STEPS = 2e7
@@ -27,15 +27,18 @@ class ScenarioFile:
     """A scenario and the file it came from, so that later checks can name the place.
 
     Faults of form do not stop the checks of meaning: `faults` holds them, `scenario` what is left without the
-    faulty parts, `broken` the names of components left out. Whoever runs a scenario raises `faults` first.
+    faulty parts, `broken` the names of components left out, `places` where the connections, faults and events that are
+    left stand in the file. Whoever runs a scenario raises `faults` first.
+
+    origin: where the faults of a scenario that was made from another file stand in that
     """
 
-    def __init__(self, path: Path, overrides: Sequence[str] = ()) -> None:
+    def __init__(self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None) -> None:
         self.path = path
         if path.is_dir():
             check_given(path, SCENARIO, MANIFEST)
         refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
-        self.yaml = YamlFile(path)
+        self.yaml = YamlFile(path, origin)
         refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None
         if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:
@@ -46,7 +49,7 @@ class ScenarioFile:
             _override(path, data, override)
         self.broken: set[str] = set()
         self.stands_in = False
-        self.connection_lines = _numbered(data.get("connections"))
+        self.places = _numbered(data)
         self.faults: list[Fault] = []
         self.scenario = self._validate(data)
         self.faults += [*self._step_faults(), *self._criteria_faults()]
@@ -64,7 +67,7 @@ class ScenarioFile:
             except ValidationError as error:
                 left.drop([location_in(left.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
             else:
-                self.broken, self.connection_lines = left.broken, left.connection_lines
+                self.broken, self.places = left.broken, left.places
                 self.stands_in = left.stands_in
                 return scenario
         raise InputError(self.faults)
@@ -120,6 +123,7 @@ class ScenarioFile:
         return faults
 
 
+LISTS = ("connections", "faults", "events")  # whose entries are told apart where one is faulty
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 
 
@@ -129,15 +133,15 @@ class Salvage:
     def __init__(self, data: dict[str, Any]) -> None:
         self.data = copy.deepcopy(data)
         self.broken: set[str] = set()
-        self.connection_lines = _numbered(data.get("connections"))
+        self.places = _numbered(data)
         self.stands_in = False
 
     def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
         """Leave out the part at each location, as little as will do."""
-        connections: set[int] = set()
+        entries: dict[str, set[int]] = {}
         for first, *rest in filter(None, locations):
-            if first == "connections" and rest and isinstance(rest[0], int):
-                connections.add(rest[0])
+            if first in LISTS and rest and isinstance(rest[0], int):
+                entries.setdefault(str(first), set()).add(rest[0])
             elif first == "components" and rest:
                 self._drop_from_component(str(rest[0]), rest[1:])
             elif first == "criteria" and rest:
@@ -147,10 +151,9 @@ class Salvage:
                 self.stands_in = True
             else:
                 self.data.pop(str(first), None)
-        if connections:
-            kept = [k for k in range(len(self.data["connections"])) if k not in connections]
-            self.data["connections"] = [self.data["connections"][k] for k in kept]
-            self.connection_lines = [self.connection_lines[k] for k in kept]
+        for key, faulty in entries.items():
+            kept = [k for k in range(len(self.data[key])) if k not in faulty]
+            self.data[key], self.places[key] = ([part[k] for k in kept] for part in (self.data[key], self.places[key]))
 
     def _drop_from_component(self, name: str, rest: list[int | str]) -> None:
         component = self.data["components"].get(name)
@@ -166,9 +169,9 @@ class Salvage:
                 self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
 
 
-def _numbered(connections: Any) -> list[int]:
-    """Places of the connections in the file."""
-    return list(range(len(connections))) if isinstance(connections, list) else []
+def _numbered(data: Mapping[str, Any]) -> dict[str, list[int]]:
+    """Places of the entries of lists in the file."""
+    return {key: list(range(len(entries))) if isinstance(entries := data.get(key), list) else [] for key in LISTS}
 
 
 def _place(key: str, node: list[Any]) -> int | None:

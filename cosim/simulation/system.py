@@ -31,7 +31,7 @@ class System:
     held:   transfers made at the end of a step: their targets see the values of the step's start
     beside: columns whose values no double holds exactly
     events: communication point → component → values that it gets there
-    step:   the scenario's [s]
+    apart:  names of components that have a process of their own
     """
 
     stages: tuple[Stage, ...]
@@ -45,6 +45,7 @@ class System:
     beside: tuple[str, ...] = ()
     signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
+    apart: frozenset[str] = frozenset()
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -78,6 +79,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         layout.beside,
         layout.signals,
         events,
+        frozenset(n for n, c in scenario.components.items() if isinstance(c, FmuComponent) and c.process == "own"),
     )
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from cosim.blocks.faults import Through, disturbed, points, steps_in
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
+from cosim.errors import SimulationError
 from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import Connection, Disturbance, FmuComponent, Noise
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
+MOST_NAMED = 20  # signals in a message
 
 
 @dataclass(frozen=True)
@@ -40,22 +43,33 @@ class RowLayout:
 class Transfer:
     """A connection: from one place to another, through a change of unit, noise and injected faults.
 
+    name:   of the target, `component.variable`; it also names the random stream
+    items:  of a target that is an enumeration; `origin` is the name of what it comes from
     beside: whether the place that it comes from, and the one that it goes to, stand beside the row
     """
 
     source: int
     target: int
-    name: str  # of the target, `component.variable`; it also names the random stream
+    name: str
     noise: Noise | None = None
     factor: float = 1.0
     offset: float = 0.0
     faults: tuple[Disturbance, ...] = ()
     beside: tuple[bool, bool] = (False, False)
+    items: Mapping[str, int] | None = None
+    origin: str = ""
 
     @property
     def plain(self) -> bool:
         """Values go from place to place in the row, at most with noise added."""
-        return self.factor == 1.0 and self.offset == 0.0 and not self.faults and self.beside == (False, False)
+        changed = self.factor != 1.0 or self.offset != 0.0 or self.faults or self.items is not None
+        return not changed and self.beside == (False, False)
+
+    def check_item(self, value: Any, t: float) -> None:
+        """SimulationError where a value is no item of the enumeration that it goes to."""
+        if self.items is not None and value not in self.items.values():
+            said = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
+            raise SimulationError(self.name, t, said)
 
     def samples(self, seed: int, count: int) -> list[float] | None:
         """What noise adds at each of `count` communication points; None adds nothing."""
@@ -78,6 +92,15 @@ class Transfer:
             delay = 0 if fault.delay is None else max(1, round(steps_in(fault.delay, step)))
             given = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
+
+        if self.items is not None:
+
+            def checked(k: int, v: Any) -> Any:
+                if k:  # until initialization has ended values may be those of nothing yet
+                    self.check_item(v, start + k * step)
+                return v
+
+            chain.append(checked)
 
         def value(k: int, v: Any) -> Any:
             for link in chain:
@@ -105,7 +128,7 @@ def connect(
     """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
-    lines = zip(file.connection_lines, file.scenario.connections, strict=True)
+    lines = zip(file.places["connections"], file.scenario.connections, strict=True)
     ends = _Ends(file, components, diagnosis)
     faults: dict[str, list[Disturbance]] = {}
     for fault in file.scenario.faults:
@@ -126,29 +149,38 @@ def _transfers(
         diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
         return ()
     noise = connection.noise if file.scenario.noise else None
+    owners = connection.source.partition(".")[0], connection.target.partition(".")[0]
     found = []
     for source, target in zip(sources, targets, strict=True):
-        if not goes(source.kind, target.kind):
-            what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
-            diagnosis.note(("connections", k), f"types do not agree: {what}")
+        if misfit := _misfit(connection, source, target):
+            diagnosis.note(("connections", k), misfit)
             return ()
-        conversion = (connection.factor, 0.0) if connection.factor is not None else source.conversion(target)
-        if conversion is None:
-            units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
-            cure = "; where they are the same all the same, say so by factor: 1"
-            diagnosis.note(("connections", k), f"unit mismatch: {units}{cure}")
-            return ()
-        name = f"{connection.target.partition('.')[0]}.{target.name}"
-        (from_beside, at), (to_beside, to) = (
-            layout.place[f"{connection.source.partition('.')[0]}.{source.name}"],
-            layout.place[name],
-        )
+        conversion = connection.conversion or source.conversion(target)
+        origin, name = (f"{owner}.{end.name}" for owner, end in zip(owners, (source, target), strict=True))
+        (from_beside, at), (to_beside, to) = layout.place[origin], layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
         if (noise or faults or conversion != (1.0, 0.0)) and (from_beside or to_beside):
             diagnosis.note(("connections", k), f"{ends}: no noise, fault or factor on {source.kind or target.kind}")
             return ()
-        found.append(Transfer(at, to, name, noise, *conversion, faults, (from_beside, to_beside)))
+        factor, offset = conversion or (1.0, 0.0)
+        sides = from_beside, to_beside
+        found.append(Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin))
     return tuple(found)
+
+
+def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
+    """Why the values of a signal do not go to another, "" where they do."""
+    if not goes(source.kind, target.kind):
+        what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
+        return f"types do not agree: {what}"
+    if source.declared and source.declared == target.declared and source.items != target.items:
+        ends = ((connection.source, source), (connection.target, target))
+        what = ", ".join(f"{name} has {_numbers(signal.items)}" for name, signal in ends)
+        return f"enumerations of one name, {source.declared}, with other items: {what}"
+    if connection.conversion is None and source.conversion(target) is None:
+        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
+        return f"unit mismatch: {units}; where they are the same all the same, say so by factor: 1"
+    return ""
 
 
 class _Ends:
@@ -178,7 +210,7 @@ class _Ends:
             message = f"{text} is recorded, but no output of {name}; an output goes to an input"
         else:
             message = f'{name} has no {side[:-1]} "{variable}"{did_you_mean(variable, known)}'
-            message += f" (its {side}: {', '.join(known) or 'none'})"
+            message += f" (its {side}: {_some(known)})"
         self.diagnosis.note(where, message)
         return []
 
@@ -195,6 +227,15 @@ class _Ends:
         return self._known[key]
 
 
+def _numbers(items: Mapping[str, int] | None) -> str:
+    return _some([f"{name} {number}" for name, number in (items or {}).items()])
+
+
+def _some(names: Collection[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"{', '.join(islice(names, MOST_NAMED)) or 'none'}{more}"
+
+
 def _signals(component: Component, side: str) -> tuple[Signal, ...]:
     both: tuple[Signal, ...] = (*getattr(component, side), *getattr(component, f"exact_{side}"))
     return both
@@ -206,9 +247,9 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
     needs["dropout"] = "probability"
-    for k, fault in enumerate(scenario.faults):
+    for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
-            hint = did_you_mean(fault.on, targets) or f" (connected: {', '.join(targets) or 'none'})"
+            hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             cure = "faults act on components that step with the scenario"
@@ -225,7 +266,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """An input has one source."""
     seen: dict[str, str] = {}
-    for k, connection in zip(file.connection_lines, file.scenario.connections, strict=True):
+    for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
         if connection.target in seen:
             both = f"{seen[connection.target]} and {connection.source}"
             diagnosis.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
@@ -244,4 +285,4 @@ def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
             if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
         ]
         if free:
-            yield f"not connected, at the start value of the FMU: {', '.join(f'{name}.{s}' for s in free)}"
+            yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"

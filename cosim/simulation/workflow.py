@@ -16,14 +16,16 @@ from cosim.files import FilePath, check_writable, is_full, uninterrupted
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.results import Results
-from cosim.simulation.apart import MODULES, Recipe, simulate_apart, simulate_here
+from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
 from cosim.simulation.folder import check_ours, folder_named
-from cosim.simulation.manifest import check_pinned, manifest, write_manifest
+from cosim.simulation.manifest import check_pinned, manifest, sha256, write_manifest
 from cosim.simulation.nearest import take_nearest
+from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.simulation.system import System, build_system
 
 SPARE = 8192  # bytes beside a manifest's own
 
@@ -54,62 +56,91 @@ def run(
     in_process: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Outcome:
-    """Run a scenario, or repeat a manifest, and leave results.csv, manifest.json and report.html in `folder`.
+    """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
 
-    folder:  results/NAME of the scenario without
+    folder:  results/NAME of the scenario without; of an SSP the scenario that it is run as, and its FMUs, are left in
+             its `system`
     force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
-    began = time.perf_counter()
+    began, path = time.perf_counter(), Path(scenario)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # it gets ready while files are read
-        file = ScenarioFile(Path(scenario), overrides)
+        file, place, told_before = _read(path, folder, overrides, force=force)
         if nearest:
             take_nearest(file)
         check_pinned(file)
         designed = designed_values(file)
         system = build_system(file, designed)
-        folder = folder_named(file.scenario.name) if folder is None else Path(folder)
-        check_ours(folder, file.scenario.name, force=force)
-        check_writable(folder, ("results.csv", "manifest.json", "report.html"), file.files)
+        if not is_ssp(path):
+            check_ours(place, file.scenario.name, force=force)
+        check_writable(place, ("results.csv", "manifest.json", "report.html"), file.files)
         loaded = time.perf_counter()
-        steps, h, limits = file.scenario.steps, file.scenario.step, file.scenario.limits
-        told = None if progress is None else partial(_tell, progress, steps)
-        if worker is None:
-            stepped = simulate_here(system, steps, h, told)
-        else:
-            recipe = Recipe(file.path, tuple(overrides), nearest, designed)
-            stepped = simulate_apart(worker, recipe, system, steps, h, folder, limits, told)
-            worker.finish()
-        results, failure = stepped.results, stepped.failure
-        simulated = time.perf_counter()
-        timings = {
-            "load": loaded - began,
-            "simulate": simulated - loaded,
-            "real_time_factor": file.scenario.duration / (simulated - loaded),
-        }
-        record = manifest(file, designed, system, timings)
-        if failure is None:
-            record["criteria"] = evaluate(file.scenario, results)
-        else:
-            record["status"] = f"failed: {failure}"
-        record["warnings"] += [*results.notes, *stepped.said]
-        if worker is None and limits is not None:
-            record["warnings"].append("limits are not watched where FMUs run in this process")
+        stepped = _stepped(file.scenario, system, worker, place, progress)
+        times = began, loaded, time.perf_counter()
+        record = manifest(file, designed, system, _timings(file.scenario, *times))
+        if is_ssp(path):
+            record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
+        record["warnings"] += told_before
+        _add_outcome(record, file.scenario, stepped, watched=worker is not None)
+        failure = stepped.failure
         try:
-            _write(folder, results, record, report=report, figures=figures)
+            _write(place, stepped.results, record, report=report, figures=figures)
         except OSError as error:
             if not is_full(error):
                 raise
-            failure = _write_what_fits(folder, results, record, steps + 1, failure)
+            failure = _write_what_fits(place, stepped.results, record, file.scenario.steps + 1, failure)
     if failure is not None:
-        failure.left = folder
+        failure.left = place
         raise failure
-    return Outcome(results, record, folder)
+    return Outcome(stepped.results, record, place)
+
+
+def _read(
+    path: Path, folder: FilePath | None, overrides: Sequence[str], *, force: bool
+) -> tuple[ScenarioFile, Path, list[str]]:
+    """A scenario, or that of an SSP, laid out; the folder for what is left, and warnings."""
+    if not is_ssp(path):
+        file = ScenarioFile(path, overrides)
+        return file, folder_named(file.scenario.name) if folder is None else Path(folder), []
+    place = folder_named(path.stem) if folder is None else Path(folder)
+    check_ours(place, ssp=path, force=force)
+    file, warnings = lay_out(path, place, overrides)
+    return file, place, warnings
+
+
+def _stepped(
+    scenario: Scenario, system: System, worker: Worker | None, folder: Path, progress: Callable[[int, int], None] | None
+) -> Stepped:
+    """The steps, in the worker or without one in this process."""
+    steps, h = scenario.steps, scenario.step
+    told = None if progress is None else partial(_tell, progress, steps)
+    if worker is None:
+        return simulate_here(system, steps, h, told)
+    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, told)
+    worker.finish()
+    return stepped
+
+
+def _timings(scenario: Scenario, began: float, loaded: float, simulated: float) -> dict[str, float]:
+    """How long it took [s], by a clock at three moments."""
+    stepping = simulated - loaded
+    return {"load": loaded - began, "simulate": stepping, "real_time_factor": scenario.duration / stepping}
+
+
+def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *, watched: bool) -> None:
+    """What came of the steps, into the manifest."""
+    if stepped.failure is None:
+        record["criteria"] = evaluate(scenario, stepped.results)
+    else:
+        record["status"] = f"failed: {stepped.failure}"
+    record["warnings"] += [*stepped.results.notes, *stepped.said]
+    if not watched and scenario.limits is not None:
+        record["warnings"].append("limits are not watched where FMUs run in this process")
 
 
 def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:

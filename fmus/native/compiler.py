@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fmus.native.cache import cached
@@ -29,6 +30,35 @@ def _words(command: str) -> list[str]:
         return shlex.split(command)
     except ValueError:
         return []
+
+
+class CompilerFailed(RuntimeError):
+    """What the compiler said."""
+
+
+def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str]) -> bytes:
+    """The shared library of sources, from the cache or compiled now; CompilerFailed with what the compiler said."""
+    content = hashlib.sha256(repr((sorted(files.items()), main, list(command))).encode()).hexdigest()
+    stem = cached(content, "")
+    for kept in stem.parent.glob(f"{stem.name}-*.so"):
+        if kept == _named(stem, kept):
+            return kept.read_bytes()
+        kept.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(dir=stem.parent) as name:
+        folder = Path(name)
+        for file, data in files.items():
+            (folder / file).write_bytes(data)
+        library = folder / "library"
+        full = [*command, "-o", library.name, main, "-lm"]
+        try:  # in the folder, so that no path of this machine gets into the library
+            done = subprocess.run(full, cwd=folder, capture_output=True, text=True, timeout=900)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise CompilerFailed(f"{command[0]}: {error}") from error
+        if done.returncode or not library.is_file():
+            said = (done.stderr or done.stdout).strip().splitlines()
+            first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
+            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}")
+        return library.replace(_named(stem, library)).read_bytes()
 
 
 def loaded(source: str) -> ctypes.CDLL:

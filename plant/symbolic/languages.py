@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+
+class Unprintable(ValueError):
+    """An expression that a language has no words for."""
 
 
 class Language:
     """A function that writes its expressions to `out`, common subexpressions computed once.
 
-    local, store: how a common subexpression and a result are written
+    local, store:    how a common subexpression and a result are written
+    assign:          how a symbol that is declared before gets its value
+    when, otherwise: how the branch of an effect (place, title) that is awake begins, and that of one that is dormant
+    end:             how the branches end
     """
 
     local: str
     store: str
+    assign: str
+    when: str
+    otherwise: str
+    end: str
+
+    def declared(self, names: Sequence[str]) -> list[str]:
+        """Lines that declare symbols before they get a value."""
+        raise NotImplementedError
 
     def function(
         self,
@@ -51,27 +67,50 @@ class Language:
 class C(Language):
     """C99."""
 
-    local, store = "const double {} = {};", "out[{}] = {};"
+    local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
+    when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
+
+    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+        return [f"double {', '.join(names)};"]
 
     def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
+        from sympy import Function
         from sympy.printing.c import C99CodePrinter
 
         class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
+            def doprint(self, expression: Any, assign_to: Any = None) -> str:
+                try:
+                    text = " ".join(super().doprint(expression, assign_to).split())
+                except NotImplementedError:  # of sympy before 1.13 a comment in the code
+                    text = "Not supported in C"
+                if "Not supported in C" in text:
+                    used = {type(f).__name__ for f in expression.atoms(Function)}
+                    unknown = sorted(used - self.known_functions.keys() - {"Piecewise"})
+                    raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
+                return text
+
             def _print_Symbol(self, symbol: Any) -> str:
                 return places.get(symbol) or str(super()._print_Symbol(symbol))
 
         return Printer()
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
-        kinds = {"t": "double t", "out": "double *out"}
+        kinds = {"t": "double t", "h": "double h", "out": "double *out", "awake": "const unsigned char *awake"}
         declared = ", ".join(kinds.get(a, f"const double *{a}") for a in arguments)
-        return f"static void {name}({declared})\n{{\n    {body}\n}}\n"
+        unused = [a for a in arguments if not re.search(rf"\b{a}\b", body)]
+        lines = [f"(void){a};" for a in unused] if "awake" in arguments else []
+        text = "\n    ".join([*lines, body] if body else lines)
+        return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
 
 
 class Python(Language):
     """Python with the functions of `math`."""
 
-    local, store = "{} = {}", "out[{}] = {}"
+    local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
+    when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
+
+    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+        return []
 
     def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
         from sympy.printing.pycode import PythonCodePrinter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,10 +25,10 @@ class SymbolicModel:
     command: Values
 
 
-def symbolic(model: Model, flags: bool | None = None, effects: bool = True) -> SymbolicModel:
+def symbolic(model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool = True) -> SymbolicModel:
     """Replace every number of the model by a symbol, with the whole catalogue awake or none of it.
 
-    Booleans keep their value, or take that of `flags`.
+    Booleans keep their value, or take that of `flags`, which may say it by FMI name.
     """
     import sympy
 
@@ -37,7 +38,8 @@ def symbolic(model: Model, flags: bool | None = None, effects: bool = True) -> S
         values: dict[str, Any] = {}
         for p in parameters_of(owner):
             if isinstance(p.default, bool):
-                values[p.name] = getattr(owner, p.name) if flags is None else flags
+                known = flags.get(prefix + p.name) if isinstance(flags, Mapping) else flags
+                values[p.name] = getattr(owner, p.name) if known is None else known
             else:
                 values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
         return replace(owner, **values)

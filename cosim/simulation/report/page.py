@@ -20,21 +20,24 @@ from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
 from cosim.simulation.report.recorded import Run, mapping, number, texts
-from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, starts
+from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, spelled, starts
 from cosim.simulation.report.subject import Subject, subject_of
 from cosim.simulation.report.system import graph_of_run
-from cosim.simulation.report.verdicts import criteria, failed, outcome
+from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
 from cosim.text import display, plain
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_TILES = 4
 MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
+MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
+MOST_DRAWN = 1000  # signals that a page shows
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
     run = recorded(results, manifest)
-    drawing = Drawing(run.time, len(run.results.columns))
+    drawing = Drawing(run.time, min(MOST_DRAWN, len(run.results.columns)))
     subject = subject_of(run, drawing)
     page = render(subject.template if subject else TEMPLATE, context(run, drawing, subject), [TEMPLATE.parent])
     with atomic_write(path) as stream:
@@ -52,16 +55,20 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
     """Everything the template names."""
     judged = criteria(run)
-    links, others = _panels(run, subject.shown if subject else frozenset()) if run.time.size else ([], [])
+    shown = subject.shown if subject else frozenset[str]()
+    links = connection_panels(run, shown) if run.time.size else {}
+    others = signal_panels(run, shown.union(*links)) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
         "outcome": outcome(run, judged),
         "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
         "badges": badges(run, judged),
-        "tiles": [*(subject.tiles if subject else ()), *_speed(run)],
-        "links": drawing.plots(links),
+        "tiles": [*(subject.tiles if subject else _goals(judged)), *_speed(run)],
+        "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
+        "spelled": spelled(run),
+        "undrawn": _undrawn(len(_left(run, shown))),
         "criteria": judged,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
@@ -79,9 +86,19 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
 
 
 def _diagram(run: Run) -> str:
-    """Components and connections as a picture; "" where nothing is connected."""
+    """Components and connections as a picture; "" where nothing is connected, or more than anyone could follow."""
     graph = graph_of_run(run)
-    return graph.svg(alone=False) if graph is not None and graph.links else ""
+    return graph.svg(alone=False) if graph is not None and 0 < len(graph.links) <= MOST_WIRES else ""
+
+
+def _goals(judged: Sequence[Criterion]) -> list[Row]:
+    """The scenario's own criteria, those that are missed first."""
+    first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
+    return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
+
+
+def _judgement(c: Criterion) -> list[str]:
+    return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
 
 
 def _speed(run: Run) -> list[Row]:
@@ -89,12 +106,6 @@ def _speed(run: Run) -> list[Row]:
     if not math.isfinite(factor):
         return []
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
-
-
-def _panels(run: Run, shown: frozenset[str]) -> tuple[list[Panel], list[Panel]]:
-    """A panel a connection, and panels of all other signals, of what is not `shown` elsewhere."""
-    links = connection_panels(run, shown)
-    return list(links.values()), signal_panels(run, shown.union(*links))
 
 
 def connection_panels(run: Run, shown: frozenset[str] = frozenset()) -> dict[tuple[str, str], Panel]:
@@ -115,11 +126,18 @@ def connection_panels(run: Run, shown: frozenset[str] = frozenset()) -> dict[tup
     return panels
 
 
+def _left(run: Run, shown: frozenset[str]) -> list[str]:
+    return [column for column in run.results.columns if column not in shown]
+
+
+def _undrawn(signals: int) -> str:
+    return f"The first {MOST_DRAWN} of {signals} signals; results.csv has all." if signals > MOST_DRAWN else ""
+
+
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Every column not `shown` elsewhere, grouped by unit in the order the units come."""
-    left = [column for column in run.results.columns if column not in shown]
+    """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
     panels = []
-    for unit, columns in by_unit(left, run.unit):
+    for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
         shown_unit, factor = display(unit)
         traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))

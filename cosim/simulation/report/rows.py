@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
+
+import numpy as np
 
 from cosim.report.tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.verdicts import Criterion, failed
 from cosim.text import amount, counted
+from cosim.yaml_file import short
+
+MOST_SPELLED, MOST_CHANGES = 200, 8  # signals, and changes of each, that a page spells out
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,29 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
     found += [Badge(counted(len(warnings), "warning"), "warn")] if warnings else []
     found += [Badge("uncommitted changes", "warn")] if mapping(run.manifest.get("git")).get("dirty") else []
     return found
+
+
+def spelled(run: Run) -> list[Row]:
+    """What no curve shows, with the times of its changes: text, 64-bit integers, binary data, items by their names."""
+    found = []
+    for column, items in islice(mapping(run.manifest.get("items")).items(), MOST_SPELLED):
+        if column in run.results and run.time.size:
+            names = {value: name for name, value in mapping(items).items()}
+            values = run.results[column]
+            points = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
+            told = {k: str(names.get(values[k], f"{values[k]:g}")) for k in points[: MOST_CHANGES + 1]}
+            found.append(Row(column, _over_time(run, told, len(points))))
+    for column, kept in islice(run.results.exact.items(), MOST_SPELLED):
+        points = [k for k in range(min(len(kept), run.time.size)) if not k or kept[k] != kept[k - 1]]
+        told = {k: short(kept[k].hex() if isinstance(kept[k], bytes) else kept[k]) for k in points[: MOST_CHANGES + 1]}
+        found.append(Row(column, _over_time(run, told, len(points))))
+    return found
+
+
+def _over_time(run: Run, values: Mapping[int, str], points: int) -> str:
+    parts = [value if k == 0 else f"from {run.time[k]:g} s {value}" for k, value in values.items()]
+    more = points - len(parts)
+    return "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])
 
 
 def connections(run: Run) -> list[Connection]:

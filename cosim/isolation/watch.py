@@ -1,0 +1,136 @@
+"""What the caller of a worker sees of it: what is being called, for how long, how large it is, how it ended."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from cosim.errors import SimulationError, TimedOut
+from cosim.isolation.limits import Limits
+from cosim.isolation.memory import resident
+from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress
+
+SIGNALS = {
+    "SIGSEGV": "crashed: segmentation fault",
+    "SIGABRT": "crashed: abort",
+    "SIGBUS": "crashed: bus error",
+    "SIGFPE": "crashed: arithmetic fault",
+    "SIGILL": "crashed: illegal instruction",
+    "SIGKILL": "was killed, as the system does where memory runs out",
+}
+STATUSES = {  # NTSTATUS of Windows
+    0xC0000005: "crashed: access violation",
+    0xC00000FD: "crashed: stack overflow",
+    0xC0000094: "crashed: division by zero",
+    0xC0000374: "crashed: heap corrupted",
+    0xC0000409: "crashed: abort",
+}
+CALLED = ("setting its inputs", "stepping", "reading its outputs")  # of what is no FMU
+FMI_CALLS = {
+    "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What the caller knows of a job, so that it can say what was being done, and when it takes too long.
+
+    components: names, by the number that stands in `Rows.doing`
+    calls:      of each, FMI's names of put, advance and get
+    time:       rows made and what is being called → simulated time [s]
+    width:      bytes of a row, which count for no limit of memory
+    spent:      [time that has gone by [s]], all but loading, to which that of this job is added
+    progress:   told how many rows there are
+    """
+
+    components: Sequence[str] = ()
+    calls: Sequence[Sequence[str]] = ()
+    time: Callable[[int, int], float] = lambda made, call: 0.0
+    limits: Limits = field(default_factory=Limits)
+    width: int = 0
+    spent: list[float] = field(default_factory=lambda: [0.0])
+    progress: Callable[[int], None] | None = None
+
+
+def fmi_calls(description: Any) -> Sequence[str]:
+    """Names of putting, advancing and getting in FMI, by a model description; of None, of what is no FMU."""
+    return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], CALLED)
+
+
+def how_ended(code: int | None) -> str:
+    """How a process ended, by its return code."""
+    if code is None:
+        return "closed the streams of its process"
+    if code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        return f"{SIGNALS.get(name, 'was ended')} ({name})"
+    if code & 0xFFFFFFFF in STATUSES:
+        return STATUSES[code & 0xFFFFFFFF]
+    return f"ended the process, exit code {code}"
+
+
+class Clock:
+    """Sees how long things take and how large the process is, from one look to the next."""
+
+    def __init__(self, watch: Watch, progress: Progress) -> None:
+        self.watch, self.progress = watch, progress
+        self.since = self.last = time.monotonic()
+        self.key: tuple[Any, ...] = ()
+        self.told = 0
+
+    def look(self, pid: int) -> None:
+        """TimedOut or SimulationError where a limit is exceeded."""
+        now, made = time.monotonic(), self.progress.made[0]
+        if self.watch.progress is not None and made != self.told:
+            self.told = made
+            self.watch.progress(made)
+        loading, key = self._loading(), self._key()
+        if key != self.key or self.progress.doing[0] == NOTHING:
+            self.key, self.since = key, now
+        self.watch.spent[0] += 0.0 if loading else now - self.last
+        self.last = now
+        self._check(loading, now - self.since, pid)
+
+    def _check(self, loading: bool, taken: float, pid: int) -> None:
+        limits = self.watch.limits
+        most, name = (limits.loading, "load") if loading else (limits.step, "step")
+        component, at, call = self.place()
+        if most is not None and taken > most:
+            raise TimedOut(component, at, f"{call} takes longer than {most:g} s (limits: {name})")
+        if limits.total is not None and self.watch.spent[0] > limits.total:
+            said = f"{call} is being called after {limits.total:g} s in all (limits: total)"
+            raise TimedOut(component, at, said)
+        if limits.memory is not None:
+            held = resident(pid) - self.progress.made[0] * self.watch.width
+            if held > limits.memory:
+                grown = f"the process holds {held / 1e6:.4g} MB, more than {limits.memory / 1e6:.4g} MB"
+                raise SimulationError(component, at, f"{call}: {grown} (limits: memory)")
+
+    def place(self) -> tuple[str, float, str]:
+        """Component, simulated time [s] and call."""
+        number, call = divmod(self.progress.doing[0], CALLS)
+        watch = self.watch
+        if not 0 <= number < len(watch.components):
+            return "the run", 0.0, "the worker"
+        at = watch.time(self.progress.made[0], call)
+        if self.progress.named[0]:
+            return watch.components[number], at, self.progress.call.decode("utf-8", "replace")
+        if call != OTHER:
+            return watch.components[number], at, watch.calls[number][call] if watch.calls else CALLED[call]
+        return watch.components[number], at, "loading" if not self.progress.made[0] else "unloading"
+
+    def _loading(self) -> bool:
+        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING too is an OTHER
+            return False
+        return not self.progress.named[0] or b"Instantiate" in self.progress.call
+
+    def _key(self) -> tuple[Any, ...]:
+        """What stays as it is for as long as one thing takes: a step, or a call where none is made."""
+        made, doing = self.progress.made[0], self.progress.doing[0]
+        if made and doing % CALLS != OTHER:
+            return (made,)
+        return made, doing, self.progress.named[0], self.progress.call

@@ -1,0 +1,127 @@
+"""The native FMUs of a model: what `cosim build --native` makes."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.errors import Fault, InputError
+from cosim.files import FilePath
+from cosim.models.file import LoadedModel, meant_model
+from cosim.models.source import Source
+from cosim.registry import MODELS, resolve
+from cosim.yaml_file import did_you_mean
+from fmus.files import draft_of
+
+if TYPE_CHECKING:
+    from fmus.native.package import Built, Native
+
+SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
+
+
+@dataclass(frozen=True)
+class NativeFmu:
+    """An archive that was built, and by platform the oldest glibc it runs on, "" where there is none."""
+
+    path: Path
+    floors: Mapping[str, str]
+
+    @property
+    def sentence(self) -> str:
+        """What was built, and where it runs."""
+        places = (f"{name} (glibc {floor} or later)" if floor else name for name, floor in self.floors.items())
+        return f"built {self.path} for {', '.join(places)}"
+
+
+def build_native(
+    folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
+) -> list[NativeFmu]:
+    """Build in `folder` the native FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, of base.
+
+    fmi: 2 or 3; platforms: names, without one this machine's. Raises InputError, and then nothing is written.
+    """
+    from fmus.native.package import build_native as build_fmu
+
+    _check_platforms(platforms)
+    if fmi not in SUFFIX:
+        raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
+    _check_compiler(platforms)
+    made = dict(_natives(meant_model(model, nearest=nearest)))
+
+    def make(name: str, draft: Path) -> Built:
+        return build_fmu(made[name], draft, fmi, platforms)
+
+    return _all_or_none(Path(folder), {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
+
+
+def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
+    """The plant, and what is built with any model of a known name."""
+    from fmus.native.package import native_model
+    from fmus.native.printing import Unprintable
+
+    kind = type(loaded.model).__name__
+    try:
+        yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
+    except (Unprintable, TypeError, AttributeError) as error:
+        raise InputError([_unprintable(loaded, error)]) from error
+    for name, recipe in MODELS[loaded.source].native.items() if loaded.source in MODELS else ():
+        yield name, resolve(recipe)()
+
+
+def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
+    """What of the model C cannot say, at its line."""
+    from fmus.native.printing import Unprintable
+
+    file = loaded.source.rpartition(":")[0]
+    cure = "let its equations take functions and branches from m, or build it without --native"
+    if not file:
+        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+    source = Source(Path(file))
+    if isinstance(error, Unprintable):
+        owner, hook = getattr(error.__cause__, "owner", None), getattr(error.__cause__, "hook", "")
+        if owner is not None:
+            return source.fault(owner, hook, f"cannot be printed as C: {error}; let m.where choose another value there")
+        return source.fault(type(loaded.model), "equations", f"cannot be printed as C: {error}; {cure}")
+    return source.raised(error, "cannot be printed as C")
+
+
+def _check_platforms(platforms: Sequence[str]) -> None:
+    from fmus.native.platforms import PLATFORMS
+
+    wrong = [name for name in platforms if name not in PLATFORMS]
+    known = ", ".join(PLATFORMS)
+    faults = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} (known: {known})' for name in wrong]
+    if faults:
+        raise InputError([Fault(Path("--platforms"), 0, 0, fault) for fault in faults])
+
+
+def _check_compiler(platforms: Sequence[str]) -> None:
+    """That there is one, before anything is printed."""
+    from fmus.native.platforms import NoCompiler, commands
+
+    try:
+        commands(tuple(platforms))
+    except NoCompiler as error:
+        raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
+
+
+def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
+    """Every archive, or none where one fails."""
+    from fmus.native.compiler import CompilerFailed
+
+    with tempfile.TemporaryDirectory(prefix="cosim-build-") as drafts:
+        try:
+            built = {file: make(name, Path(drafts) / file) for name, file in files.items()}
+        except CompilerFailed as error:
+            cure = "mend the compiler, or say another in CC"
+            raise InputError([Fault(Path("--native"), 0, 0, f"the compiler {error}; {cure}")]) from None
+        return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]
+
+
+def _moved(built: Path, path: Path, floors: Mapping[str, str]) -> NativeFmu:
+    with draft_of(path) as draft:
+        draft.write_bytes(built.read_bytes())
+    return NativeFmu(path, floors)

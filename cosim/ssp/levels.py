@@ -1,0 +1,92 @@
+"""The levels of a system: what stands in which system, and how connections run through them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+from cosim.ssp.elements import Element
+from cosim.ssp.structure import Component, Connection, Linear, System
+
+
+@dataclass
+class Part:
+    """An FMU of the system: `name` as a scenario has it, `path` as the SSP has it."""
+
+    name: str
+    path: str
+    component: Component
+    description: Any
+    variables: dict[str, Any]
+    start: dict[str, tuple[Any, Element]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Link:
+    """From an output to an input, `name.variable`; `linear` None where units alone say what becomes of a value."""
+
+    source: str
+    target: str
+    linear: Linear | None
+    element: Element
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A system without systems in it."""
+
+    parts: tuple[Part, ...]
+    links: tuple[Link, ...]
+
+
+@dataclass
+class Level:
+    """A system and where it is; `systems` and `parts` are its elements."""
+
+    system: System
+    parent: Level | None
+    systems: dict[str, Level] = field(default_factory=dict)
+    parts: dict[str, Part] = field(default_factory=dict)
+
+    @cached_property
+    def into(self) -> dict[tuple[str | None, str], Connection]:
+        """By where they end."""
+        return {connection.end: connection for connection in reversed(self.system.connections)}
+
+    @cached_property
+    def out_of(self) -> dict[tuple[str | None, str], list[Connection]]:
+        """By where they start."""
+        found: dict[tuple[str | None, str], list[Connection]] = {}
+        for connection in self.system.connections:
+            found.setdefault(connection.start, []).append(connection)
+        return found
+
+
+def directed(system: System) -> System:
+    """A system whose connections all begin where values come from; FMPy and OMSimulator take them either way."""
+
+    def sends(end: tuple[str | None, str]) -> bool | None:
+        name, connector = end
+        holder = system if name is None else system.elements.get(name)
+        known = None if holder is None else holder.connectors.get(connector)
+        if known is None or known.kind not in {"input", "output", "parameter", "calculatedParameter"}:
+            return None
+        return (known.kind in {"output", "calculatedParameter"}) != (name is None)
+
+    connections = [
+        replace(c, start=c.end, end=c.start)
+        if c.linear == Linear() and sends(c.start) is False and sends(c.end) is True
+        else c
+        for c in system.connections
+    ]
+    elements = {name: directed(e) if isinstance(e, System) else e for name, e in system.elements.items()}
+    return replace(system, connections=tuple(connections), elements=elements)
+
+
+def levels(level: Level) -> Iterator[Level]:
+    """A level and all within it."""
+    yield level
+    for inner in level.systems.values():
+        yield from levels(inner)

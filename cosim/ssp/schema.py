@@ -1,0 +1,47 @@
+"""Where a document breaks the schema of SSP, which FMPy brings along: told, for other tools may refuse it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import Fault
+from cosim.ssp.elements import NAMESPACES
+
+SCHEMAS = {
+    "SystemStructureDescription": "SystemStructureDescription.xsd",
+    "ParameterSet": "SystemStructureParameterValues.xsd",
+    "ParameterMapping": "SystemStructureParameterMapping.xsd",
+}
+SHOWN = 5  # of a file
+
+
+@cache
+def _schema(name: str) -> Any:
+    from fmpy import ssp
+    from lxml import etree
+
+    return etree.XMLSchema(file=str(Path(ssp.__file__).with_name("schema") / name))
+
+
+def slips(label: Path, text: bytes) -> list[Fault]:
+    """What breaks the schema of SSP 1.0 in a document that has been found safe, the first of many."""
+    from lxml import etree
+
+    try:
+        root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        return [Fault(label, error.lineno or 0, 1, f"breaks the rules of XML: {error.msg}")]
+    name = SCHEMAS.get(etree.QName(root).localname)
+    if name is None or root.get("version") != "1.0":
+        return []
+    schema = _schema(name)
+    schema.validate(root)
+    found = []
+    for slip in list(schema.error_log)[:SHOWN]:
+        message = slip.message
+        for uri, prefix in NAMESPACES.items():
+            message = message.replace(f"{{{uri}}}", f"{prefix}:")
+        found.append(Fault(label, slip.line, 1, f"breaks the schema of SSP: {message}"))
+    return found

@@ -1,0 +1,149 @@
+"""Writing an SSP that importers of other makers read.
+
+libcosim and ecos know elements by their prefix, take no system within another, and of parameters the set of a component
+that stands inline; FMPy wants a connection to each input that is a connector. So a system has no connectors of its own,
+components have those that are connected and their outputs, and start values stand in one set a component. What FMPy's
+`simulate_ssp` is to be given as `parameter_set` lies in `resources/start.ssv`, with the component's name before each.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from cosim.ssp.elements import NAMESPACES
+from cosim.ssp.notes import BASE_UNITS
+from cosim.ssp.structure import Units
+from cosim.version import __version__
+from fmus.archive import STRUCTURE
+from fmus.files import draft_of
+
+EPOCH = (1980, 1, 1, 0, 0, 0)
+START, RESOURCES = "start", "resources"
+OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+OSP_TYPE = "com.opensimulationplatform"  # of the annotation in which libcosim looks for the communication step
+Value = float | int | bool | str
+
+
+@dataclass(frozen=True)
+class Port:
+    """A connector: its type by SSP's name."""
+
+    name: str
+    kind: str
+    type: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Model:
+    """An FMU of the system, with start values: name → (type, value)."""
+
+    name: str
+    fmu: Path
+    ports: Sequence[Port]
+    start: Mapping[str, tuple[str, Value]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A system to write; connections are ((model, output), (model, input)), times in seconds."""
+
+    name: str
+    description: str
+    models: Sequence[Model]
+    connections: Sequence[tuple[tuple[str, str], tuple[str, str]]]
+    units: Units
+    start: float
+    stop: float
+    step: float
+
+
+def write_ssp(path: Path, whole: Whole) -> Path:
+    """Write an SSP, whole or not at all; the same system gives the same bytes."""
+    files = {model.name: f"{RESOURCES}/{model.name}.fmu" for model in whole.models}
+    members = {STRUCTURE: _xml(_description(whole, files))}
+    if any(model.start for model in whole.models):
+        everything = ((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
+        members[f"{RESOURCES}/{START}.ssv"] = _xml(_named(_parameter_set(everything), "ssv"))
+    members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
+    with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(zipfile.ZipInfo(name, EPOCH), data, zipfile.ZIP_DEFLATED)
+    return path
+
+
+def _xml(root: Element) -> bytes:
+    indent(root)
+    return bytes(tostring(root, encoding="UTF-8", xml_declaration=True))
+
+
+def _named(root: Element, *prefixes: str) -> Element:
+    """With the namespaces of these prefixes declared."""
+    for uri, prefix in NAMESPACES.items():
+        if prefix in prefixes:
+            root.set(f"xmlns:{prefix}", uri)
+    return root
+
+
+def _description(whole: Whole, files: Mapping[str, str]) -> Element:
+    root = _named(Element("ssd:SystemStructureDescription"), "ssd", "ssc", "ssv")
+    root.set("xmlns:osp", OSP)
+    root.set("name", whole.name)
+    root.set("version", "1.0")
+    root.set("generationTool", f"cosim {__version__}")
+    system = SubElement(root, "ssd:System", name="system", description=whole.description)
+    elements = SubElement(system, "ssd:Elements")
+    for model in whole.models:
+        elements.append(_component(model, files[model.name]))
+    if whole.connections:
+        connections = SubElement(system, "ssd:Connections")
+        for (start, output), (end, target) in whole.connections:
+            ends = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": target}
+            SubElement(connections, "ssd:Connection", ends)
+    if whole.units:
+        units = SubElement(root, "ssd:Units")
+        for name, definition in sorted(whole.units.items()):
+            base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit")
+            for unit, exponent in zip(BASE_UNITS, definition, strict=False):
+                if exponent:
+                    base.set(unit, str(int(exponent)))
+            if definition[-2] != 1.0:
+                base.set("factor", repr(definition[-2]))
+            if definition[-1] != 0.0:
+                base.set("offset", repr(definition[-1]))
+    experiment = SubElement(root, "ssd:DefaultExperiment", startTime=repr(whole.start), stopTime=repr(whole.stop))
+    annotation = SubElement(SubElement(experiment, "ssd:Annotations"), "ssc:Annotation", type=OSP_TYPE)
+    SubElement(SubElement(annotation, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=repr(whole.step))
+    return root
+
+
+def _component(model: Model, source: str) -> Element:
+    element = Element(
+        "ssd:Component",
+        name=model.name,
+        type="application/x-fmu-sharedlibrary",
+        source=source,
+        implementation="CoSimulation",
+    )
+    if model.ports:
+        connectors = SubElement(element, "ssd:Connectors")
+        for port in model.ports:
+            connector = SubElement(connectors, "ssd:Connector", name=port.name, kind=port.kind)
+            SubElement(connector, f"ssc:{port.type}", {"unit": port.unit} if port.unit else {})
+    if model.start:
+        binding = SubElement(SubElement(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+        SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
+    return element
+
+
+def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]]) -> Element:
+    element = Element("ssv:ParameterSet", version="1.0", name=START)
+    parameters = SubElement(element, "ssv:Parameters")
+    for name, (kind, value) in values:
+        text = str(value).lower() if isinstance(value, bool) else value if isinstance(value, str) else repr(value)
+        SubElement(SubElement(parameters, "ssv:Parameter", name=name), f"ssv:{kind}", value=text)
+    return element

@@ -1,0 +1,228 @@
+/* A controller that samples: Kalman filter, state feedback, saturation.
+ *
+ *   x̂ = F·x̂ + G·u,   P = F·P·F' + V
+ *   K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P·(I − K·H)' + K·W·K'
+ *   u = sat(−L·(x̂ − x_ref), ±limit)
+ *
+ * Printed above this text: design(m, &d), which fills the matrices from the parameters; measured, reference, start and
+ * publish, which say which variables they are.
+ * What is kept: x̂, P, u, then the matrices, so that a step computes none of them anew. */
+#include "model.h"
+
+typedef struct {
+    double x[NX], P[NX][NX], u[NU];
+    Design d;
+} Filter;
+
+static Filter *filter_of(Instance *m)
+{
+    return (Filter *)(void *)m->own;
+}
+
+/* exp of a matrix by its series, after halving it until it is small, and squaring as often. */
+static void exponential(int n, double *a)
+{
+    double norm = 0.0, term[EXP_SIZE * EXP_SIZE], sum[EXP_SIZE * EXP_SIZE], next[EXP_SIZE * EXP_SIZE];
+    for (int i = 0; i < n; i++) {
+        double row = 0.0;
+        for (int j = 0; j < n; j++) row += fabs(a[i * n + j]);
+        norm = row > norm ? row : norm;
+    }
+    int halved = 0;
+    for (; norm > 1.0 && halved < 1000; norm *= 0.5) halved++;
+    for (int k = 0; k < n * n; k++) a[k] = ldexp(a[k], -halved);
+    for (int k = 0; k < n * n; k++) sum[k] = term[k] = k % (n + 1) == 0 ? 1.0 : 0.0;
+    for (int order = 1; order <= 22; order++) {
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) {
+                double s = 0.0;
+                for (int k = 0; k < n; k++) s += term[i * n + k] * a[k * n + j];
+                next[i * n + j] = s / order;
+            }
+        for (int k = 0; k < n * n; k++) sum[k] += term[k] = next[k];
+    }
+    for (; halved > 0; halved--) {
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) {
+                double s = 0.0;
+                for (int k = 0; k < n; k++) s += sum[i * n + k] * sum[k * n + j];
+                next[i * n + j] = s;
+            }
+        memcpy(sum, next, sizeof(double) * (size_t)(n * n));
+    }
+    memcpy(a, sum, sizeof(double) * (size_t)(n * n));
+}
+
+/* F and G of inputs held over dt, exact: [F G; 0 I] = exp(dt·[A B; 0 0]). */
+static void hold(double dt, double A[NX][NX], double B[NX][NU], double F[NX][NX], double G[NX][NU])
+{
+    double block[EXP_SIZE * EXP_SIZE] = {0};
+    const int n = NX + NU;
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NX; j++) block[i * n + j] = dt * A[i][j];
+        for (int j = 0; j < NU; j++) block[i * n + NX + j] = dt * B[i][j];
+    }
+    exponential(n, block);
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NX; j++) F[i][j] = block[i * n + j];
+        for (int j = 0; j < NU; j++) G[i][j] = block[i * n + NX + j];
+    }
+}
+
+/* The inverse of a matrix of NZ by NZ, by elimination with pivots; 1 where there is none. */
+static int inverse(double a[NZ][NZ], double out[NZ][NZ])
+{
+    for (int i = 0; i < NZ; i++) for (int j = 0; j < NZ; j++) out[i][j] = i == j ? 1.0 : 0.0;
+    for (int c = 0; c < NZ; c++) {
+        int pivot = c;
+        for (int i = c + 1; i < NZ; i++) if (fabs(a[i][c]) > fabs(a[pivot][c])) pivot = i;
+        if (!(fabs(a[pivot][c]) > 0.0)) return 1;
+        for (int j = 0; j < NZ; j++) {
+            double s = a[c][j]; a[c][j] = a[pivot][j]; a[pivot][j] = s;
+            s = out[c][j]; out[c][j] = out[pivot][j]; out[pivot][j] = s;
+        }
+        const double scale = 1.0 / a[c][c];
+        for (int j = 0; j < NZ; j++) a[c][j] *= scale, out[c][j] *= scale;
+        for (int i = 0; i < NZ; i++) {
+            if (i == c) continue;
+            const double f = a[i][c];
+            for (int j = 0; j < NZ; j++) a[i][j] -= f * a[c][j], out[i][j] -= f * out[c][j];
+        }
+    }
+    return 0;
+}
+
+static void predict(Filter *f)
+{
+    const Design *d = &f->d;
+    double x[NX], FP[NX][NX];
+    for (int i = 0; i < NX; i++) {
+        double own = 0.0, forced = 0.0;
+        for (int j = 0; j < NX; j++) own += d->F[i][j] * f->x[j];
+        for (int j = 0; j < NU; j++) forced += d->G[i][j] * f->u[j];
+        x[i] = own + forced;
+    }
+    memcpy(f->x, x, sizeof x);
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            FP[i][j] = 0.0;
+            for (int k = 0; k < NX; k++) FP[i][j] += d->F[i][k] * f->P[k][j];
+        }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            double s = 0.0;
+            for (int k = 0; k < NX; k++) s += FP[i][k] * d->F[j][k];
+            f->P[i][j] = i == j ? s + d->V[i] : s;
+        }
+}
+
+static int correct(Instance *m, Filter *f, const double *z)
+{
+    const Design *d = &f->d;
+    double PH[NX][NZ], S[NZ][NZ], SI[NZ][NZ], K[NX][NZ], left[NX][NX], LP[NX][NX], y[NZ];
+    for (int i = 0; i < NZ; i++) {
+        y[i] = z[i];
+        for (int j = 0; j < NX; j++) y[i] -= d->H[i][j] * f->x[j];
+    }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NZ; j++) {
+            PH[i][j] = 0.0;
+            for (int k = 0; k < NX; k++) PH[i][j] += f->P[i][k] * d->H[j][k];
+        }
+    for (int i = 0; i < NZ; i++)
+        for (int j = 0; j < NZ; j++) {
+            S[i][j] = i == j ? d->W[i] : 0.0;
+            for (int k = 0; k < NX; k++) S[i][j] += d->H[i][k] * PH[k][j];
+        }
+    if (inverse(S, SI)) return refuse(m, "the innovation has no variance; a measurement variance of 0 needs process noise");
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NZ; j++) {
+            K[i][j] = 0.0;
+            for (int k = 0; k < NZ; k++) K[i][j] += PH[i][k] * SI[k][j];
+        }
+    for (int i = 0; i < NX; i++) {
+        double s = 0.0;
+        for (int j = 0; j < NZ; j++) s += K[i][j] * y[j];
+        f->x[i] += s;
+    }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            left[i][j] = i == j ? 1.0 : 0.0;
+            for (int k = 0; k < NZ; k++) left[i][j] -= K[i][k] * d->H[k][j];
+        }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            LP[i][j] = 0.0;
+            for (int k = 0; k < NX; k++) LP[i][j] += left[i][k] * f->P[k][j];
+        }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            double s = 0.0, noise = 0.0;
+            for (int k = 0; k < NX; k++) s += LP[i][k] * left[j][k];
+            for (int k = 0; k < NZ; k++) noise += K[i][k] * d->W[k] * K[j][k];
+            f->P[i][j] = s + noise;
+        }
+    return 0;
+}
+
+static void feed_back(Instance *m, Filter *f)
+{
+    double wanted[NX];
+    reference(m, wanted);
+    for (int i = 0; i < NU; i++) {
+        double s = 0.0;
+        for (int j = 0; j < NX; j++) s += f->d.L[i][j] * (f->x[j] - wanted[j]);
+        f->u[i] = fmin(fmax(-s, -f->d.limit), f->d.limit) + 0.0; /* -0.0 is 0.0 */
+    }
+}
+
+static int published(Instance *m)
+{
+    double y[OUTPUTS];
+    Filter *f = filter_of(m);
+    double variance[NX];
+    for (int i = 0; i < NX; i++) variance[i] = f->P[i][i];
+    publish(m, f->u, f->x, variance, y);
+    for (int k = 0; k < OUTPUTS; k++)
+        if (!isfinite(y[k])) return refuse(m, "%s is %g", variables[INPUTS + k].name, y[k]);
+    memcpy(m->values + INPUTS, y, sizeof y);
+    m->moved = 0;
+    return 0;
+}
+
+static int initialize(Instance *m)
+{
+    Filter *f = filter_of(m);
+    if (check_bounds(m)) return 1;
+    memset(f, 0, sizeof *f);
+    if (design(m, &f->d)) return 1;
+    start(m, f->x);
+    feed_back(m, f);
+    m->time = m->start_time;
+    return published(m);
+}
+
+static int advance(Instance *m, double t, double h)
+{
+    Filter *f = filter_of(m);
+    const double sample = f->d.sample;
+    double z[NZ];
+    if (fabs(h - sample) > 1e-6 * sample)
+        return refuse(m, "step of %.15g s; the controller is sampled at %.15g s (parameter %s)", h, sample, SAMPLE_NAME);
+    measured(m, z);
+    predict(f);
+    if (correct(m, f, z)) return 1;
+    feed_back(m, f);
+    m->time = t + h;
+    return published(m);
+}
+
+static int refresh_outputs(Instance *m)
+{
+    return published(m);
+}
+
+static void restored(Instance *m)
+{
+    (void)m;
+}

@@ -1,0 +1,550 @@
+"""Native FMUs: the same values as the FMUs in Python, whatever is awake, and the same refusals."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.validation import validate_fmu
+
+from controller.gains import Settings
+from controller.loop import Loop
+from cosim.errors import InputError
+from cosim.models.native import build_native
+from fmus.native.compiler import compiler
+from fmus.native.platforms import commands as compilers
+from fmus.native.platforms import crossing, glibc_floor, here
+from fmus.ports import model_ports
+from fmus.state import MEMORY as MEMORY_PART
+from fmus.state import STATE, own_of, with_memory
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+from plant.model import Model
+from plant.quantities import parameters_of
+from tests.hosts_fmpy import Instance, description_of
+from tests.native import NEEDS_COMPILER
+from tests.tank import MODEL as TANK
+from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
+
+ROOT = Path(__file__).resolve().parent.parent
+GOLDEN = Path(__file__).resolve().parent / "data" / "native_plant_variables.txt"
+PLANTS = Path(__file__).resolve().parent / "blind" / "plants"
+STEP, TIGHT = 0.02, 1e-10  # rounding alone: what C and Python add up in another order
+pytestmark = NEEDS_COMPILER
+Rows = list[tuple[float, ...]]
+
+
+def wandering(model: Model, rows: int, seed: int = 1) -> Rows:
+    """Commands about their start values, held for a while and wandering in between."""
+    rng = np.random.default_rng(seed)
+    start = np.array(model.start_command())
+    size = np.array([model.excursion.get(q.name, 0.1 * max(1.0, abs(q.start))) for q in model.inputs])
+    steps = np.repeat(rng.uniform(-0.7, 0.7, (rows // 20 + 1, start.size)), 20, axis=0)[:rows]
+    walk = np.cumsum(rng.normal(size=(rows, start.size)), axis=0) / np.sqrt(rows)
+    return [tuple(row) for row in (start + size * (steps + 0.3 * walk)).tolist()]
+
+
+def by_python(model: Model, rows: Rows, values: dict[str, Any], step: float) -> Any:
+    """What the lines of the FMU in Python give."""
+    starts = {name.removesuffix("_start"): v for name, v in values.items() if name.endswith("_start")}
+    given = {name: v for name, v in values.items() if not name.endswith("_start")}
+    stepper = Stepper(model.with_values(given))
+    moment, outputs = stepper.start(0.0, starts), []
+    for row in rows:
+        moment = stepper.step(moment, row, step)
+        outputs.append(stepper.output(moment.t, moment.state, row))
+    return np.array(outputs)
+
+
+def by_fmu(fmu: Path, rows: Rows, values: dict[str, Any], step: float) -> Any:
+    with Instance(fmu) as instance:
+        instance.initialize(values)
+        place = {name: v.valueReference for name, v in instance.variables.items()}
+        inputs, outputs = ([place[n] for n in instance.names(c)] for c in ("input", "output"))
+        found = []
+        for k, row in enumerate(rows):
+            instance.call("setReal", inputs, list(row))
+            instance.call("doStep", k * step, step)
+            found.append(instance.call("getReal", outputs))
+    return np.array(found)
+
+
+def difference(a: Any, b: Any) -> float:
+    """Largest difference / max(1, largest value), over the outputs."""
+    return float(np.max(np.max(np.abs(a - b), axis=0) / np.maximum(1.0, np.max(np.abs(a), axis=0))))
+
+
+# -- the same values ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("effects", [{}, *(case for case, _ in CASES), EVERYTHING], ids=lambda e: str(named(e))[:60])
+def test_the_native_plant_is_the_one_in_python_with_each_effect_awake(effects: Any, native_plant: Path) -> None:
+    rows = wandering(Hovercraft(), 400)
+    values = named(effects) | {f"{name}_start": v for name, v in (MOVING | MEMORY).items()}
+    exact = by_python(Hovercraft(), rows, values, STEP)
+    assert difference(exact, by_fmu(native_plant, rows, values, STEP)) < TIGHT
+    if effects:  # and it acts
+        starts = {name: v for name, v in values.items() if name.endswith("_start")}
+        assert difference(exact, by_fmu(native_plant, rows, starts, STEP)) > 1e-4
+
+
+@pytest.mark.parametrize("roll", [True, False])
+def test_the_native_plant_is_the_fmu_in_python_over_a_minute(roll: bool, native_plant: Path, plant_fmu: Path) -> None:
+    rows = wandering(Hovercraft(), 3000, seed=2)
+    values = named(EVERYTHING) | {"roll_ground_effect": roll, "mass": 0.8, "duty_nominal": 6.5}
+    assert difference(by_fmu(plant_fmu, rows, values, STEP), by_fmu(native_plant, rows, values, STEP)) < TIGHT
+
+
+def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> None:
+    values = {"actuator_delay.time": 0.5, "servo_backlash.width": 0.05}
+    for step, count in ((0.0013, 1500), (0.1, 40)):
+        rows = wandering(Hovercraft(), count)
+        assert difference(by_python(Hovercraft(), rows, values, step), by_fmu(native_plant, rows, values, step)) < TIGHT
+
+
+@pytest.mark.parametrize("name", ["drive_train.py:DriveTrain", "tanks.py:Tanks", "quarter_car.py:QuarterCar"])
+def test_a_native_model_of_ones_own_is_the_one_in_python(name: str, tmp_path: Path) -> None:
+    from cosim.models.file import load_model
+
+    model = load_model(str(PLANTS / name), Path()).model
+    (built,) = build_native(tmp_path, str(PLANTS / name))
+    assert built.path == tmp_path / "plant-native.fmu"
+    rows = wandering(model, 150)
+    typical = {
+        f"{kind.name}.{p.name}": min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
+        for kind in model.catalogue
+        for p in parameters_of(kind)
+        if p.neutral is not None and p.typical is not None
+    }
+    for values in ({}, typical):
+        exact = by_python(model, rows, values, model.rate)
+        assert difference(exact, by_fmu(built.path, rows, values, model.rate)) < TIGHT
+
+
+def test_a_refined_model_has_its_values_as_defaults(tmp_path: Path) -> None:
+    (tmp_path / "tank.py").write_text(TANK, encoding="utf-8")
+    (tmp_path / "model.yaml").write_text("model: tank.py:Tank\nparameters: {area: 0.3, leak.rate: 0.01}\n")
+    (refined,) = build_native(tmp_path / "refined", str(tmp_path / "model.yaml"))
+    (plain,) = build_native(tmp_path / "plain", f"{tmp_path}/tank.py:Tank")
+    rows, values = [(0.02 + 0.01 * (k % 7),) for k in range(100)], {"area": 0.3, "leak.rate": 0.01}
+    assert difference(by_fmu(plain.path, rows, values, 0.5), by_fmu(refined.path, rows, {}, 0.5)) == 0.0
+    assert description_of(refined.path).guid != description_of(plain.path).guid
+
+
+# -- the controller -----------------------------------------------------------------------------
+
+SETTINGS: list[dict[str, Any]] = [
+    {},
+    {"estimator": "lagged", "lag": 0.005, "sample_time": 0.1},
+    {"estimator": "consistent", "mass": 0.9, "friction": 1.0, "yaw_damping": 0.02, "tilt_max": 0.05},
+]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+def test_the_native_controller_is_filterpy_and_lqr(settings: dict[str, Any], native_fmus: Path) -> None:
+    rows = np.cumsum(np.random.default_rng(1).normal(size=(500, 5)) * 0.02, axis=0)
+    own = Settings(**settings)
+    loop = Loop(own, [0.3, 0.0, 0.1, 0.0, 0.0], 0.0, 0.0)
+    exact = []
+    for psi, psi_dot, ax, x_ref, psi_ref in rows:
+        loop.step((psi, psi_dot, ax), x_ref, psi_ref)
+        exact.append([own.duty_nominal] * 2 + [*loop.command, *loop.estimate, *loop.sigma])
+    values = settings | {"x_hat_start": 0.3, "psi_hat_start": 0.1}
+    listed = [tuple(row) for row in rows.tolist()]
+    found = by_fmu(native_fmus / "controller-native.fmu", listed, values, own.sample_time)
+    assert difference(np.array(exact), found) < 1e-12
+
+
+def test_the_native_controller_is_the_fmu_in_python(native_fmus: Path, controller_fmu: Path) -> None:
+    rows = [tuple(row) for row in (0.1 * np.random.default_rng(2).normal(size=(200, 5))).tolist()]
+    values = {"x_hat_start": 0.5, "estimator": "consistent"}
+    native = by_fmu(native_fmus / "controller-native.fmu", rows, values, STEP)
+    assert difference(by_fmu(controller_fmu, rows, values, STEP), native) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("values", "step", "said"),
+    [
+        ({"estimator": "kalman"}, STEP, "estimator is kalman; it is one of appendix_f, lagged, consistent"),
+        ({"mass": 99.0, "lag": 0.0}, STEP, "mass is 99; it lies in [0.05, 20] kg; lag is 0; it lies in [0.005, 2] s"),
+        ({}, 0.03, "step of 0.03 s; the controller is sampled at 0.02 s (parameter sample_time)"),
+    ],
+)
+def test_the_native_controller_refuses_as_the_one_in_python(
+    values: dict[str, Any], step: float, said: str, native_fmus: Path, controller_fmu: Path
+) -> None:
+    for fmu in (native_fmus / "controller-native.fmu", controller_fmu):
+        with Instance(fmu) as instance, pytest.raises(FMICallException):
+            instance.initialize(values).step(0.0, step)
+        assert said.replace("kalman", "") in instance.log[-1].replace("'", "").replace("kalman", "").replace(".0;", ";")
+
+
+# -- the description ----------------------------------------------------------------------------
+
+
+def test_names_and_value_references_stay_as_the_golden_file_has_them(native_plant: Path, plant_fmu: Path) -> None:
+    native, python = (
+        {v.name: v.valueReference for v in description_of(fmu).modelVariables} for fmu in (native_plant, plant_fmu)
+    )
+    assert python.items() <= native.items()
+    golden = dict(line.split()[::-1] for line in GOLDEN.read_text(encoding="utf-8").splitlines())
+    assert {name: str(vr) for name, vr in native.items()} == golden
+
+
+def test_what_the_fmus_share_is_described_alike(native_plant: Path, plant_fmu: Path) -> None:
+    native = {v.name: v for v in description_of(native_plant).modelVariables}
+    for v in description_of(plant_fmu).modelVariables:
+        other = native[v.name]
+        for key in ("type", "causality", "variability", "initial", "start", "min", "max", "description", "unit"):
+            assert getattr(other, key) == getattr(v, key), (v.name, key)
+
+
+@pytest.mark.parametrize("name", ["plant-native.fmu", "controller-native.fmu"])
+def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, native_fmus: Path) -> None:
+    description = description_of(native_fmus / name)
+    assert validate_fmu(str(native_fmus / name)) == []
+    ways = [way for way in (description.coSimulation, description.modelExchange) if way is not None]
+    assert len(ways) == (2 if "plant" in name else 1)  # the controller samples
+    assert {way.needsExecutionTool for way in ways} == {False}
+    with zipfile.ZipFile(native_fmus / name) as archive:
+        listed = set(archive.namelist())
+        assert {"sources/all.c", "sources/model.c", "sources/fmi2.c", "documentation/license.txt"} <= listed
+        assert archive.read("modelDescription.xml").decode().count('<File name="all.c" />') == len(ways)
+        assert "2-Clause BSD" in archive.read("sources/fmi2Functions.h").decode()
+        page = archive.read("documentation/index.html").decode()
+    machine = here()
+    assert machine is not None
+    assert f"Libraries for {machine.name}; none for" in page
+    assert description.guid in page
+
+
+def test_two_builds_are_the_same_bytes(native_plant: Path, tmp_path: Path) -> None:
+    again, _ = build_native(tmp_path)
+    assert again.path.read_bytes() == native_plant.read_bytes()
+
+
+def test_nothing_but_fmi_is_seen_from_outside(native_plant: Path, tmp_path: Path) -> None:
+    if not (sys.platform == "linux" and shutil.which("nm")):
+        pytest.skip("no nm")
+    with zipfile.ZipFile(native_plant) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith(".so"))
+        library = Path(archive.extract(name, tmp_path))
+    command = ["nm", "--dynamic", "--defined-only", str(library)]
+    symbols = {line.split()[-1] for line in subprocess.check_output(command, text=True).splitlines()}
+    assert {"fmi2DoStep", "fmi2GetDerivatives"} <= symbols
+    assert all(symbol.startswith("fmi2") for symbol in symbols)
+    assert glibc_floor(library.read_bytes()).startswith("2.")
+
+
+# -- state and slopes ---------------------------------------------------------------------------
+
+
+def test_a_state_put_back_goes_on_bit_for_bit_in_another_instance_too(native_plant: Path) -> None:
+    rows, names = wandering(Hovercraft(), 60), [q.name for q in Hovercraft.inputs]
+    values = named(EVERYTHING)
+    with Instance(native_plant) as first, Instance(native_plant, "second") as second:
+        first.initialize(values)
+        second.initialize({"mass": 3.0})
+        for k, row in enumerate(rows[:30]):
+            first.step(k * STEP, STEP, dict(zip(names, row, strict=True)))
+        state = first.fmu.getFMUstate()
+        data = first.fmu.serializeFMUstate(state)
+        second.fmu.setFMUstate(second.fmu.deSerializeFMUstate(data))
+        commands = [dict(zip(names, row, strict=True)) for row in rows[30:]]
+        runs = []
+        for instance in (first, second, first):
+            if len(runs) == 2:
+                first.fmu.setFMUstate(state)
+            runs.append([instance.step((30 + k) * STEP, STEP, command) for k, command in enumerate(commands)])
+        assert runs[0] == runs[1] == runs[2]
+        first.fmu.freeFMUstate(state)
+
+
+def test_a_state_of_another_fmu_is_refused(native_fmus: Path) -> None:
+    paths = [native_fmus / f"{name}-native.fmu" for name in ("plant", "controller")]
+    with Instance(paths[0]) as plant, Instance(paths[1]) as other:
+        data = plant.initialize().fmu.serializeFMUstate(plant.fmu.getFMUstate())
+        with pytest.raises(FMICallException):
+            other.fmu.setFMUstate(other.fmu.deSerializeFMUstate(data))
+        assert "of another FMU" in other.log[-1]
+
+
+def test_an_instance_that_is_reset_begins_anew(native_plant: Path) -> None:
+    with Instance(native_plant) as instance:
+        first = instance.initialize({"vx_start": 0.4}).step(0.0, STEP)
+        instance.fmu.reset()
+        assert instance.initialize().step(0.0, STEP)["vx"] != first["vx"]
+        instance.fmu.reset()
+        assert instance.initialize({"vx_start": 0.4}).step(0.0, STEP) == first
+
+
+# -- refusals -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"mass": 99.0}, "mass is 99; it lies in [0.05, 20] kg"),
+        ({"servo_backlash.width": -0.1}, "servo_backlash.width is -0.1; it lies in [0, 0.5] rad"),
+        ({"mass": 99.0, "arm": 0.0}, "arm is 0; it lies in [0.01, 2] m"),
+        ({"vx_start": float("nan")}, "vx_start is set to nan; it is a finite number"),
+        ({"psi": 1.0}, "psi is an output"),
+    ],
+)
+def test_values_are_refused_as_by_the_fmu_in_python(values: dict[str, float], said: str, native_plant: Path) -> None:
+    with Instance(native_plant) as instance, pytest.raises(FMICallException):
+        instance.initialize(values)
+    assert said in instance.log[-1]
+
+
+@pytest.mark.parametrize(
+    ("phase", "calls", "said"),
+    [
+        ("begin", [("doStep", 0.0, STEP)], "a step while initialization; end initialization first"),
+        ("initialize", [("doStep", 0.0, 0.0)], "step of 0 s at t = 0 s; a step is positive and finite"),
+        ("initialize", [("doStep", 0.0, float("inf"))], "a step is positive and finite"),
+        ("initialize", [("setReal", [19], [1.0])], "is a fixed parameter; set it before the end of initialization"),
+        ("initialize", [("getReal", [9999])], "no Real with value reference 9999"),
+        ("initialize", [("getBoolean", [0])], "duty_right is Real, not Boolean"),
+        ("initialize", [("setReal", [2], [1e308]), ("doStep", 0.0, STEP)], "not finite any more; largest before"),
+    ],
+)
+def test_calls_are_refused_as_by_the_fmu_in_python(phase: str, calls: Any, said: str, native_plant: Path) -> None:
+    *before, (function, *arguments) = calls
+    with Instance(native_plant) as instance:
+        getattr(instance, phase)()
+        for earlier, *given in before:
+            instance.call(earlier, *given)
+        with pytest.raises(FMICallException):
+            instance.call(function, *arguments)
+    assert said in instance.log[-1]
+
+
+def test_another_guid_and_another_way_are_refused(native_fmus: Path) -> None:
+    with Instance(native_fmus / "controller-native.fmu") as instance:
+        own = instance.fmu
+        for guid, way, said in (
+            (b"{other}", 1, "the GUID is {other}; this library is of {"),
+            (own.guid.encode(), 0, "this FMU is for co-simulation only"),
+        ):
+            assert own.fmi2Instantiate(b"two", way, guid, b"", ctypes.byref(instance._callbacks), 0, 0) is None
+            assert said in instance.log[-1]
+
+
+def test_what_follows_from_parameters_follows_until_it_is_set(native_plant: Path) -> None:
+    with Instance(native_plant) as instance:
+        instance.begin({"duty_nominal": 6.6})
+        assert instance.get(["duty_right"]) == [6.6]
+        thrust = instance.get(["thrust_right"])[0]
+        instance.set({"thrust_right_start": 1.0, "duty_right": 6.0})
+        assert instance.get(["duty_right", "duty_left"]) == [6.0, 6.6]
+        assert instance.get(["thrust_right"])[0] < 0.5 * thrust
+
+
+def test_a_command_out_of_range_is_warned_of_once(native_plant: Path, plant_fmu: Path) -> None:
+    said = []
+    for fmu in (native_plant, plant_fmu):
+        with Instance(fmu) as instance:
+            instance.initialize()
+            for k in range(3):
+                instance.step(k * STEP, STEP, {"duty_left": 7.5})
+            said.append(instance.log)
+    assert said[0] == said[1]
+    assert "at t = 0 s: duty 6.38763 %%, 7.5 %%: extrapolates a thrust line fitted on 6-7 %%" in said[0][0]
+    assert len(said[0]) == 1
+
+
+# -- the C --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["plant", "controller"])
+def test_the_c_is_clean_under_warnings_and_sanitizers(name: str, native_fmus: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(native_fmus / f"{name}-native.fmu") as archive:
+        archive.extractall(tmp_path)
+    sources, driver = tmp_path / "sources", Path(__file__).resolve().parent / "native_driver.c"
+    command = [*(compiler() or ()), "-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    sanitized = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    empty = tmp_path / "empty.c"
+    empty.write_text("int main(void) { return 0; }\n")
+    if subprocess.run(
+        [*command, *sanitized, str(empty), "-o", str(tmp_path / "empty")], capture_output=True
+    ).returncode:
+        sanitized = []  # a compiler without them still warns
+    program = [*command, *sanitized, "-I.", str(driver), "all.c", "-o", "driver", "-lm"]
+    made = subprocess.run(program, cwd=sources, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    awake: dict[str, float] = {} if name == "controller" else named(EVERYTHING)
+    place = {v.name: v.valueReference for v in description_of(native_fmus / f"{name}-native.fmu").modelVariables}
+    arguments = [text for n, v in awake.items() for text in (str(place[n]), repr(v))]
+    run = subprocess.run([str(sources / "driver"), "0.02", *arguments], capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, ""), run.stdout + run.stderr
+
+
+# -- bad input ----------------------------------------------------------------------------------
+
+
+def test_without_a_compiler_the_cure_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if crossing():
+        pytest.skip("the extra native brings a compiler")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(InputError, match="no C compiler is found; install gcc or clang"):
+        build_native(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_compiler_that_fails_is_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing = tmp_path / "cc"
+    failing.write_text("#!/bin/sh\necho 'model.c:1: error: no space left' >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setenv("CC", str(failing))
+    with pytest.raises(InputError, match=r"failed: model.c:1: error: no space left; mend the compiler"):
+        build_native(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "other", "place", "said"),
+    [
+        ("flow = command[0]", "flow = command[0] if level > 0 else 0.0", ":81:", "no `if`"),
+        ("0.02 * m.sqrt(m.maximum(level, 1e-6))", "bessel(level)", ":76:", "C has no besselj"),
+    ],
+)
+def test_a_body_that_c_cannot_say_is_refused_at_its_line(
+    line: str, other: str, place: str, said: str, tmp_path: Path
+) -> None:
+    helper = """
+import sympy
+
+
+def bessel(x: Number) -> Number:
+    return 0.1 if isinstance(x, float) else sympy.besselj(1, x)
+"""
+    text = TANK.replace(line, other).replace("\n\nclass TankEffect", f"{helper}\n\nclass TankEffect")
+    (tmp_path / "tank.py").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        build_native(tmp_path / "out", f"{tmp_path}/tank.py:Tank")
+    assert said in str(error.value)
+    assert "tank.py:" in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_path: Path) -> None:
+    text = TANK.replace("return self.rate * level", "return level / self.rate")
+    (tmp_path / "tank.py").write_text(text, encoding="utf-8")
+    place = text[
+        : text.index("    def loss(self, m: Namespace, level: Number) -> Number:\n        return level")
+    ].count("\n")
+    with pytest.raises(InputError) as error:
+        build_native(tmp_path / "out", f"{tmp_path}/tank.py:Tank")
+    assert str(error.value).startswith(
+        f"{tmp_path}/tank.py:{place + 1}:5: cannot be printed as C: leak has no value where"
+    )
+    assert "rate is 0" in str(error.value)
+
+
+def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cosim.cli", "build", "-o", str(tmp_path), "--native"]
+    done = subprocess.run([*command, "--platforms", "linux32,win64"], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(
+        '--platforms: no platform "linux32"; did you mean "linux64"? (known: linux64, win64, '
+    )
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match="--fmi: is 1; it is 2 or 3"):
+        build_native(tmp_path, fmi=1)
+    with pytest.raises(KeyError):
+        compilers(("linux32",))
+
+
+def test_platforms_without_a_compiler_that_crosses_are_refused(tmp_path: Path) -> None:
+    if crossing():
+        pytest.skip("the extra native brings one")
+    foreign = "win64" if sys.platform == "linux" else "linux64"
+    with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'cosim-hovercraft\[native\]'"):
+        build_native(tmp_path, platforms=[foreign])
+    assert not list(tmp_path.iterdir())
+
+
+# -- hosts --------------------------------------------------------------------------------------
+
+
+def test_the_native_pair_flies_the_scenario_by_two_lines(project: Path, native_fmus: Path) -> None:
+    from cosim import run
+
+    text = (project / "scenarios" / "regulate.yaml").read_text(encoding="utf-8")
+    for native in (False, True):
+        folder = native_fmus if native else project / "build"
+        changed = text.replace("../build/", f"{folder}/")
+        if native:
+            changed = changed.replace("/plant.fmu", "/plant-native.fmu").replace(
+                "/controller.fmu", "/controller-native.fmu"
+            )
+        path = project / "scenarios" / f"native_{native}.yaml"
+        path.write_text(changed, encoding="utf-8")
+        run(path, project / f"out_{native}", ["duration=2"], report=False, in_process=True)
+    files = [np.genfromtxt(project / f"out_{n}" / "results.csv", delimiter=",", names=True) for n in (False, True)]
+    for name in files[0].dtype.names:
+        assert np.allclose(files[0][name], files[1][name], rtol=0, atol=TIGHT), name
+
+
+def test_ports_are_those_of_the_model() -> None:
+    assert [p.name for p in model_ports(Hovercraft())][:4] == [q.name for q in Hovercraft.inputs]
+
+
+def test_the_host_fmpy_sees_the_same_in_both_ways(native_plant: Path) -> None:
+    signal = np.array([(0, 0.1), (1, 0.1), (1, -0.1), (2, -0.1)], dtype=[("time", "f8"), ("tilt_right", "f8")])
+    start = {"vx_start": 0.3, "actuator_delay.time": 0.14, "servo_backlash.width": 0.05, "servo_rate_limit.rate": 1.0}
+    constant = {name: Hovercraft().duty_nominal for name in ("duty_right", "duty_left")} | {"tilt_left": 0.0}
+    common: dict[str, Any] = {
+        "stop_time": 2.0,
+        "input": signal,
+        "start_values": start | constant,
+        "output_interval": 0.02,
+    }
+    held = fmpy.simulate_fmu(str(native_plant), fmi_type="CoSimulation", step_size=0.02, **common)
+    solved = fmpy.simulate_fmu(
+        str(native_plant), fmi_type="ModelExchange", solver="CVode", relative_tolerance=1e-9, **common
+    )
+    for name in ("psi", "x", "tilt_right_actual"):  # RK4 across the kink of the rate limit errs by some 1e-5
+        assert held[name][-1] == pytest.approx(solved[name][-1], abs=5e-5)
+
+
+def test_the_state_is_read_and_changed_in_python(native_plant: Path) -> None:
+    with Instance(native_plant) as instance:
+        instance.initialize(named(EVERYTHING) | {"vx_start": 0.25, "servo_backlash.play_left_start": 0.01})
+        data = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
+        t, x, (history, *plays) = own_of(data)
+        assert (t, x[5], plays) == (0.0, 0.25, [0.0, 0.01])
+        assert history == [[-0.5, [6.38763, 6.38763, 0.0, 0.0]]]
+        past = [[-0.02, [6.4, 6.4, 0.1, 0.1]], [-0.01, [6.5, 6.5, 0.2, 0.2]]]
+        changed = with_memory(data, {(STATE, 5): 0.5, (MEMORY_PART, 0): past, (MEMORY_PART, 2): 0.02})
+        assert own_of(changed)[2] == [past, 0.0, 0.02]
+        instance.fmu.setFMUstate(instance.fmu.deSerializeFMUstate(changed))
+        again = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
+        assert again == changed
+        assert instance.get(["vx_state"]) == [0.5]
+    for wrong in (data[:50], data[:-8], b"x" * 80):
+        with pytest.raises(ValueError, match="not the state"):
+            own_of(wrong)
+
+
+def test_a_replay_through_the_native_plant_is_that_through_the_one_in_python(
+    native_plant: Path, plant_fmu: Path, tmp_path: Path
+) -> None:
+    import cosim
+
+    log, found = Path(__file__).resolve().parent / "data" / "hovercraft_10s.csv", []
+    for k, fmu in enumerate((native_plant, plant_fmu)):
+        cosim.replay(log, tmp_path / str(k), fmu, report=False, in_process=True)
+        found.append(np.genfromtxt(tmp_path / str(k) / "residual.csv", delimiter=",", names=True))
+    for name in found[0].dtype.names:
+        assert np.allclose(found[0][name], found[1][name], rtol=0, atol=1e-9, equal_nan=True), name
