@@ -133,7 +133,7 @@ def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     for given, words in (
         (tmp_path / "empty", "holds no results.csv; give the folder that a run left, or a CSV"),
         (tmp_path / "empty.csv", "is empty"),
-        (tmp_path / "none", "no such file"),
+        (tmp_path / "none", "no such folder or file; give the folder that a run left"),
         (tmp_path / "ragged.csv", "ragged.csv:3:1: has 1 cell, the header 2"),
         (tmp_path / "late.csv", 'the first column is "x"; it must be "time" [s]'),
         (fmu, "is an FMU, not a log"),

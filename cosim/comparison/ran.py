@@ -31,6 +31,8 @@ class Ran:
 
 def read_ran(path: Path) -> Ran:
     """Results in a folder or a CSV; InputError where there are none."""
+    if not path.exists():
+        raise InputError([Fault(path, 0, 0, "no such folder or file; give the folder that a run left, or a CSV")])
     if not path.is_dir():
         check_given(path, LOG)
         return Ran(path, path.stem, read_results(path))
