@@ -88,7 +88,8 @@ def run(
         from cosim.simulation.coupling import coupling_error
 
         source = Path(outcome.manifest["source"])
-        say(coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence)
+        changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
+        typer.echo(changed, err=True) if as_json else say(changed)
     told(outcome, report=report, open_=open_, as_json=as_json)
 
 
