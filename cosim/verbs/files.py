@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
 
 
 def graph(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or the manifest.json of a run.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; the scenario's name without."),
