@@ -214,6 +214,25 @@ def test_the_step_is_that_of_an_annotation_and_what_is_not_said_is_warned_of(tmp
 # -- refused ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("times", "step", "words"),
+    [
+        ('startTime="1" stopTime="0.5"', "0.25", "stopTime 0.5 s is not after startTime 1 s"),
+        ('stopTime="0"', "0.25", "stopTime 0 s is not after startTime 0 s"),
+        ('stopTime="1"', "0", "baseStepSize 0 s: a communication step is more than 0 s"),
+        ('stopTime="1"', "-1", "baseStepSize -1 s: a communication step is more than 0 s"),
+    ],
+)
+def test_times_that_are_none_are_refused_and_not_replaced(tmp_path: Path, times: str, step: str, words: str) -> None:
+    fmu = lag_fmu(tmp_path / "lag.fmu")
+    system = f'<ssd:System name="root"><ssd:Elements>{component("a")}</ssd:Elements></ssd:System>'
+    said = f"""<ssd:DefaultExperiment {times}><ssd:Annotations><ssc:Annotation type="com.opensimulationplatform">
+<osp:Algorithm xmlns:osp="o"><osp:FixedStepAlgorithm baseStepSize="{step}"/></osp:Algorithm></ssc:Annotation>
+</ssd:Annotations></ssd:DefaultExperiment>"""
+    (told,) = faults_of(ssp(tmp_path / "x.ssp", system, {"resources/lag.fmu": fmu}, said))
+    assert words in told
+
+
 def faults_of(path: Path) -> list[str]:
     with pytest.raises(InputError) as caught:
         check(path)

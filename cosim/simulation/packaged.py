@@ -169,12 +169,12 @@ def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str
         return [value for text in texts if text is not None and (value := float(text)) > 0.0]
 
     start, stop, step = structure.start or 0.0, structure.stop, structure.step
-    if stop is None or stop <= start:
+    if stop is None:
         stop = start + max(said("stopTime"), default=STOP)
         if "duration" not in given:
             warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
     duration = stop - start
-    if step is None or step <= 0.0:
+    if step is None:
         step = min(said("stepSize"), default=STEP)
         if "step" not in given:
             warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")

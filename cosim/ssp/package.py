@@ -54,7 +54,7 @@ class Package:
     def _hint(self, path: Path) -> str:
         """A file of this name but for its case, beside it or among the resources."""
         folders = dict.fromkeys((path.parent, self.folder / "resources"))
-        beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()))
+        beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
         found = next((p for p in beside if p.name.lower() == path.name.lower()), None)
         if found is None or not found.is_relative_to(self.folder):
             return ""

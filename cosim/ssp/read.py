@@ -30,16 +30,14 @@ class Reader(ParameterReader):
             self.note(root, "it has no ssd:System; add one")
             return None
         experiment = root.first("ssd:DefaultExperiment")
-        times = {
-            n: None if experiment is None else self._number(experiment, n, None) for n in ("startTime", "stopTime")
-        }
+        start, stop = self._times(experiment)
         return Structure(
             root.get("name") or "system",
             system.get("description") or root.get("description") or "",
             self._system(system),
             self._units(root.first("ssd:Units")),
-            times["startTime"],
-            times["stopTime"],
+            start,
+            stop,
             self._step(root, system, experiment),
             root if experiment is None else experiment,
             self.warnings,
@@ -132,8 +130,22 @@ class Reader(ParameterReader):
             for element in () if annotations is None else _within(annotations):
                 attribute = STEPS.get(element.tag.rpartition(":")[2])
                 if attribute and element.get(attribute) is not None:
-                    return self._number(element, attribute, None)
+                    step = self._number(element, attribute, None)
+                    if step is not None and step <= 0.0:
+                        self.note(element, f"{attribute} {step:g} s: a communication step is more than 0 s")
+                        return None
+                    return step
         return None
+
+    def _times(self, experiment: Element | None) -> tuple[float | None, float | None]:
+        """Start and stop time of the default experiment [s], where it names them."""
+        if experiment is None:
+            return None, None
+        start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))
+        if stop is not None and stop <= (start or 0.0):
+            self.note(experiment, f"stopTime {stop:g} s is not after startTime {start or 0.0:g} s")
+            return start, None
+        return start, stop
 
 
 def _within(element: Element) -> Iterator[Element]:
