@@ -56,7 +56,8 @@ MODELS = {
         beside={"controller.fmu": "fmus.recipes:controller_recipe"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",
-    )
+    ),
+    "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
 }
 BASE_NAME = next(iter(MODELS))
 PAGES = (
