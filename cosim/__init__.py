@@ -1,6 +1,6 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`build`, `run`, `replay`, `refine`, `excite` and `check` are the verbs of the command line as functions; each is
+`build`, `run`, `replay`, `refine`, `excite`, `identify` and `check` are the verbs of the command line as functions; each is
 imported when it is first asked for.
 """
 
@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cosim.checks import check_files as check
     from cosim.experiment.excite import excite
+    from cosim.identification.workflow import identify
     from cosim.models.fmus import build
     from cosim.refinement.workflow import refine
     from cosim.residuals.workflow import replay
     from cosim.simulation.workflow import run
 
-__all__ = ["build", "check", "excite", "refine", "replay", "run"]
+__all__ = ["build", "check", "excite", "identify", "refine", "replay", "run"]
 
 _PLACES = {
     "build": ("cosim.models.fmus", "build"),
     "check": ("cosim.checks", "check_files"),
     "excite": ("cosim.experiment.excite", "excite"),
+    "identify": ("cosim.identification.workflow", "identify"),
     "refine": ("cosim.refinement.workflow", "refine"),
     "replay": ("cosim.residuals.workflow", "replay"),
     "run": ("cosim.simulation.workflow", "run"),

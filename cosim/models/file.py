@@ -44,8 +44,21 @@ Value = Annotated[
 ]
 
 
+class Identified(BaseModel):
+    """How well a parameter is known: its 95 % interval, and the test that says so."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ci95: tuple[float, float]
+    unit: str = ""
+    origin: str = ""
+
+
 class ModelFile(BaseModel):
-    """The name of a model, or `file.py:Class` of one's own; parameters by FMI name; sensor errors apart."""
+    """The name of a model, or `file.py:Class` of one's own; parameters by FMI name; sensor errors apart.
+
+    identified: parameter → how well it is known, where `cosim identify` wrote the file
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -53,6 +66,7 @@ class ModelFile(BaseModel):
     model: str = BASE_NAME
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    identified: dict[str, Identified] = {}
 
 
 @dataclass(frozen=True)
