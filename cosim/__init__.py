@@ -1,7 +1,7 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`build`, `run`, `replay`, `refine`, `excite`, `identify` and `check` are the verbs of the command line as functions; each is
-imported when it is first asked for.
+`build`, `run`, `replay`, `refine`, `excite`, `identify` and `check` are the verbs of the command line as functions;
+each is imported when it is first asked for.
 """
 
 from __future__ import annotations

@@ -243,9 +243,13 @@ def excite(
 
 @app.command()
 def identify(
-    protocol: Annotated[Path, typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings.")],
+    protocol: Annotated[
+        Path, typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings.")
+    ],
     out: Out = Path("identified"),
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
     """Identify a power-train on a testing bench: powertrain.yaml, identify.json and report.html."""

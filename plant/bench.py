@@ -61,7 +61,9 @@ class Bench(Model):
 
     thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
     thrust_slope: float = parameter(359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20")
-    thrust_factor: float = parameter(1.0, unit="1", bounds=(0.1, 10), doc="factor on the thrust, by the battery's state")
+    thrust_factor: float = parameter(
+        1.0, unit="1", bounds=(0.1, 10), doc="factor on the thrust, by the battery's state"
+    )
     ground_effect_exponent: float = parameter(
         1.902, unit="1", bounds=(0.5, 5), doc="exponent of the ground effect, eq 4.28"
     )
@@ -94,7 +96,9 @@ class Bench(Model):
     m_cube: float = parameter(7630.0, unit="V/N3.m3", doc="cell of the torquemeter, cubic, Table C.2")
     converter_range: float = parameter(3.3, unit="V", bounds=(0.1, 100), doc="largest voltage converted, §3.4")
     converter_levels: float = parameter(4095.0, unit="1", bounds=(1, 1e9), doc="steps of the converter: 12 bit, §3.4")
-    filter_time: float = parameter(0.0, unit="s", bounds=(0, 10), doc="time constant of the low pass, App. D.2; 0 = off")
+    filter_time: float = parameter(
+        0.0, unit="s", bounds=(0, 10), doc="time constant of the low pass, App. D.2; 0 = off"
+    )
 
     def equations(self, m: Namespace) -> Equations:
         """Forces on the cells, their voltages, and the lags.

@@ -54,7 +54,8 @@ def _of(key: str, estimates: Sequence[Estimate]) -> Coverage:
 
 def table(rows: Sequence[Coverage], seeds: int) -> str:
     """As text."""
-    head = f"{'number':38}{'unit':>6}{'true':>12}{'unbiased':>12}{'± 95 %':>11}{'thesis':>12}{'held in':>9}  ({seeds} seeds)"
+    head = f"{'number':38}{'unit':>6}{'true':>12}{'unbiased':>12}{'± 95 %':>11}{'thesis':>12}{'held in':>9}"
+    head += f"  ({seeds} seeds)"
     lines = [
         f"{r.name:38}{r.unit:>6}{r.truth:>12.5g}{r.value:>12.5g}{r.half:>11.3g}{r.thesis:>12.5g}{100 * r.share:>8.1f} %"
         for r in rows

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Rows
 from cosim.identification.cells import Cell, Cells
 
 CONFIDENCE = 0.95
@@ -87,7 +87,7 @@ def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[st
         per_repetition(moved(cells, c, k)).mean(axis=0) - base
         for c in channels
         for k in range(cells[c].loads.size)
-        if cells[c].error > 0
+        if cells[c].error > 0 and cells[c].loads[k] != 0  # no load is known for sure
     ]
     return np.array(rows) if rows else np.zeros((0, base.size))
 
@@ -106,12 +106,14 @@ def made(
     """Estimates of numbers, each (name, unit, by the thesis' estimator, true value), from (N, p) and shifts."""
     value, half, scatter, calibration = interval(each, shifts)
     return [
-        Estimate(name, unit, thesis, float(v), float(v - h), float(v + h), float(s), float(c), each.shape[0], origin, truth)
+        Estimate(
+            name, unit, thesis, float(v), float(v - h), float(v + h), float(s), float(c), each.shape[0], origin, truth
+        )
         for (name, unit, thesis, truth), v, h, s, c in zip(names, value, half, scatter, calibration, strict=True)
     ]
 
 
-def pseudo_values(estimate: Callable[[Array], Array], n: int) -> Array:
+def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
     """Jackknife pseudo-values of an estimate that takes the repetitions that are used, shape (n, p)."""
     whole = estimate(np.arange(n))
     left = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])

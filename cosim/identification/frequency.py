@@ -19,7 +19,13 @@ DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 
 
 def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: SineTest, truth: Bench | None, *, draw: bool = True
+    recordings: Sequence[Recording],
+    cells: Cells,
+    known: Bench,
+    test: SineTest,
+    truth: Bench | None,
+    *,
+    draw: bool = True,
 ) -> Result:
     """τ from sines fitted at their known frequency, against those of the bench's equations behind the same commands."""
     by_frequency = grouped(recordings, test)
@@ -30,12 +36,17 @@ def analyse(
 
     def amplitudes(using: Cells) -> Array:
         return np.array(
-            [[sine(r, force_of(r, using, "x", test.rest), w, test) for r, w in zip(row, frequencies, strict=True)] for row in chosen]
+            [
+                [sine(r, force_of(r, using, "x", test.rest), w, test) for r, w in zip(row, frequencies, strict=True)]
+                for row in chosen
+            ]
         )
 
     def scale(c: Array) -> Array:
         """Force per sine of the tilt at each lag, shape (repetitions, lags)."""
-        return np.asarray((np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real / (np.abs(tables) ** 2).sum(axis=0))
+        return np.asarray(
+            (np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real / (np.abs(tables) ** 2).sum(axis=0)
+        )
 
     def lags(using: Cells) -> Array:
         c = amplitudes(using)
@@ -59,14 +70,17 @@ def analyse(
     result.more = {
         "frequency": frequencies.tolist(), "magnitude_db": m_db.tolist(), "magnitude_db_half": h_db.tolist(),
         "phase_deg": m_deg.tolist(), "phase_deg_half": h_deg.tolist(),
-        "thesis_magnitude_db": thesis_db.mean(axis=0).tolist(), "thesis_phase_deg": thesis_degrees.mean(axis=0).tolist(),
+        "thesis_magnitude_db": thesis_db.mean(axis=0).tolist(),
+        "thesis_phase_deg": thesis_degrees.mean(axis=0).tolist(),
     }  # fmt: skip
     result.notes.append(
-        f"The mean of nine rows costs the thesis' points {-smoothing:.2f} dB at {frequencies[-1]:g} rad/s. Ours are held "
-        "against the same commands through the bench's equations: hold, dead band and the sine of the angle are in them."
+        f"The mean of nine rows costs the thesis' points {-smoothing:.2f} dB at {frequencies[-1]:g} rad/s. Ours are "
+        "held against the same commands through the bench's equations: hold, dead band, sine of the angle."
     )
     if draw:
-        result.figures = _figures(frequencies, tau, (thesis_db, thesis_degrees), (db, degrees), (m_db, h_db, m_deg, h_deg))
+        result.figures = _figures(
+            frequencies, tau, (thesis_db, thesis_degrees), (db, degrees), (m_db, h_db, m_deg, h_deg)
+        )
     return result
 
 
@@ -105,7 +119,9 @@ def _table(r: Recording, w: float, known: Bench, test: SineTest) -> Array:
     return np.asarray(a + 1j * b)
 
 
-def _by_hand(chosen: Sequence[Sequence[Recording]], frequencies: Array, cells: Cells, test: SineTest) -> tuple[Array, Array]:
+def _by_hand(
+    chosen: Sequence[Sequence[Recording]], frequencies: Array, cells: Cells, test: SineTest
+) -> tuple[Array, Array]:
     """Magnitude [dB] and phase [°] against the lowest frequency, from least and largest of the smoothed force."""
     mask = np.exp(-0.5 * (np.arange(-4, 5) / 100.0) ** 2)
     mask /= mask.sum()
@@ -134,7 +150,11 @@ def _mean_of_nine(w: float, step: float) -> float:
 
 
 def _figures(
-    w: Array, tau: float, thesis: tuple[Array, Array], ours: tuple[Array, Array], means: tuple[Array, Array, Array, Array]
+    w: Array,
+    tau: float,
+    thesis: tuple[Array, Array],
+    ours: tuple[Array, Array],
+    means: tuple[Array, Array, Array, Array],
 ) -> list[Figure]:
     import control
 
@@ -145,11 +165,13 @@ def _figures(
     m_db, h_db, m_deg, h_deg = means
     found = []
     for title, unit, curve, by_hand, own, mean, half in (
-        ("magnitude", "dB", curves[0], thesis[0], ours[0], m_db, h_db), ("phase", "°", curves[1], thesis[1], ours[1], m_deg, h_deg)
+        ("magnitude", "dB", curves[0], thesis[0], ours[0], m_db, h_db),
+        ("phase", "°", curves[1], thesis[1], ours[1], m_deg, h_deg)
     ):  # fmt: skip
         found.append(
             Figure(f"Bode {title}: single tests", "log₁₀ of ω [rad/s]", unit, [
-                ("thesis' estimator", log(x) - 0.012, by_hand.ravel(), "dots pale"), ("sines fitted", log(x) + 0.012, own.ravel(), "dots"),
+                ("thesis' estimator", log(x) - 0.012, by_hand.ravel(), "dots pale"),
+                ("sines fitted", log(x) + 0.012, own.ravel(), "dots"),
                 (f"first order, τ = {1000 * tau:.1f} ms", log(grid), curve, "true"),
             ], counterpart="Fig 4.17")
         )  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Rows
 from cosim.identification.cells import Cells, force_of
 from cosim.identification.estimates import Figure, Result, interval, made, pseudo_values, shifts_of
 from cosim.identification.protocol import HeightTest
@@ -19,9 +19,15 @@ CHEESEMAN_BENNETT = 2.0
 
 
 def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: HeightTest, truth: Bench | None, *, draw: bool = True
+    recordings: Sequence[Recording],
+    cells: Cells,
+    known: Bench,
+    test: HeightTest,
+    truth: Bench | None,
+    *,
+    draw: bool = True,
 ) -> Result:
-    """Exponent k: the thesis by ln((Γ−1)/Γ) (4.24), which has no value where Γ ≤ 1; ours by least squares on Γ itself."""
+    """Exponent k: the thesis by ln((Γ−1)/Γ) (4.24), which has no value where Γ ≤ 1; ours by least squares on Γ."""
     sets = _sets(recordings, test)
     main, others = sets[0], sets[1:]
     heights = np.array(sorted(h for h in main if h < test.free_height))
@@ -41,14 +47,17 @@ def analyse(
     def exponents(using: Cells) -> Array:
         f = forces(using, main)
 
-        def of(rows: Array) -> Array:
+        def of(rows: Rows) -> Array:
             gains = f[:-1, rows].mean(axis=1) / f[-1, rows].mean()
             return np.array([fit(heights, gains, radius, free)])
 
         return pseudo_values(of, count)
 
     raw = np.array(
-        [[float(force_of(r, cells, "z", None)[r.rows(test.window)].mean()) for r in main[h][:count]] for h in (*heights, free)]
+        [
+            [float(force_of(r, cells, "z", None)[r.rows(test.window)].mean()) for r in main[h][:count]]
+            for h in (*heights, free)
+        ]
     )
     thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
     each = exponents(cells)
@@ -128,7 +137,11 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
         return _gain(grid, 1.0, k)
 
     pseudo = np.array(
-        [pseudo_values(lambda rows, f=f: np.array([f[rows].mean() / forces[-1, rows].mean()]), forces.shape[1])[:, 0] for f in forces[:-1]]
+        [
+            forces.shape[1] * f.mean() / forces[-1].mean()
+            - (forces.shape[1] - 1) * (f.sum() - f) / (forces[-1].sum() - forces[-1])
+            for f in forces[:-1]
+        ]
     ).T
     mean, half, _, _ = interval(pseudo, np.zeros((0, ratios.size)))
     band = (curve(estimate.high), curve(estimate.low))
@@ -137,7 +150,8 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
             (f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))
         ], counterpart="Fig 4.6"),
         Figure("Ground effect: single ratios and models", "height / radius", "Γ", [
-            ("single ratios", z, single.ravel(), "dots"), (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
+            ("single ratios", z, single.ravel(), "dots"),
+            (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
             ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
         ], counterpart="Fig 4.12"),
         Figure("Ground effect with 95 % intervals", "height / radius", "Γ", [

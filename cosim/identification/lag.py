@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags
 from cosim.identification.cells import Cells, force_of
 from cosim.identification.estimates import Figure, Result, least, made, shifts_of
 from cosim.identification.protocol import StepTest
@@ -20,17 +20,16 @@ BEFORE = 0.3  # [s] before the step that a fit sees
 
 
 def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: StepTest, truth: Bench | None, *, draw: bool = True,
-    thrust: bool = False,
+    recordings: Sequence[Recording], cells: Cells, known: Bench, test: StepTest, truth: Bench | None, *,
+    draw: bool = True,    thrust: bool = False,
 ) -> Result:  # fmt: skip
     """τ by a fit of F_x(t), behind the servo that is known; beside it by 63 %, by rise time, by slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
-    first = recordings[0]
     # every repetition plays the same commands; measured ones are told from their own
     rows = [r.rows((test.at - BEFORE, test.window[1])) for r in recordings]
     shapes: dict[bytes, Array] = {}
 
-    def shape(r: Recording, chosen: Array) -> Array:
+    def shape(r: Recording, chosen: Flags) -> Array:
         command = r.duty if thrust else r.servo_duty
         key = command.tobytes() + chosen.tobytes()
         if key not in shapes:
@@ -58,22 +57,30 @@ def analyse(
     origin = f"Test 4, fit of the {title} after a step"
     shifts = shifts_of(lags, cells, channel, each)
     ways = ("63 %", "rise time", "slope")
-    result = Result("thrust_step" if thrust else "step", made([(name, "s", float(np.nanmean(by_hand[:, 0])), true)], each, shifts, origin))
+    result = Result(
+        "thrust_step" if thrust else "step",
+        made([(name, "s", float(np.nanmean(by_hand[:, 0])), true)], each, shifts, origin),
+    )
     result.more = {
-        w: {"mean": float(np.nanmean(by_hand[:, k])), "half_width_of_one": float(1.96 * np.nanstd(by_hand[:, k], ddof=1))}
+        w: {
+            "mean": float(np.nanmean(by_hand[:, k])),
+            "half_width_of_one": float(1.96 * np.nanstd(by_hand[:, k], ddof=1)),
+        }
         for k, w in enumerate(ways)
     }
     result.more["single_fits"] = {"mean": float(each.mean()), "half_width_of_one": float(1.96 * each.std(ddof=1))}
     result.notes.append(
         "As the thesis reads it: "
-        + ", ".join(f"{1000 * result.more[w]['mean']:.1f} ± {1000 * result.more[w]['half_width_of_one']:.1f} ms by {w}" for w in ways)
-        + f"; single fits {1000 * each.mean():.1f} ± {1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test, as printed)."
+        + ", ".join(
+            f"{1000 * result.more[w]['mean']:.1f} ± {1000 * result.more[w]['half_width_of_one']:.1f} ms by {w}"
+            for w in ways
+        )
+        + f"; single fits {1000 * each.mean():.1f} ± {1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test)."
     )
     if not thrust and truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
     if draw:
         result.figures = _figures(result, recordings, cells, known, test, channel, thrust)
-    del first
     return result
 
 
@@ -99,7 +106,13 @@ def _by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, 
 
 
 def _figures(
-    result: Result, recordings: Sequence[Recording], cells: Cells, known: Bench, test: StepTest, channel: str, thrust: bool
+    result: Result,
+    recordings: Sequence[Recording],
+    cells: Cells,
+    known: Bench,
+    test: StepTest,
+    channel: str,
+    thrust: bool,
 ) -> list[Figure]:
     gram, lines = 1000.0 / known.gravity, []
     x, y = [], []
@@ -116,8 +129,18 @@ def _figures(
     else:
         shape = np.sin(tilt_response(known, r.time, r.servo_duty, np.array([tau]))[:, 0])
     shape = low_pass(shape, r.step, test.low_pass)[rows]
-    mean = np.mean([gram * force_of(q, cells, channel, test.rest)[rows] for q in recordings if q.time.size == r.time.size], axis=0)
+    mean = np.mean(
+        [gram * force_of(q, cells, channel, test.rest)[rows] for q in recordings if q.time.size == r.time.size], axis=0
+    )
     slope, offset = np.polyfit(shape, mean, 1)
     lines.append((f"fit, τ = {1000 * tau:.1f} ms", r.time[rows] - test.at, offset + slope * shape, "true"))
     what = "thrust after a step of the duty" if thrust else "horizontal force after a step of the tilt"
-    return [Figure(f"Answer of the {what}", "time after the step [s]", "gf", lines, counterpart="no counterpart" if thrust else "Fig 4.16")]
+    return [
+        Figure(
+            f"Answer of the {what}",
+            "time after the step [s]",
+            "gf",
+            lines,
+            counterpart="no counterpart" if thrust else "Fig 4.16",
+        )
+    ]

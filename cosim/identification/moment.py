@@ -54,8 +54,8 @@ def analyse(
                           for v in [r.volts["m"][r.rows(test.window)]] for k in range(20)]))  # fmt: skip
     result.more = {"steps_of_converter": moved / step}
     result.notes.append(
-        f"Over the whole tilt the cell moves by {moved / step:.1f} steps of the converter ({1000 * moved:.1f} mV): noise and "
-        "the low pass, not its resolution, let it be read."
+        f"Over the whole tilt the cell moves by {moved / step:.1f} steps of the converter ({1000 * moved:.1f} mV): "
+        "noise and the low pass, not its resolution, let it be read."
     )
     if draw:
         result.figures = _figures(result, recordings, cells, known, test)

@@ -19,7 +19,13 @@ BIN = np.radians(2.5)
 
 
 def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: HoldTest, truth: Bench | None, *, draw: bool = True
+    recordings: Sequence[Recording],
+    cells: Cells,
+    known: Bench,
+    test: HoldTest,
+    truth: Bench | None,
+    *,
+    draw: bool = True,
 ) -> Result:
     """Factors on cos α and sin α in F_z and F_x over the thrust held upright: 1 where these project it."""
     tilts: dict[bytes, Array] = {}
@@ -44,7 +50,9 @@ def analyse(
     thesis = _thesis(recordings, cells, known, test)
     one = 1.0 if truth else np.nan
     names = [("vertical_projection", "1", thesis[0], one), ("horizontal_projection", "1", thesis[1], one)]
-    result = Result("projection", made(names, each, shifts_of(factors, cells, "zx", each), "Test 3, over cos α and sin α"))
+    result = Result(
+        "projection", made(names, each, shifts_of(factors, cells, "zx", each), "Test 3, over cos α and sin α")
+    )
     # deviation of the functions themselves, in bins of the angle
     edges = np.arange(0.0, np.radians(90), BIN)
     deviation: dict[str, Array] = {}
@@ -62,7 +70,8 @@ def analyse(
     largest = {name: float(np.abs(v).max()) for name, v in deviation.items()}
     result.more = {"largest_deviation": largest}
     result.notes.append(
-        f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, in bins of 2.5°: sine and cosine project it."
+        f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, "
+        "in bins of 2.5°: sine and cosine project it."
     )
     if draw:
         result.figures = _figures(recordings, cells, known, test, tilt(recordings[0]))
@@ -98,9 +107,12 @@ def _figures(recordings: Sequence[Recording], cells: Cells, known: Bench, test: 
         spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / (len(same) - 1))
         what = "T·cos α" if c == "z" else "T·sin α"
         found.append(Figure(f"{name} force over the tilt", "tilt [°]", "gf", [
-            ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"), (what, angle[order], model[order], "true"),
+            ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),
+            (what, angle[order], model[order], "true"),
         ], counterpart="Fig 4.14"))  # fmt: skip
         bars = slice(None, None, max(1, angle.size // 10))
-        found.append(Figure(f"{name} force: 95 % of single readings", "tilt [°]", "gf", [(what, angle[order], model[order], "true")],
-                            bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])], counterpart="Fig 4.15"))  # fmt: skip
+        found.append(Figure(f"{name} force: 95 % of single readings", "tilt [°]", "gf",
+                            [(what, angle[order], model[order], "true")],
+                            bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])],
+                            counterpart="Fig 4.15"))  # fmt: skip
     return found

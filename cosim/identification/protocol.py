@@ -29,26 +29,26 @@ class CellFile(Part):
     unit: str = "N"
     full_scale: Positive
     error: NotNegative = 0.0025
-    loads: list[Number] = []
-    points: list[tuple[Number, Number]] = []  # load, voltage
+    loads: list[Number] = Field(default=[])
+    points: list[tuple[Number, Number]] = Field(default=[])  # load, voltage
 
 
 class Draws(Part):
     """What differs from run to run on a bench that is played; standard deviations."""
 
     thrust: NotNegative = 0.0
-    tare: dict[str, NotNegative] = {}
-    noise: dict[str, NotNegative] = {}
+    tare: dict[str, NotNegative] = Field(default={})
+    noise: dict[str, NotNegative] = Field(default={})
 
 
 class Test(Part):
     """A test: played in `phases`, or read from `files`. `rest`: without thrust; `window`: what is looked at [s]."""
 
     repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
-    files: list[str] = []
+    files: list[str] = Field(default=[])
     low_pass: NotNegative = 0.0
     height: Positive = FREE_HEIGHT
-    phases: list[Phase] = []
+    phases: list[Phase] = Field(default=[])
     rest: Window
     window: Window
 
@@ -56,7 +56,7 @@ class Test(Part):
 class HeightTest(Test):
     """Thrust at heights, in radii of the propeller, against that with nothing below."""
 
-    heights: list[Positive] = []
+    heights: list[Positive] = Field(default=[])
     free_height: Positive = FREE_HEIGHT
     validation_duty: Positive | None = None
 
@@ -82,7 +82,7 @@ class SineTest(Test):
     duty: Positive
     lead: Positive = 3.0
     skip: Positive = 1.0
-    thesis_skip: list[NotNegative] = []  # periods
+    thesis_skip: list[NotNegative] = Field(default=[])  # periods
 
 
 class Tests(Part):
@@ -112,7 +112,7 @@ class ProtocolFile(Part):
     model: str = "hovercraft"
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
     step: Positive = 0.02
-    parameters: dict[str, Number] = {}
+    parameters: dict[str, Number] = Field(default={})
     draws: Draws = Draws()
     cells: dict[str, CellFile]
     tests: Tests
@@ -222,5 +222,7 @@ def _missing_phases(yaml: YamlFile, at: tuple[str, ...], test: Test, end: float)
             yield yaml.fault((*at, key), f"ends at {window[1]:g} s, the phases at {end:g} s; move it or add a phase")
     duty = [p[1] for p in test.phases if p[0] <= test.rest[1]]
     if duty and duty[0] > REST_DUTY:
-        message = f"begins with duty {duty[0]:g} %: a phase at rest is missing ({REST_DUTY:g} % or less), cells have no tare"
+        message = (
+            f"begins with duty {duty[0]:g} %: a phase at rest is missing ({REST_DUTY:g} % or less), cells have no tare"
+        )
         yield yaml.fault((*at, "phases"), message)

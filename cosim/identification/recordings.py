@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags
 from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, InputError
@@ -62,10 +62,10 @@ class Recording:
         """Median step [s]."""
         return float(np.median(np.diff(self.time)))
 
-    def rows(self, window: tuple[float, float]) -> Array:
+    def rows(self, window: tuple[float, float]) -> Flags:
         """Rows within a window of time."""
         slack = 1e-6 * self.step
-        rows: Array = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
+        rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
 
 
@@ -98,10 +98,14 @@ def _played(phases: Sequence[tuple[float, float, float]], known: Bench, step: fl
     return time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope
 
 
-def _sine(test: SineTest, known: Bench, step: float, w: float, periods: float) -> tuple[str, Array, Array, Array, float]:
+def _sine(
+    test: SineTest, known: Bench, step: float, w: float, periods: float
+) -> tuple[str, Array, Array, Array, float]:
     end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
-    time = step * np.arange(round(end / step) + 1)
-    duty = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
+    time: Array = step * np.arange(round(end / step) + 1)
+    duty = np.asarray(
+        np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty]), dtype=np.float64
+    )
     angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
     return f" at {w:g} rad/s", time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope, test.height
 
@@ -119,9 +123,7 @@ def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
             factor_ = 1.0 + file.draws.thrust * rng.standard_normal()
             noise = _noise(protocol, rng, time.size)
             label_ = f"{name}{label}, repetition {repetition + 1}"
-            runs.append(
-                Run(label_, time, duty, servo_duty, height, test.low_pass, noise, thrust=max(0.1, factor_))
-            )
+            runs.append(Run(label_, time, duty, servo_duty, height, test.low_pass, noise, thrust=max(0.1, factor_)))
     return runs
 
 
@@ -135,15 +137,15 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
     """Calibration: each load hung for a second; it is off by the error of the scale."""
     file, found = protocol.file, {}
-    time = file.step * np.arange(round(SECONDS / file.step) + 1)
+    time: Array = file.step * np.arange(round(SECONDS / file.step) + 1)
     for place, (channel, unit) in enumerate(CHANNELS.items()):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
-        off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads))
+        off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
         found[channel] = [
             Run(f"load {load:g} {cell.unit}", time, np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY),
                 FREE_HEIGHT, 0.0, _noise(protocol, rng, time.size, tare=False),
-                tuple((load + e) * to_si * (c == channel) for c in CHANNELS))  # type: ignore[arg-type]
+                tuple((load + e) * to_si * (c == channel) for c in CHANNELS))
             for load, e in zip(cell.loads, off, strict=True)
         ]  # fmt: skip
     return found
@@ -174,7 +176,9 @@ def recorded(run: Run, volts: Array) -> Recording:
 class FmuPlayer:
     """Plays runs on an FMU with the variables of the bench."""
 
-    def __init__(self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None) -> None:
+    def __init__(
+        self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None
+    ) -> None:
         self.parameters, self.progress, self.steps = dict(parameters), progress, 0
         self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
         inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
@@ -189,6 +193,7 @@ class FmuPlayer:
         self.block.bind(self.row, 0)
 
     def __call__(self, runs: Sequence[Run]) -> list[Recording]:
+        """Play runs one after another."""
         return [self._play(run) for run in runs]
 
     def _play(self, run: Run) -> Recording:
@@ -280,7 +285,9 @@ def read_recording(path: Path) -> Recording:
             return None
         scale = factor(heading.unit, COLUMNS[heading.name])
         if scale is None:
-            faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{COLUMNS[heading.name]}]")
+            faults.note(
+                heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{COLUMNS[heading.name]}]"
+            )
         return Column(heading, scale or 1.0, known="a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
@@ -295,7 +302,8 @@ def read_recording(path: Path) -> Recording:
     gaps = np.diff(time)
     if gaps.max() > 1.5 * np.median(gaps):
         row = int(np.argmax(gaps)) + 1
-        message = f"{gaps.max():.3g} s pass before this row, {np.median(gaps):.3g} s before others; rows are missing, resample"
+        cure = "rows are missing, resample"
+        message = f"{gaps.max():.3g} s pass before this row, {np.median(gaps):.3g} s before others; {cure}"
         raise InputError([Fault(path, int(table.lines[row]), 1, message)])
     volts = {c: table[f"volts_{c}"] for c in CHANNELS}
     return Recording(

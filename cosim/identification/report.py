@@ -38,13 +38,15 @@ def page(outcome: Outcome) -> str:
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
     if known:
         held = sum(e.holds for e in known)
-        badges.append(Badge(f"{held} of {len(known)} intervals hold the true value", "good" if held == len(known) else "plain"))
+        badges.append(
+            Badge(f"{held} of {len(known)} intervals hold the true value", "good" if held == len(known) else "plain")
+        )
     return render(
         TEMPLATE,
         {
             "name": protocol.file.name,
-            "description": "The five tests of a power-train on a testing bench. Beside each number of the thesis' estimator "
-            "stands one without its bias; intervals are from the scatter between repetitions and the calibration's error.",
+            "description": "The five tests of a power-train on a testing bench. Beside each number of the thesis' "
+            "estimator stands one without its bias; intervals come from scatter between repetitions and calibration.",
             "badges": badges,
             "rows": [_row(key, e) for key, e in outcome.estimates.items()],
             "known": bool(known),
@@ -117,7 +119,9 @@ def plot_of(figure: Figure) -> Plot:
     if figure.band:
         band = band_path(x, y, figure.band[1], figure.band[2], figure.band[3], POINTS)
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
-    summary = f"{figure.title} in {figure.y_label} over {figure.x_label}: {', '.join(line[0] for line in figure.lines)}."
+    summary = (
+        f"{figure.title} in {figure.y_label} over {figure.x_label}: {', '.join(line[0] for line in figure.lines)}."
+    )
     label = figure.band[0] if figure.band else ""
     return Plot(figure.title, figure.y_label, tuple(curves), band, label, (), "", x, y, zero, summary)
 
@@ -139,6 +143,4 @@ def _path(x: Axis, y: Axis, over: Array, values: Array, style: str) -> str:
 def _bars(x: Axis, y: Axis, over: Array, low: Array, high: Array) -> str:
     u = x.whole(over, WIDTH).tolist()
     a, b = (HEIGHT - y.whole(v, HEIGHT) for v in (low, high))
-    return "".join(
-        f"M{c - 25} {d}h50m-25 0V{e}m-25 0h50" for c, d, e in zip(u, a.tolist(), b.tolist(), strict=True)
-    )
+    return "".join(f"M{c - 25} {d}h50m-25 0V{e}m-25 0h50" for c, d, e in zip(u, a.tolist(), b.tolist(), strict=True))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, Flags
 from cosim.identification.cells import Cells, at_rail, force_of
 from cosim.identification.estimates import Figure, Result, made, shifts_of
 from cosim.identification.protocol import Test
@@ -28,8 +28,8 @@ def analyse(
     end = highest_duty(recordings, cells, known, test)
     gram = 1000.0 / known.gravity
 
-    def kept(r: Recording) -> Array:
-        result: Array = r.rows(test.window) & (r.duty <= end)
+    def kept(r: Recording) -> Flags:
+        result: Flags = r.rows(test.window) & (r.duty <= end)
         return result
 
     def free(r: Recording) -> Array:
@@ -64,8 +64,8 @@ def analyse(
     top = max(float(r.duty[r.rows(test.window)].max()) for r in recordings)
     if end < top - 1e-9:
         result.notes.append(
-            f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are used, not up to "
-            f"{top:.2f} %: a cell of a larger range would show the rest."
+            f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are used, not "
+            f"up to {top:.2f} %: a cell of a larger range would show the rest."
         )
     if draw:
         result.figures = _figures(result, duty, raw, known, each, shifts_of(lines, cells, "z", each))
@@ -120,7 +120,8 @@ def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array,
     middle = 0.5 * (bins[1:] + bins[:-1])
     return [
         Figure("Thrust over duty: data and lines", "duty [%]", "gf", [
-            ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"), ("thesis' estimator", grid, thesis, "s1"),
+            ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"),
+            ("thesis' estimator", grid, thesis, "s1"),
         ], counterpart="Fig 4.10"),
         Figure("Thrust line with 95 % band", "duty [%]", "gf", [
             ("unbiased", grid, line, "true"), ("printed, eq 4.20", grid, printed, "reference"),

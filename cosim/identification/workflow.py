@@ -61,7 +61,9 @@ class Outcome:
         for key, e in self.estimates.items():
             unit = "" if e.unit == "1" else f" {e.unit}"
             truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
-            lines.append(f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; thesis' estimator {e.thesis:.5g}{truth})")
+            lines.append(
+                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g}{truth})"
+            )
         return lines
 
 
@@ -94,7 +96,9 @@ def _model_of(protocol: Protocol) -> Model:
         return named_model(text) if text in MODELS else load_model(text, protocol.folder, protocol.yaml).model
     except InputError as error:
         where = protocol.yaml.place(("model",))
-        raise InputError([Fault(protocol.yaml.path, *where, str(f)) if f.file != protocol.yaml.path else f for f in error.faults]) from None
+        raise InputError(
+            [Fault(protocol.yaml.path, *where, str(f)) if f.file != protocol.yaml.path else f for f in error.faults]
+        ) from None
 
 
 def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
@@ -150,7 +154,9 @@ def _outcome(
         cells = calibrated(protocol, hung)
     except ValueError as error:
         raise InputError([_cell_fault(protocol, error)]) from None
-    faults = [f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)]
+    faults = [
+        f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
+    ]
     if faults:
         raise InputError(faults)
     if progress is not None:
@@ -175,7 +181,9 @@ def analyse(
     known, truth = protocol.known, protocol.known if protocol.true_known else None
     if truth is not None:  # what is to be found is not known
         blank = Bench()
-        known = known.with_values({n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")})
+        known = known.with_values(
+            {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
+        )
     results = []
     for name in (n for n in ORDER if n in recordings):
         test: Any = getattr(protocol.file.tests, name)
@@ -196,10 +204,11 @@ def _within(known: Bench, e: Estimate) -> float:
 def _analysis(name: str) -> Callable[..., Result]:
     if name == "thrust_step":
         return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
-    return {
+    ways: dict[str, Callable[..., Result]] = {
         "step": lag.analyse, "frequency": frequency.analyse, "ground_effect": ground_effect.analyse,
         "thrust_line": thrust_line.analyse, "projection": projection.analyse, "moment": moment.analyse,
-    }[name]  # fmt: skip
+    }  # fmt: skip
+    return ways[name]
 
 
 def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
@@ -275,7 +284,7 @@ def powertrain(outcome: Outcome, model: Model) -> str:
     for name, e in chosen.items():
         lines += [
             f"  {name}:", f"    ci95: [{e.low!r}, {e.high!r}]", f"    unit: {json.dumps(e.unit)}",
-            f"    origin: {json.dumps(f'{e.origin}; {e.repetitions} repetitions, {protocol.file.name}', ensure_ascii=False)}",
+            f"    origin: {json.dumps(f'{e.origin}; {e.repetitions} repetitions', ensure_ascii=False)}",
         ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
