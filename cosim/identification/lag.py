@@ -52,19 +52,19 @@ def analyse(
         return least(LAGS, np.array(cost))[:, None]
 
     each = lags(cells)
-    by_hand = np.array([_by_hand(r, force_of(r, cells, channel, None), test) for r in recordings])
+    hand = np.array([by_hand(r, force_of(r, cells, channel, None), test) for r in recordings])
     true = truth.lag if truth else np.nan
     origin = f"Test 4, fit of the {title} after a step"
     shifts = shifts_of(lags, cells, channel, each)
     ways = ("63 %", "rise time", "slope")
     result = Result(
         "thrust_step" if thrust else "step",
-        made([(name, "s", float(np.nanmean(by_hand[:, 0])), true)], each, shifts, origin),
+        made([(name, "s", float(np.nanmean(hand[:, 0])), true)], each, shifts, origin),
     )
     result.more = {
         w: {
-            "mean": float(np.nanmean(by_hand[:, k])),
-            "half_width_of_one": float(1.96 * np.nanstd(by_hand[:, k], ddof=1)),
+            "mean": float(np.nanmean(hand[:, k])),
+            "half_width_of_one": float(1.96 * np.nanstd(hand[:, k], ddof=1)),
         }
         for k, w in enumerate(ways)
     }
@@ -84,7 +84,7 @@ def analyse(
     return result
 
 
-def _by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, float]:
+def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, float]:
     """τ of one test by 63 %, by rise time over 2.2 and by the first slope, smoothed over three rows (App. D.3.4)."""
     time = r.time - test.at
     start = float(force[(time > -BEFORE) & (time < 0)].mean())

@@ -102,7 +102,7 @@ def _sine(
     test: SineTest, known: Bench, step: float, w: float, periods: float
 ) -> tuple[str, Array, Array, Array, float]:
     end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
-    time: Array = step * np.arange(round(end / step) + 1)
+    time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
     duty = np.asarray(
         np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty]), dtype=np.float64
     )
@@ -137,7 +137,7 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
     """Calibration: each load hung for a second; it is off by the error of the scale."""
     file, found = protocol.file, {}
-    time: Array = file.step * np.arange(round(SECONDS / file.step) + 1)
+    time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
     for place, (channel, unit) in enumerate(CHANNELS.items()):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
