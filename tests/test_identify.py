@@ -11,6 +11,8 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
+from cosim import run
+from cosim.checks import check_files
 from cosim.cli import app
 from cosim.errors import InputError
 from cosim.identification.cells import cell_of
@@ -218,6 +220,14 @@ def test_a_calibration_leaves_one_point_out_in_turn() -> None:
     assert np.abs(cell_of(4.0 - volts + 0.1 * volts**3 / 27, volts, 0.01).left_one_out).max() < 1e-9  # a cubic is exact
     with pytest.raises(ValueError, match="turns back"):
         cell_of([0, 1, 3, 2, 4], [0, 1, 2, 3, 4], 0.01)
+
+
+def test_a_protocol_is_checked_and_told_from_other_files(measured: Path, tmp_path: Path) -> None:
+    assert check_files([PROTOCOL, measured / "protocol.yaml"]) == []
+    study = written(tmp_path, {"logs": {"estimation": ["a.csv"]}}, "study.yaml")
+    assert "is a study, not a protocol of a testing bench: `cosim refine" in refused(study, tmp_path / "out")
+    with pytest.raises(InputError, match="cosim identify"):
+        run(PROTOCOL, tmp_path / "ran")
 
 
 # -- bad input --------------------------------------------------------------------------------

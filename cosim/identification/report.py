@@ -11,9 +11,9 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.identification.cells import Cell
 from cosim.identification.estimates import Estimate, Figure
+from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import CHANNELS
 from cosim.identification.recordings import load_in_si
-from cosim.identification.workflow import Outcome
 from cosim.report.panels import Trace
 from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, band_path, curve_path, extent, make_axis
 from cosim.report.tables import Badge

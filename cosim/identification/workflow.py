@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from cosim.identification import frequency, ground_effect, lag, moment, projecti
 from cosim.identification.cells import Cells, calibrated
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.faults import recording_faults
+from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
 from cosim.models.file import load_model, named_model
@@ -29,42 +30,6 @@ FILES = ("powertrain.yaml", "identify.json", "report.html")
 # in the order in which one needs another's number; the lag of a step is that of the model
 ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
 Progress = Callable[[str, float], None]
-
-
-@dataclass
-class Outcome:
-    """What came of a protocol."""
-
-    protocol: Protocol
-    cells: Cells
-    results: list[Result]
-    recordings: dict[str, list[Recording]] = field(default_factory=dict)
-
-    @property
-    def estimates(self) -> dict[str, Estimate]:
-        """Every number by test and name."""
-        return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
-
-    @property
-    def chosen(self) -> dict[str, Estimate]:
-        """By name; the lag is that of the step where there is one."""
-        found: dict[str, Estimate] = {}
-        for r in self.results:
-            for e in r.estimates:
-                found.setdefault(e.name, e)
-        return found
-
-    @property
-    def sentences(self) -> list[str]:
-        """A line a number."""
-        lines = []
-        for key, e in self.estimates.items():
-            unit = "" if e.unit == "1" else f" {e.unit}"
-            truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
-            lines.append(
-                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g}{truth})"
-            )
-        return lines
 
 
 def identify(
