@@ -5,10 +5,11 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 
-.PHONY: run test refine bench blind crash fuzz check clean fmus
+.PHONY: run test refine bench blind crash fuzz seed check clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
+SEEDS ?= 200
 .DEFAULT_GOAL := run
 
 $(RUNTIME): pyproject.toml
@@ -46,6 +47,10 @@ crash: $(TESTING)
 # EXAMPLES in all; SEED of an earlier run finds the same again
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
+
+# how often the intervals of `cosim identify` hold the truth, over SEEDS
+seed: $(TESTING)
+	$(BIN)/python -m tests.seed $(SEEDS)
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench

@@ -1,7 +1,7 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite` and `compare` are the verbs of the command line as
-functions, `read` reads what they left; each is imported when it is first asked for. docs/python.md shows them.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify` and `compare` are the verbs of the command
+line as functions, `read` reads what they left; each is imported when it is first asked for. docs/python.md shows them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cosim.api import check, compare, read, refine, replay, run, simulate
     from cosim.experiment.excite import excite
+    from cosim.identification.workflow import identify
     from cosim.models.fmus import build
     from cosim.simulation.export import export_ssp
 
-__all__ = ["build", "check", "compare", "excite", "export_ssp", "read", "refine", "replay", "run", "simulate"]
+__all__ = [
+    "build",
+    "check",
+    "compare",
+    "excite",
+    "export_ssp",
+    "identify",
+    "read",
+    "refine",
+    "replay",
+    "run",
+    "simulate",
+]
 
 _PLACES = {
     "build": "cosim.models.fmus",
@@ -23,6 +36,7 @@ _PLACES = {
     "compare": "cosim.api",
     "excite": "cosim.experiment.excite",
     "export_ssp": "cosim.simulation.export",
+    "identify": "cosim.identification.workflow",
     "read": "cosim.api",
     "refine": "cosim.api",
     "replay": "cosim.api",

@@ -280,6 +280,27 @@ def excite(
 
 
 @app.command()
+def identify(
+    protocol: Annotated[
+        Path, typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings.")
+    ],
+    out: Out = Path("identified"),
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+) -> None:
+    """Identify a power-train on a testing bench: powertrain.yaml, identify.json and report.html."""
+    from cosim.identification.workflow import identify as identify_bench
+
+    with stages() as progress:
+        outcome = identify_bench(protocol, out, progress, report=report, seed=seed)
+    for line in outcome.sentences:
+        say(line)
+    say(f"power-train: {out / 'powertrain.yaml'}, built by: cosim build --model {out / 'powertrain.yaml'}")
+
+
+@app.command()
 def bench() -> None:
     """Measure this machine: one JSON line of ratios."""
     import json

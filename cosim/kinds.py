@@ -9,9 +9,9 @@ from typing import Any
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import YamlFile
 
-LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE = (
+LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, PROTOCOL = (
     "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
-    "a model's Python file",
+    "a model's Python file", "a protocol of a testing bench",
 )  # fmt: skip
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
@@ -20,6 +20,7 @@ READ_BY = {
     SSP: "`cosim run {file}` runs it",
     SCENARIO: "`cosim run {file}` runs it",
     MANIFEST: "`cosim run {file}` repeats its run",
+    PROTOCOL: "`cosim identify {file}` identifies its power-train",
     STUDY: "`cosim refine {file}` refines its model",
     MODEL: "`cosim build --model {file}` builds its FMU, a study names it as model:",
     ANSWER: "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
@@ -49,6 +50,8 @@ def kind_by_keys(root: Any) -> str | None:
         return ANSWER
     if keys >= {"scenario", "schema_version"}:
         return MANIFEST
+    if keys >= {"cells", "tests"}:
+        return PROTOCOL
     if "components" in keys or "connections" in keys:
         return SCENARIO
     if "logs" in keys:

@@ -59,7 +59,8 @@ MODELS = {
         native={"controller": "fmus.controller_native:controller_native"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",
-    )
+    ),
+    "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
 }
 BASE_NAME = next(iter(MODELS))
 PAGES = (

@@ -58,3 +58,16 @@ def controller_recipe() -> Recipe:
     designing = ("controller/synthesis.py", "controller/designer.py")
     slave = ("controller_fmu", "HovercraftController")
     return Recipe(slave, ("plant", "controller"), about, text, without=designing)
+
+
+def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
+    """The testing bench, with other defaults where `values` says so."""
+    import plant.bench as bench
+
+    model = bench.Bench()
+    about = about_model(
+        model.with_values(values or {}),
+        "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed",
+    )
+    text = f"<p>An unconnected bench is at rest.</p>{model_text(model)}{documented(bench)}"
+    return Recipe(("bench_fmu", "PropellerBench"), ("plant",), about, text, ordered(values), ("model_fmu",))

@@ -16,6 +16,8 @@ class Namespace(Protocol):
     def sqrt(self, x: Any) -> Any: ...
     def maximum(self, a: Any, b: Any) -> Any: ...
     def minimum(self, a: Any, b: Any) -> Any: ...
+    def clip(self, x: Any, low: Any, high: Any) -> Any: ...
+    def rint(self, x: Any) -> Any: ...
     def where(self, condition: Any, then: Any, otherwise: Any) -> Any: ...
 
 
@@ -29,6 +31,14 @@ class ScalarNamespace:
     sqrt = staticmethod(math.sqrt)
     maximum = staticmethod(max)
     minimum = staticmethod(min)
+
+    @staticmethod
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        return min(max(x, low), high)
+
+    @staticmethod
+    def rint(x: Any) -> Any:
+        return float(round(x))
 
     @staticmethod
     def where(condition: Any, then: Any, otherwise: Any) -> Any:
@@ -51,6 +61,9 @@ class SymbolNamespace:
     def __init__(self) -> None:
         import sympy
 
+        from plant.symbolic.printed import Clip, Rint
+
+        self.clip, self.rint = Clip, Rint  # of anything, branches too: a condition that holds branches takes minutes
         self.sin, self.cos, self.tanh = sympy.sin, sympy.cos, sympy.tanh
         self.exp, self.sqrt = sympy.exp, sympy.sqrt
         self._piecewise = sympy.Piecewise

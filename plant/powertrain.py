@@ -22,3 +22,25 @@ def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> 
 def lag(target: Number, value: Number, time_constant: Number) -> Number:
     """Rate of a first-order lag, eq 4.29: ẋ = (x_target − x)/τ."""
     return (target - value) / time_constant
+
+
+def servo_angle(duty: Number, neutral: Number, slope: Number) -> Number:
+    """Angle [rad] that a servo is told, eq 3.1: α = 0.3927·(d − 7.5); d in % of its frame, slope in rad/%."""
+    return slope * (duty - neutral)
+
+
+def servo_rate(
+    m: Namespace, target: Number, angle: Number, time_constant: Number, dead_band: Number, fastest: Number
+) -> Number:
+    """Rate of a tilt behind a servo, App. B.2: α̇ = clip((e − clip(e, ±w/2))/τ, ±r), e = α_target − α.
+
+    It stops where the error comes into the dead band of total width w [rad]: short of the target, from either side.
+    """
+    half = 0.5 * dead_band
+    error = target - angle
+    return m.clip(lag(error - m.clip(error, -half, half), 0.0, time_constant), -fastest, fastest)
+
+
+def assembly_moment(m: Namespace, tilt: Number, mass: Number, gravity: Number, arm: Number) -> Number:
+    """Moment about the tilting axis [N m], eq 4.10: M(α) = m_PA·g·l·sin α."""
+    return mass * gravity * arm * m.sin(tilt)

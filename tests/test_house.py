@@ -18,6 +18,7 @@ CODE = {".py", ".c", ".j2", ".css", ".js"}
 VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
 # The rooms of the craft, and the registry that knows where they are.
 CRAFT = (
+    "plant/bench.py", "fmus/bench_fmu.py", "cosim/identification/",
     "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
     "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/recipes.py", "fmus/controller_native.py",
     "cosim/simulation/report/craft/",

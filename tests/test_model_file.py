@@ -410,9 +410,9 @@ def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: 
 @pytest.mark.parametrize(
     ("text", "place", "message"),
     [
-        ("model: car\n", (1, 8), 'no model "car"; a model is hovercraft, or FILE.py:Class'),
+        ("model: car\n", (1, 8), 'no model "car"; a model is hovercraft, bench, or FILE.py:Class'),
         ("model: hovercrft\n", (1, 8), 'no model "hovercrft"; did you mean "hovercraft"?'),
-        ("model: none.py:Car\n", (1, 8), "none.py; a model is hovercraft, or FILE.py:Class"),
+        ("model: none.py:Car\n", (1, 8), "none.py; a model is hovercraft, bench, or FILE.py:Class"),
         ("parameters:\n  mass: heavy\n", (2, 9), "parameters.mass is 'heavy': give a finite number"),
         ("parameters:\n  mass: .inf\n", (2, 9), "parameters.mass is inf: give a finite number"),
         ("sensors:\n  gyro_bias.value: .nan\n", (2, 20), "finite number"),

@@ -45,6 +45,21 @@ Value = Annotated[
 ]
 
 
+class Identified(BaseModel):
+    """How well a parameter is known.
+
+    ci95:   its 95 % interval
+    unit:   of the interval
+    origin: the test that says so
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ci95: tuple[float, float]
+    unit: str = ""
+    origin: str = ""
+
+
 class ModelFile(BaseModel):
     """The name of a model, its parameters by FMI name, sensor errors apart.
 
@@ -52,6 +67,7 @@ class ModelFile(BaseModel):
     model:          a name that is known, or `file.py:Class` of one's own
     parameters:     name → value, in the unit of the parameter
     sensors:        sensor error → value
+    identified:     parameter → how well it is known, where `cosim identify` wrote the file
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,6 +76,7 @@ class ModelFile(BaseModel):
     model: str = BASE_NAME
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    identified: dict[str, Identified] = {}
 
 
 @dataclass(frozen=True)

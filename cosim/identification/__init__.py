@@ -1,0 +1,1 @@
+"""A power-train identified on a testing bench: five tests, played on the bench's FMU or measured."""

@@ -1,0 +1,170 @@
+"""What keeps recordings from telling anything: a phase that is missing, cells swapped or at their end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cosim.errors import Fault
+from cosim.identification.cells import Cells, at_rail, force_of
+from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, StepTest, Test
+from cosim.identification.recordings import Recording
+from plant.powertrain import servo_angle
+
+LEAST_DUTY, LEAST_ANGLE = 0.1, np.radians(5)  # [%, rad] that a line and a moment need
+LEAST_ROWS = 10
+SWAPPED = "are the channels swapped? Change their names"
+MOST_AT_RAIL = 0.5  # of the readings of a window
+
+
+def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells) -> list[Fault]:
+    """Every fault of the recordings of a test, at their file and row."""
+    test: Test = getattr(protocol.file.tests, name)
+    faults: list[Fault] = []
+    for r in recordings:
+        found = list(_missing(protocol, name, test, r))
+        faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
+    if not faults:
+        faults += _of_all(protocol, name, test, recordings)
+    return faults
+
+
+def _at(protocol: Protocol, r: Recording, message: str, row: int | None = None) -> Fault:
+    if r.path is None:
+        return Fault(protocol.yaml.path, 0, 0, f"{r.label}: {message}")
+    line = 0 if row is None or not r.lines.size else int(r.lines[row])
+    return Fault(Path(r.path), line, 1 if line else 0, message)
+
+
+def _missing(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterator[Fault]:
+    windows = {"rest": test.rest, "window": test.window}
+    if (hold := getattr(test, "hold", None)) is not None:
+        windows["hold"] = hold
+    place = f"{protocol.yaml.path.name}: tests.{name}"
+    for key, window in windows.items():
+        if isinstance(test, SineTest) and key == "window":
+            continue
+        if r.rows(window).sum() < LEAST_ROWS:
+            ends = f"it lasts from {r.time[0]:g} to {r.time[-1]:g} s"
+            what = f"the phase `{key}` from {window[0]:g} to {window[1]:g} s is missing, {ends}"
+            yield _at(protocol, r, f"{what}; record it, or change {place}.{key}", r.time.size - 1)
+            return
+    rest, seen = r.rows(test.rest), r.rows(test.window)
+    duty = r.duty
+    if name != "moment" and duty[rest].max() >= duty[~rest].max():
+        row = int(np.flatnonzero(rest)[0])
+        cure = "begin each run with the motor off, for the tare"
+        yield _at(
+            protocol, r, f"the phase at rest is missing: duty is {duty[rest].max():g} % there already; {cure}", row
+        )
+        return
+    angle = servo_angle(r.servo_duty, protocol.known.servo_neutral, protocol.known.servo_slope)
+    if name == "thrust_line" and np.ptp(duty[seen]) < LEAST_DUTY:
+        yield _at(
+            protocol, r, f"the duty does not vary from {test.window[0]:g} to {test.window[1]:g} s: the ramp is missing"
+        )
+    if name in ("projection", "moment") and np.ptp(angle[seen]) < LEAST_ANGLE:
+        yield _at(protocol, r, "the tilt does not vary in the window: the sweep of servo_duty is missing")
+    if isinstance(test, StepTest):
+        signal = r.duty if name == "thrust_step" else angle
+        near = (r.time >= test.at - 2.5 * r.step) & (r.time <= test.at + 2.5 * r.step)
+        if np.abs(np.diff(signal[near])).max(initial=0.0) < (0.02 if name == "thrust_step" else LEAST_ANGLE):
+            what = "duty" if name == "thrust_step" else "servo_duty"
+            row = int(np.searchsorted(r.time, test.at))
+            yield _at(
+                protocol,
+                r,
+                f"{what} has no step at {test.at:g} s; say when it is in {place}.at",
+                min(row, r.time.size - 1),
+            )
+    if isinstance(test, SineTest):
+        sines = r.time >= test.lead + test.skip
+        if sines.sum() < LEAST_ROWS or np.ptp(angle[sines]) < np.radians(1):
+            yield _at(
+                protocol, r, f"there is no sine of servo_duty after {test.lead:g} s; record it, or change {place}.lead"
+            )
+
+
+def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
+    """Swapped and saturated channels."""
+    window = r.time >= test.lead + test.skip if isinstance(test, SineTest) else r.rows(test.window)
+    wanted = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}.get(
+        name, "x"
+    )
+    known = protocol.known
+    for c in wanted:
+        rail = at_rail(known, r.volts[c]) & window
+        share = rail.sum() / window.sum()
+        if share > (1.0 - 0.2 if name == "thrust_line" else MOST_AT_RAIL if name == "projection" else 0.05):
+            row = int(np.flatnonzero(rail)[0])
+            cure = "take a cell of a larger range, or less thrust"
+            where = f"{r.volts[c][row]:.3g} V, at {100 * share:.0f} % of the readings, first in this row"
+            yield _at(protocol, r, f"volts_{c} is at the end of its range, {where}; {cure}", row)
+            return
+    if name == "moment":
+        return
+    change = {}
+    rest = r.rows(test.rest)
+    for c in CHANNELS:
+        scale = float(np.ptp(cells[c].loads))
+        force = force_of(r, cells, c, test.rest)
+        change[c] = (
+            float(np.abs(force[window] - force[rest].mean()).max() - np.abs(force[rest] - force[rest].mean()).max())
+            / scale
+        )
+    upright = name in ("thrust_line", "ground_effect", "thrust_step")
+    if upright:
+        other = max("xm", key=lambda c: change[c])
+        if change[other] > max(0.2, change["z"]):
+            message = f"volts_{other} follows the thrust and volts_z does not, upright: {SWAPPED}"
+            yield _at(protocol, r, message, 0)
+        elif (force_of(r, cells, "z", test.rest)[window].mean()) < 0:
+            yield _at(
+                protocol,
+                r,
+                "the vertical force falls with the duty: volts_z has the wrong sign or another calibration",
+                0,
+            )
+    elif name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
+        yield _at(
+            protocol,
+            r,
+            "volts_m follows the tilt and volts_x does not: {SWAPPED}",
+            0,
+        )
+    elif name == "step":
+        after = r.rows((test.window[1] - 0.3, test.window[1]))
+        fz, fx = (float(force_of(r, cells, c, test.rest)[after].mean()) for c in "zx")
+        angle = float(np.mean(servo_angle(r.servo_duty[after], known.servo_neutral, known.servo_slope)))
+        if abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
+            message = f"at {np.degrees(angle):.0f}° volts_x says more than volts_z: {SWAPPED}"
+            yield _at(protocol, r, message, 0)
+
+
+def _of_all(protocol: Protocol, name: str, test: Test, recordings: Sequence[Recording]) -> Iterator[Fault]:
+    """What only all recordings of a test together can lack."""
+    from cosim.identification.frequency import grouped
+    from cosim.identification.protocol import LEAST
+
+    place = ("tests", name, "files") if test.files else ("tests", name)
+    if isinstance(test, HeightTest):
+        heights: dict[float, int] = {}
+        for r in recordings:
+            h = min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
+            heights[h] = heights.get(h, 0) + 1
+        if max(heights) < test.free_height:
+            cure = f"add runs at {test.free_height:g} m or more, or lower free_height"
+            yield protocol.yaml.fault(place, f"the runs with nothing below are missing; {cure}")
+        if len(heights) < 3:
+            yield protocol.yaml.fault(place, "two heights near the ground are needed at least")
+        for h, count in heights.items():
+            if count < LEAST:
+                yield protocol.yaml.fault(place, f"{count} recordings at {h:g} m are too few; {LEAST} at least")
+    if isinstance(test, SineTest):
+        found = grouped(recordings, test)
+        for w in test.frequencies:
+            if len(found.get(w, ())) < LEAST:
+                message = f"{len(found.get(w, ()))} recordings at {w:g} rad/s are too few; {LEAST} at least"
+                yield protocol.yaml.fault(place, message)

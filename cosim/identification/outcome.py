@@ -1,0 +1,48 @@
+"""What comes of a protocol: every number with both estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cosim.identification.cells import Cells
+from cosim.identification.estimates import Estimate, Result
+from cosim.identification.protocol import Protocol
+from cosim.identification.recordings import Recording
+
+
+@dataclass
+class Outcome:
+    """What came of a protocol."""
+
+    protocol: Protocol
+    cells: Cells
+    results: list[Result]
+    recordings: dict[str, list[Recording]] = field(default_factory=dict)
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Every number by test and name."""
+        return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
+
+    @property
+    def chosen(self) -> dict[str, Estimate]:
+        """By name; the lag is that of the step where there is one."""
+        found: dict[str, Estimate] = {}
+        for r in self.results:
+            for e in r.estimates:
+                found.setdefault(e.name, e)
+        return found
+
+    @property
+    def sentences(self) -> list[str]:
+        """A line a number."""
+        lines = []
+        for key, e in self.estimates.items():
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
+            lines.append(
+                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g}{truth})"
+            )
+        return lines

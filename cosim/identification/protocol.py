@@ -1,0 +1,230 @@
+"""A protocol: what is known of a bench, its cells, and the tests that are played on it or were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from cosim.errors import Fault, InputError
+from cosim.kinds import PROTOCOL, kind_of, refuse_other
+from cosim.yaml_file import NotNegative, Number, Part, Positive, YamlFile, did_you_mean
+from fmus.units import factor
+from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
+
+LEAST = 3  # repetitions: intervals come from the scatter between them
+CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is computed
+BENCH = "bench"  # our own
+LONGEST = 3600.0  # [s] of a run that is played
+
+Window = tuple[NotNegative, NotNegative]
+Phase = tuple[NotNegative, NotNegative, Number]  # time [s], duty [%], tilt [deg]
+
+
+class CellFile(Part):
+    """A load cell: the loads hung on it, or points as measured; `error` is a standard deviation, of full scale."""
+
+    unit: str = "N"
+    full_scale: Positive
+    error: NotNegative = 0.0025
+    loads: list[Number] = Field(default=[])
+    points: list[tuple[Number, Number]] = Field(default=[])  # load, voltage
+
+
+class Draws(Part):
+    """What differs from run to run on a bench that is played; standard deviations."""
+
+    thrust: NotNegative = 0.0
+    tare: dict[str, NotNegative] = Field(default={})
+    noise: dict[str, NotNegative] = Field(default={})
+
+
+class Test(Part):
+    """A test: played in `phases`, or read from `files`. `rest`: without thrust; `window`: what is looked at [s]."""
+
+    repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
+    files: list[str] = Field(default=[])
+    low_pass: NotNegative = 0.0
+    height: Positive = FREE_HEIGHT
+    phases: list[Phase] = Field(default=[])
+    rest: Window
+    window: Window
+
+
+class HeightTest(Test):
+    """Thrust at heights, in radii of the propeller, against that with nothing below."""
+
+    heights: list[Positive] = Field(default=[])
+    free_height: Positive = FREE_HEIGHT
+    validation_duty: Positive | None = None
+
+
+class HoldTest(Test):
+    """Forces over the tilt; `hold`: upright, under full thrust [s]."""
+
+    hold: Window
+
+
+class StepTest(Test):
+    """A step `at` a time [s]."""
+
+    at: Positive
+
+
+class SineTest(Test):
+    """Sines of the tilt [rad/s, whole or part periods, deg] after `lead` [s]; the first `skip` [s] are left out."""
+
+    frequencies: list[Positive]
+    periods: list[Positive]
+    amplitude: Positive = 10.0
+    duty: Positive
+    lead: Positive = 3.0
+    skip: Positive = 1.0
+    thesis_skip: list[NotNegative] = Field(default=[])  # periods
+
+
+class Tests(Part):
+    """Those that are there are done."""
+
+    thrust_line: Test | None = None
+    ground_effect: HeightTest | None = None
+    projection: HoldTest | None = None
+    step: StepTest | None = None
+    thrust_step: StepTest | None = None
+    frequency: SineTest | None = None
+    moment: Test | None = None
+
+    def given(self) -> Iterator[tuple[str, Test]]:
+        """Name and test."""
+        for name in type(self).model_fields:
+            if (test := getattr(self, name)) is not None:
+                yield name, test
+
+
+class ProtocolFile(Part):
+    """protocol.yaml."""
+
+    schema_version: Literal[1] = 1
+    name: str
+    bench: str | None = None
+    model: str = "hovercraft"
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1
+    step: Positive = 0.02
+    parameters: dict[str, Number] = Field(default={})
+    draws: Draws = Draws()
+    cells: dict[str, CellFile]
+    tests: Tests
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A protocol as read; `known` is the bench with what is known of it, its truth where ours is played."""
+
+    yaml: YamlFile
+    file: ProtocolFile
+    known: Bench
+
+    @property
+    def folder(self) -> Path:
+        """Where it stands."""
+        return self.yaml.path.parent
+
+    @property
+    def true_known(self) -> bool:
+        """Our own bench is played, whose parameters are known."""
+        return self.file.bench == BENCH
+
+
+def read_protocol(path: Path) -> Protocol:
+    """Read a protocol; InputError with every fault that can be known without a recording."""
+    refuse_other(path, kind_of(path), PROTOCOL)
+    yaml = YamlFile(path)
+    content, faults = yaml.partly(ProtocolFile, "tests")
+    if content is None:
+        raise InputError(faults)
+    bench = Bench()
+    faults += _parameter_faults(yaml, content, bench)
+    faults += _cell_faults(yaml, content)
+    faults += [fault for name, test in content.tests.given() for fault in _test_faults(yaml, content, name, test)]
+    if not any(True for _ in content.tests.given()):
+        faults.append(yaml.fault(("tests",), f"holds no test; known are {', '.join(Tests.model_fields)}", key=True))
+    if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
+        message = f"no such FMU: {content.bench}; write {BENCH} for the one that is built here, or the path of yours"
+        faults.append(yaml.fault(("bench",), message))
+    if faults:
+        raise InputError(faults)
+    return Protocol(yaml, content, bench.with_values(content.parameters))
+
+
+def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
+    for name, value in content.parameters.items():
+        if name not in bench.declared:
+            yield yaml.fault(
+                ("parameters", name), f'a bench has no "{name}"{did_you_mean(name, bench.declared)}', key=True
+            )
+        elif fault := bench.declared[name].fault(value):
+            yield yaml.fault(("parameters", name), fault)
+
+
+def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
+    for name in CHANNELS.keys() - content.cells.keys():
+        yield yaml.fault(("cells",), f'cell "{name}" is missing; a bench has {", ".join(CHANNELS)}', key=True)
+    for name, cell in content.cells.items():
+        if name not in CHANNELS:
+            yield yaml.fault(("cells", name), f"no such cell; a bench has {', '.join(CHANNELS)}", key=True)
+            continue
+        if factor(cell.unit, CHANNELS[name]) is None:
+            yield yaml.fault(("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}")
+        if bool(cell.loads) == bool(cell.points):
+            cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
+            yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
+        elif cell.loads and content.bench is None:
+            yield yaml.fault(("cells", name, "loads"), "no bench is played; give `points` [load, voltage] as measured")
+        elif len(cell.loads or cell.points) < 4:
+            key = "loads" if cell.loads else "points"
+            yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")
+
+
+def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
+    at = ("tests", name)
+    if not test.files:
+        if content.bench is None:
+            cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
+            yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
+        if not test.phases and not isinstance(test, SineTest):
+            yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
+        if test.repetitions < LEAST:
+            message = f"{test.repetitions} are too few: intervals come from scatter between {LEAST} or more"
+            yield yaml.fault((*at, "repetitions"), message)
+        times = [p[0] for p in test.phases]
+        if times != sorted(times) or (times and times[-1] > LONGEST):
+            yield yaml.fault((*at, "phases"), f"times of phases increase, up to {LONGEST:g} s")
+        elif times and not isinstance(test, SineTest):
+            yield from _missing_phases(yaml, at, test, times[-1])
+    elif len(test.files) < LEAST:
+        message = f"{len(test.files)} recordings are too few: intervals come from scatter between {LEAST} or more"
+        yield yaml.fault((*at, "files"), message)
+    for key in ("rest", "window", "hold"):
+        window = getattr(test, key, None)
+        if window is not None and window[0] >= window[1]:
+            yield yaml.fault((*at, key), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
+    if isinstance(test, SineTest) and len(test.periods) != len(test.frequencies):
+        yield yaml.fault((*at, "periods"), f"{len(test.periods)} for {len(test.frequencies)} frequencies; one each")
+    if isinstance(test, HeightTest) and not test.files and len(test.heights) < 2:
+        yield yaml.fault((*at, "heights"), "two heights at least")
+
+
+def _missing_phases(yaml: YamlFile, at: tuple[str, ...], test: Test, end: float) -> Iterator[Fault]:
+    for key in ("rest", "window", "hold"):
+        window = getattr(test, key, None)
+        if window is not None and window[1] > end + 1e-9:
+            yield yaml.fault((*at, key), f"ends at {window[1]:g} s, the phases at {end:g} s; move it or add a phase")
+    duty = [p[1] for p in test.phases if p[0] <= test.rest[1]]
+    if duty and duty[0] > REST_DUTY:
+        message = (
+            f"begins with duty {duty[0]:g} %: a phase at rest is missing ({REST_DUTY:g} % or less), cells have no tare"
+        )
+        yield yaml.fault((*at, "phases"), message)

@@ -1,0 +1,270 @@
+"""`cosim identify`: a protocol played or read, its tests analysed, powertrain.yaml and a report written."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import Fault, InputError
+from cosim.files import FilePath, atomic_write, check_writable
+from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
+from cosim.identification.cells import Cells, calibrated
+from cosim.identification.estimates import Estimate, Result
+from cosim.identification.faults import recording_faults
+from cosim.identification.outcome import Outcome
+from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
+from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
+from cosim.models.file import load_model, named_model
+from cosim.registry import MODELS, resolve
+from cosim.version import __version__
+from plant.bench import Bench
+from plant.model import Model
+
+FILES = ("powertrain.yaml", "identify.json", "report.html")
+# in the order in which one needs another's number; the lag of a step is that of the model
+ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
+Progress = Callable[[str, float], None]
+
+
+def identify(
+    path: FilePath, out: FilePath, progress: Progress | None = None, *, report: bool = True, seed: int | None = None
+) -> Outcome:
+    """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError."""
+    path, out = Path(path), Path(out)
+    protocol = read_protocol(path)
+    model = _model_of(protocol)
+    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
+    measured = _measured(protocol)
+    check_writable(out, FILES, named)
+    outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+    for name, text in _texts(outcome, model):
+        with atomic_write(out / name) as stream:
+            stream.write(text)
+    if report:
+        from cosim.identification.report import page
+
+        with atomic_write(out / "report.html") as stream:
+            stream.write(page(outcome))
+    return outcome
+
+
+def _model_of(protocol: Protocol) -> Model:
+    """The model whose parameters the power-train sets."""
+    text = protocol.file.model
+    try:
+        return named_model(text) if text in MODELS else load_model(text, protocol.folder, protocol.yaml).model
+    except InputError as error:
+        where = protocol.yaml.place(("model",))
+        raise InputError(
+            [Fault(protocol.yaml.path, *where, str(f)) if f.file != protocol.yaml.path else f for f in error.faults]
+        ) from None
+
+
+def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
+    """What was measured, with all that can be wrong with it, before anything is played."""
+    faults: list[Fault] = []
+    found: dict[str, list[Recording]] = {}
+    cells: Cells | None = None
+    if all(protocol.file.cells[c].points for c in CHANNELS):
+        try:
+            cells = calibrated(protocol, {})
+        except ValueError as error:
+            faults.append(_cell_fault(protocol, error))
+    for name, test in protocol.file.tests.given():
+        if not test.files:
+            continue
+        try:
+            found[name] = read_recordings(protocol, name)
+        except InputError as error:
+            faults += error.faults
+            continue
+        if cells is not None:
+            faults += recording_faults(protocol, name, found[name], cells)
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def _cell_fault(protocol: Protocol, error: ValueError) -> Fault:
+    name = str(error).partition(":")[0].removeprefix("cells.")
+    return protocol.yaml.fault(("cells", name), str(error), key=True)
+
+
+def _outcome(
+    protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
+) -> Outcome:
+    """Played on the FMU where nothing was measured, then analysed."""
+    recordings = dict(measured)
+    hung: dict[str, list[Recording]] = {}
+    if protocol.file.bench is not None:
+        with tempfile.TemporaryDirectory(prefix="cosim-identify-") as folder:
+            fmu = _fmu(protocol, Path(folder))
+            runs = {n: runs_of(protocol, n, seed) for n, t in protocol.file.tests.given() if n not in measured}
+            loads = load_runs(protocol, seed)
+            total = sum(r.time.size for group in (*runs.values(), *loads.values()) for r in group) or 1
+            tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+            player = FmuPlayer(fmu, protocol.file.parameters, tell)
+            try:
+                hung = {c: player(group) for c, group in loads.items()}
+                recordings |= {n: player(group) for n, group in runs.items()}
+            finally:
+                player.close()
+    try:
+        cells = calibrated(protocol, hung)
+    except ValueError as error:
+        raise InputError([_cell_fault(protocol, error)]) from None
+    faults = [
+        f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
+    ]
+    if faults:
+        raise InputError(faults)
+    if progress is not None:
+        progress("analysing", 0.0)
+    results = analyse(protocol, cells, recordings)
+    return Outcome(protocol, cells, results, recordings)
+
+
+def _fmu(protocol: Protocol, folder: Path) -> Path:
+    """The bench's FMU: our own, built now, or the one that is named."""
+    if protocol.file.bench != BENCH:
+        return protocol.folder / str(protocol.file.bench)
+    from fmus.build import build
+
+    return build(resolve(MODELS[BENCH].recipe)(), folder / "bench.fmu")
+
+
+def analyse(
+    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
+) -> list[Result]:
+    """Each test in the order in which one needs another's number; what is not known yet is taken from the protocol."""
+    known, truth = protocol.known, protocol.known if protocol.true_known else None
+    if truth is not None:  # what is to be found is not known
+        blank = Bench()
+        known = known.with_values(
+            {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
+        )
+    results = []
+    for name in (n for n in ORDER if n in recordings):
+        test: Any = getattr(protocol.file.tests, name)
+        result = _analysis(name)(recordings[name], cells, known, test, truth, draw=draw)
+        results.append(result)
+        # a lag in frequency is that of the step only where there is no step
+        fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
+        if not (name == "frequency" and "step" in recordings):
+            known = known.with_values(fresh)
+    return results
+
+
+def _within(known: Bench, e: Estimate) -> float:
+    low, high = known.declared[e.name].bounds
+    return float(np.clip(e.value, low, high))
+
+
+def _analysis(name: str) -> Callable[..., Result]:
+    if name == "thrust_step":
+        return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
+    ways: dict[str, Callable[..., Result]] = {
+        "step": lag.analyse, "frequency": frequency.analyse, "ground_effect": ground_effect.analyse,
+        "thrust_line": thrust_line.analyse, "projection": projection.analyse, "moment": moment.analyse,
+    }  # fmt: skip
+    return ways[name]
+
+
+def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
+    """Whole protocols, a seed each, by plain functions and without figures; those of all seeds are played at once."""
+    names = [n for n, _ in protocol.file.tests.given()]
+    hung: list[dict[str, list[Recording]]] = [{} for _ in seeds]
+    found: list[dict[str, list[Recording]]] = [{} for _ in seeds]
+    per_seed = [load_runs(protocol, seed) for seed in seeds]
+    for channel in CHANNELS:
+        for own, batch in zip(hung, _dealt(play, [runs[channel] for runs in per_seed]), strict=True):
+            own[channel] = batch
+    for name in names:
+        for own, batch in zip(found, _dealt(play, [runs_of(protocol, name, seed) for seed in seeds]), strict=True):
+            own[name] = batch
+    outcomes = []
+    for own_hung, own in zip(hung, found, strict=True):
+        cells = calibrated(protocol, own_hung)
+        outcomes.append(Outcome(protocol, cells, analyse(protocol, cells, own, draw=False)))
+    return outcomes
+
+
+def _dealt(play: Play, groups: Sequence[Sequence[Any]]) -> Iterable[list[Recording]]:
+    whole = play([run for group in groups for run in group])
+    first = 0
+    for group in groups:
+        yield whole[first : first + len(group)]
+        first += len(group)
+
+
+# -- what is left -----------------------------------------------------------------------------
+
+
+def _texts(outcome: Outcome, model: Model) -> Iterable[tuple[str, str]]:
+    yield "powertrain.yaml", powertrain(outcome, model)
+    record = {
+        "schema_version": 1,
+        "protocol": outcome.protocol.file.name,
+        "version": __version__,
+        "estimates": {k: _plain(asdict(e)) for k, e in outcome.estimates.items()},
+        "tests": {r.test: _plain({**r.more, "notes": r.notes}) for r in outcome.results},
+        "calibration": {
+            c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
+                "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
+            for c, cell in outcome.cells.items()
+        },
+    }  # fmt: skip
+    yield "identify.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON knows: what is missing is null."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def powertrain(outcome: Outcome, model: Model) -> str:
+    """A model.yaml with every number that was identified, its interval and where it comes from."""
+    protocol = outcome.protocol
+    source = protocol.file.model
+    declared = {p.name for p in model.parameters}
+    values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
+    chosen = {n: e for n, e in outcome.chosen.items() if n in declared}
+    values |= {n: e.value for n, e in chosen.items()}
+    values |= _hovering(model, values)
+    lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
+    lines += [f"  {name}: {float(v)!r}" for name, v in values.items()]
+    lines += ["sensors: {}", "identified:" if chosen else "identified: {}"]
+    for name, e in chosen.items():
+        lines += [
+            f"  {name}:", f"    ci95: [{e.low!r}, {e.high!r}]", f"    unit: {json.dumps(e.unit)}",
+            f"    origin: {json.dumps(f'{e.origin}; {e.repetitions} repetitions', ensure_ascii=False)}",
+        ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """The nominal duty at which the model has the thrust that it has now, solved for eq 4.20 and eq 4.28."""
+    needed = {"duty_nominal", "height", "propeller_radius", "ground_effect_exponent", "thrust_offset", "thrust_slope"}
+    base: Any = model
+    if not needed <= {p.name for p in model.parameters} or not needed & set(values):
+        return {}
+    from plant.namespaces import SCALAR
+    from plant.powertrain import ground_effect as gain
+
+    after: Any = model.with_values(values)
+    before_gain = gain(SCALAR, base.height, base.propeller_radius, base.ground_effect_exponent)
+    thrust = (base.thrust_offset + base.thrust_slope * base.duty_nominal) * before_gain  # [gf]
+    after_gain = gain(SCALAR, after.height, after.propeller_radius, after.ground_effect_exponent)
+    return {"duty_nominal": (thrust / after_gain - after.thrust_offset) / after.thrust_slope}

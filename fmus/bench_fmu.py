@@ -1,0 +1,14 @@
+"""The testing bench as an FMI slave. Needs Python's standard library and pythonfmu's own module, nothing else."""
+
+from __future__ import annotations
+
+from fmus.model_fmu import ModelSlave
+from fmus.ports import model_ports
+from plant.bench import Bench
+
+
+class PropellerBench(ModelSlave):
+    """One tilting propeller on three load cells."""
+
+    model = Bench()
+    ports = model_ports(model)

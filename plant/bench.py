@@ -1,0 +1,157 @@
+"""The testing bench: one tilting propeller on three load cells, read by a converter and a low pass (thesis ch. 3).
+
+Equation numbers, sections and appendices are those of J. Jorquera Grau, SDSM&T, 2012. The power-train is that of the
+craft (`plant/powertrain.py`); what is new here is the servo's dead band and rate, the cells, and how they are read.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plant.model import Equations, Model, Number, Values
+from plant.namespaces import SCALAR, Namespace
+from plant.powertrain import (
+    assembly_moment,
+    ground_effect,
+    lag,
+    servo_angle,
+    servo_rate,
+    thrust_out_of_ground,
+)
+from plant.quantities import Quantity, parameter
+from plant.rigid_body import thrust_vector
+
+REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, nothing below
+FASTEST_FILTER = 0.005  # [s] that the integration follows
+CHANNELS = ("z", "x", "m")
+
+STATES = (
+    Quantity("thrust", "N", "thrust after the lag, without ground effect"),
+    Quantity("tilt", "rad", "tilt angle after dead band, rate and lag"),
+    *(Quantity(f"filtered_{c}", "V", f"voltage of cell {c} after the low pass") for c in CHANNELS),
+)
+INPUTS = (
+    Quantity("duty", "%", "duty of the speed controller", REST_DUTY, (0.0, 100.0)),
+    Quantity("servo_duty", "%", "duty of the servo", NEUTRAL_DUTY, (0.0, 100.0)),
+    Quantity("height", "m", "height of the propeller over the ground", FREE_HEIGHT, (0.0, math.inf)),
+    Quantity("load_z", "N", "load hung at the hub for calibration, vertical"),
+    Quantity("load_x", "N", "load hung at the hub for calibration, horizontal"),
+    Quantity("load_m", "N.m", "moment about the tilting axis for calibration"),
+    *(Quantity(f"noise_{c}", "V", f"voltage added to cell {c} before it is converted") for c in CHANNELS),
+)
+OUTPUTS = (
+    *(Quantity(f"volts_{c}", "V", f"voltage of cell {c}, converted and low-passed") for c in CHANNELS),
+    Quantity("force_z", "N", "vertical force on the bench"),
+    Quantity("force_x", "N", "horizontal force on the bench"),
+    Quantity("moment", "N.m", "moment about the tilting axis"),
+    Quantity("tilt_actual", "rad", "tilt angle"),
+    Quantity("thrust_actual", "N", "thrust, with ground effect"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(Model):
+    """One power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
+
+    title = "Testing bench of a tilting propeller"
+    base_states, inputs, outputs = STATES, INPUTS, OUTPUTS
+    substep = 0.01  # [s]
+    horizon = math.inf
+
+    thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
+    thrust_slope: float = parameter(359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20")
+    thrust_factor: float = parameter(
+        1.0, unit="1", bounds=(0.1, 10), doc="factor on the thrust, by the battery's state"
+    )
+    ground_effect_exponent: float = parameter(
+        1.902, unit="1", bounds=(0.5, 5), doc="exponent of the ground effect, eq 4.28"
+    )
+    propeller_radius: float = parameter(0.127, unit="m", bounds=(0.01, 1), doc="propeller radius, §3.5")
+    lag: float = parameter(0.0884, unit="s", bounds=(0.005, 2), doc="first-order lag of thrust and tilt, eq 4.29")
+    assembly_mass: float = parameter(0.145, unit="kg", bounds=(0.001, 10), doc="mass of the propeller assembly, §5.2")
+    assembly_arm: float = parameter(
+        -1.170e-4, unit="m", bounds=(-0.1, 0.1), doc="tilting axis to the assembly's centre of mass, §4.5.5"
+    )
+    gravity: float = parameter(9.81, unit="m/s2", bounds=(0.1, 30), doc="gravity")
+    servo_neutral: float = parameter(7.5, unit="%", bounds=(0, 100), doc="duty of the servo upright, eq 3.1")
+    servo_slope: float = parameter(0.3927, unit="rad/%", bounds=(-10, 10), doc="angle per duty of the servo, eq 3.1")
+    servo_dead_band: float = parameter(
+        0.04 * 0.3927, unit="rad", bounds=(0, 0.5), doc="total width of the servo's dead band, 8 µs, App. B.2"
+    )
+    servo_speed: float = parameter(
+        math.radians(60) / 0.14, unit="rad/s", bounds=(0.1, 100), doc="fastest tilt, 0.14 s for 60°, App. B.2"
+    )
+    z_zero: float = parameter(3.25, unit="V", doc="vertical cell without load; 3.3 V, the rail, in Table C.1")
+    z_slope: float = parameter(-0.853, unit="V/N", doc="vertical cell, linear, Table C.1")
+    z_square: float = parameter(-0.1107, unit="V/N2", doc="vertical cell, quadratic: 0 V at 285 gf as in Table C.1")
+    z_cube: float = parameter(0.0, unit="V/N3", doc="vertical cell, cubic")
+    x_zero: float = parameter(2.43, unit="V", doc="horizontal cell without load, Table C.1")
+    x_slope: float = parameter(-0.5602, unit="V/N", doc="horizontal cell, linear, Table C.1")
+    x_square: float = parameter(-0.0021, unit="V/N2", doc="horizontal cell, quadratic, Table C.1")
+    x_cube: float = parameter(0.0, unit="V/N3", doc="horizontal cell, cubic")
+    m_zero: float = parameter(1.718, unit="V", doc="cell of the torquemeter without load, Table C.2")
+    m_slope: float = parameter(-48.32, unit="V/N.m", doc="cell of the torquemeter, linear, Table C.2")
+    m_square: float = parameter(232.0, unit="V/N2.m2", doc="cell of the torquemeter, quadratic, Table C.2")
+    m_cube: float = parameter(7630.0, unit="V/N3.m3", doc="cell of the torquemeter, cubic, Table C.2")
+    converter_range: float = parameter(3.3, unit="V", bounds=(0.1, 100), doc="largest voltage converted, §3.4")
+    converter_levels: float = parameter(4095.0, unit="1", bounds=(1, 1e9), doc="steps of the converter: 12 bit, §3.4")
+    filter_time: float = parameter(
+        0.0, unit="s", bounds=(0, 10), doc="time constant of the low pass, App. D.2; 0 = off"
+    )
+
+    def equations(self, m: Namespace) -> Equations:
+        """Forces on the cells, their voltages, and the lags.
+
+        F_z = T·Γ(z)·cos α + load, F_x = T·Γ(z)·sin α + load (4.7, 4.8), M = m_PA·g·l·sin α + load (4.10)
+        v   = clip(v₀ + s·F + q·F² + c·F³ + noise, 0, range), in whole steps of the converter
+        τ·Ṫ = T_OGE(δ) − T (4.9), α̇: `servo_rate`, T_f·v̇_f = v − v_f where there is a low pass
+        """
+
+        def forces(state: Values, command: Values) -> tuple[Number, Number, Number]:
+            thrust, tilt = state[:2]
+            height, load_z, load_x, load_m = command[2:6]
+            total = thrust * ground_effect(m, height, self.propeller_radius, self.ground_effect_exponent)
+            x, z = thrust_vector(m, total, tilt)
+            moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
+            return z + load_z, x + load_x, moment + load_m
+
+        def converted(state: Values, command: Values) -> Values:
+            step = self.converter_range / self.converter_levels
+            curves = (
+                (self.z_zero, self.z_slope, self.z_square, self.z_cube),
+                (self.x_zero, self.x_slope, self.x_square, self.x_cube),
+                (self.m_zero, self.m_slope, self.m_square, self.m_cube),
+            )
+            volts = []
+            for f, (zero, slope, square, cube), noise in zip(forces(state, command), curves, command[6:9], strict=True):
+                v = zero + f * (slope + f * (square + f * cube)) + noise
+                volts.append(step * m.rint(m.clip(v, 0.0, self.converter_range) / step))
+            return tuple(volts)
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            duty, servo_duty = command[:2]
+            steady = self.thrust_factor * thrust_out_of_ground(
+                m, duty, self.thrust_offset, self.thrust_slope, self.gravity
+            )
+            target = servo_angle(servo_duty, self.servo_neutral, self.servo_slope)
+            slow = m.maximum(self.filter_time, FASTEST_FILTER)
+            volts = converted(state, command)
+            return (
+                lag(steady, state[0], self.lag),
+                servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed),
+                *(lag(v, f, slow) for v, f in zip(volts, state[2:], strict=True)),
+            )
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            z, x, moment = forces(state, command)
+            volts = converted(state, command)
+            read = (m.where(self.filter_time > 0.0, f, v) for v, f in zip(volts, state[2:], strict=True))
+            gain = ground_effect(m, command[2], self.propeller_radius, self.ground_effect_exponent)
+            return (*read, z, x, moment, state[1], state[0] * gain)
+
+        return Equations(derivative, output)
+
+    def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
+        """The low pass has settled on the cells without load."""
+        return {f"filtered_{c}": getattr(self, f"{c}_zero") for c in CHANNELS}

@@ -1,0 +1,104 @@
+"""docs/seed.md: every row names what shows it, and short rows are shown here."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from plant.bench import Bench
+from plant.hovercraft import Hovercraft
+from plant.namespaces import SCALAR
+from plant.powertrain import ground_effect, lag, thrust_out_of_ground
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "seed.md"
+STATUSES = {"reproduced", "corrected", "not software"}
+
+
+def rows() -> list[list[str]]:
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    cells = [[c.strip() for c in line.strip("|").split(" | ")] for line in lines if line.startswith("| ")]
+    return [c for c in cells if len(c) >= 5 and c[1] in STATUSES]
+
+
+def test_every_row_names_a_test_that_is_there() -> None:
+    assert len(rows()) > 30
+    for row in rows():
+        if row[1] == "not software":
+            continue
+        named = re.findall(r"`(test_\w+)::(test_\w+)`", row[2])
+        assert named or "make seed" in row[2], row
+        for module, test in named:
+            assert hasattr(importlib.import_module(f"tests.{module}"), test), f"{module}::{test}"
+
+
+def test_the_pole_of_eq_4_30_is_far_below_the_modes_of_the_bench() -> None:
+    (pole,) = control.tf([1.0], [0.0884, 1.0]).poles()  # 4.29
+    assert -pole.real == pytest.approx(11.31, abs=5e-3)
+    assert -pole.real / (2 * math.pi) == pytest.approx(1.800, abs=5e-4)  # [Hz]
+    assert 30.52 > 10 * 1.800  # the lowest mode of Table 3.3
+
+
+def test_a_first_order_lag_has_done_63_percent_after_its_time() -> None:
+    time = np.linspace(0.0, 0.5, 6)
+    answer = 1.0 - np.exp(-time / 0.0884)  # 4.14
+    np.testing.assert_allclose(lag(1.0, answer, 0.0884), np.exp(-time / 0.0884) / 0.0884)  # 4.9, 4.13
+    rise = 0.0884 * (math.log(0.9 / 0.1))
+    assert rise / 2.2 == pytest.approx(0.0884, rel=2e-3)  # §4.3.4
+
+
+def test_a_hover_is_stable_in_height() -> None:
+    """§4.2: thrust falls with the height, so weight and thrust meet where a rise is followed by a fall."""
+    craft = Hovercraft()
+
+    def lift(z: float) -> float:
+        out = thrust_out_of_ground(SCALAR, craft.duty_nominal, craft.thrust_offset, craft.thrust_slope, 9.81)
+        return out * ground_effect(SCALAR, z, craft.propeller_radius, craft.ground_effect_exponent)
+
+    height = brentq(lambda z: lift(z) - 2.4973, 0.064, 1.0)  # T_N, eq 5.36
+    assert height == pytest.approx(0.095, abs=1e-5)
+    assert lift(height + 1e-3) < lift(height) < lift(height - 1e-3)
+
+
+def test_thrust_is_out_of_ground_effect_above_three_radii() -> None:
+    assert ground_effect(SCALAR, 3.0 * 0.127, 0.127, 2.0) < 1.01  # 4.4, 4.11 with the minus sign
+    assert ground_effect(SCALAR, 0.095, 0.127, 1.902) == pytest.approx(1.142024, abs=1e-6)  # 4.28
+
+
+def test_inertias_from_parts() -> None:
+    arm = 2 * 0.145 * 0.17145**2  # 5.2
+    assert 1.2 * arm == pytest.approx(0.01023, abs=5e-6)  # 5.3
+    assert 1.1 * arm == pytest.approx(0.009377, abs=5e-6)  # 5.4
+    assert Hovercraft().izz == 0.01023
+    assert Hovercraft().ixx == 0.009377
+
+
+def test_the_numbers_of_eq_4_33_are_the_defaults_of_the_bench() -> None:
+    b = Bench()
+    assert (b.thrust_offset, b.thrust_slope, b.ground_effect_exponent, b.lag, b.assembly_arm) == (
+        -2076.0, 359.9, 1.902, 0.0884, -1.170e-4,
+    )  # fmt: skip
+
+
+def test_the_older_quadratic_of_app_d_3_1_agrees_with_the_line_within_its_range() -> None:
+    duty = np.linspace(6.0, 7.0, 11)
+    quadratic, line = -3102 + 652.5 * duty - 21.67 * duty**2, -2076 + 359.9 * duty
+    assert np.abs(quadratic - line).max() < 60.0  # [gf]; an older bench
+
+
+def test_the_curves_of_the_cells_pass_near_the_points_of_app_c() -> None:
+    b, points = Bench(), {
+        "x": ([0, 25, 40, 50, 75, 105, 135], [2.43, 2.28, 2.23, 2.15, 2.01, 1.85, 1.685], 9.81e-3, 0.025),
+        "z": ([0, 85, 140, 200, 225, 270, 285], [3.3, 2.58, 2.01, 1.13, 0.66, 0.38, 0.0], 9.81e-3, 0.2),
+        "m": ([-0.0282, -0.0113, 0, 0.0113, 0.0282], [3.093, 2.287, 1.71, 1.217, 0.71], 1.0, 0.01),
+    }  # fmt: skip
+    for cell, (loads, volts, unit, off) in points.items():
+        curve = [getattr(b, f"{cell}_{p}") for p in ("zero", "slope", "square", "cube")]
+        read = np.polynomial.polynomial.polyval(unit * np.array(loads), curve)
+        assert np.abs(read - volts).max() < off, cell
