@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -27,20 +27,24 @@ from cosim.estimation.posing import build_problem
 from cosim.kernel.interface import DISTURBANCE, MEMORY
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, read_model
-from cosim.refinement import measure, workflow
-from cosim.refinement.record import SCHEMA, schema
+from cosim.models.native import class_fmu
+from cosim.refinement import measure, natively, workflow
+from cosim.refinement.record import SCHEMA, Replayed, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.page import write_refine_report
 from cosim.refinement.study import read_study
+from cosim.refinement.variants import Variant
 from cosim.refinement.verdict import Name
 from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import Replay, windows
 from fmus.build import build
+from fmus.native import platforms
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
+from tests.native import NEEDS_COMPILER
 from tests.studies import FEW, holds, named, proven, refined, study_of
 from tests.tank import tank_study
 
@@ -94,6 +98,66 @@ def test_a_model_that_ends_its_fmu_over_another_horizon_is_still_judged_over_its
     assert {horizon: len(evidence) for horizon, evidence in found.items()} == {2.0: 2, 0.5: 2, FREE_RUN: 0}
     with pytest.raises(StoppedReplay):
         measure.replays(replace(variant, model=Drifting()), rubbing.problem, logs)
+
+
+@NEEDS_COMPILER
+def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refinement) -> None:
+    way = rubbing.record["replays"]
+    assert way["through"] == "native", way["why"]
+    assert way["log"] == "v1.csv"
+    assert way["apart"] <= 1e-9
+
+
+def short_of(r: Refinement, tmp_path: Path) -> tuple[natively.Replayer, Path]:
+    """One log to be replayed over the model's own horizon alone, and a folder."""
+    return OwnHorizon(r.problem, {"estimation": r.study.logs[:1]}, None, None), tmp_path
+
+
+class OwnHorizon(natively.Replayer):
+    """Replays over no other horizon, which would take longer."""
+
+    def every(self, variants: Mapping[str, Variant]) -> Replayed:
+        logs = self.sets["estimation"]
+        return {n: {"estimation": measure.replays(v, self.problem, logs)} for n, v in variants.items()}
+
+
+@NEEDS_COMPILER
+def test_a_native_fmu_that_does_not_equal_the_delivered_one_is_not_believed(
+    rubbing: Refinement, tmp_path: Path
+) -> None:
+    asked: list[str] = []
+    replayer, folder = short_of(rubbing, tmp_path)
+    after = replace(rubbing.variants["after"], defaults={})  # so that natively it lacks the friction
+    played, way = natively.replayed(
+        replayer, rubbing.study.loaded, {"after": after}, lambda: asked.append("python"), folder
+    )
+    assert (way.through, asked) == ("python", ["python"])
+    assert way.apart is not None
+    assert way.apart > 1e-9
+    assert ["plant.fmu are" in text for text in natively.warnings_of(way)] == [True]
+    log, replay = played["after"]["estimation"][2.0][0]
+    assert natively.difference(replay, replayer.one(after, log)) == 0.0
+
+
+def test_without_a_compiler_replays_are_in_python_and_say_why(
+    rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", "")
+    monkeypatch.setattr(platforms, "crossing", lambda: False)
+    replayer, folder = short_of(rubbing, tmp_path)
+    after = {"after": rubbing.variants["after"]}
+    _, way = natively.replayed(replayer, rubbing.study.loaded, after, lambda: None, folder)
+    assert (way.through, way.log, way.apart) == ("python", "", None)
+    assert way.why.startswith("no C compiler is found")
+    assert not [*natively.warnings_of(way)]
+
+
+@NEEDS_COMPILER
+def test_one_native_fmu_serves_every_value_of_a_class(tmp_path: Path) -> None:
+    base = load_model("base", tmp_path)
+    other = replace(base, model=base.model.with_values({"mass": 2.0, "coulomb_friction.force": 0.1}))
+    paths = [class_fmu(loaded, tmp_path / f"{k}.fmu") for k, loaded in enumerate((base, other))]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 class Drifting(Hovercraft):

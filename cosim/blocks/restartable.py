@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
@@ -44,9 +45,13 @@ class RestartableFmu(FmuBlock):
             self._fmu.freeFMUstate(held)
         return state
 
+    @cached_property
+    def _ours(self) -> bool:
+        return traits_of(self.path) is not None
+
     def _reset(self) -> bool:
         """Of an FMU of ours: others (20-sim) return OK and stand still afterwards."""
-        if traits_of(self.path) is None:
+        if not self._ours:
             return False
         try:
             self._fmu.reset()

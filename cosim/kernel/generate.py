@@ -17,6 +17,7 @@ from typing import Any
 
 from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Layout
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
+from fmus.native.cache import fingerprint, kept
 from plant.model import Model
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.functions import Body
@@ -61,6 +62,7 @@ def generate(
     constant: parameters that are states of derivative 0; what shapes commands takes them from `p` all the same
     """
     import sympy
+    from sympy import srepr
 
     body, reach = Body.of(model), _reach(model, measured)
     rates = _rates(body)
@@ -73,17 +75,12 @@ def generate(
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
-    functions = {
-        "deriv": f,
-        "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
-        "measure": g,
-        "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
-    }
-    stages = [
-        dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
-    ]
-    first = {"deriv": stages, "jacobian": stages}
-    printed = [body.function(language, name, e, first.get(name, ())) for name, e in functions.items()]
+    asked = srepr([f, g, x, list(body.parameters.items()), list(body.symbols.state), list(body.symbols.command)])
+    asked += srepr([list(stage.items()) for stage in body.shaping.stages])
+    asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
+    asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
+    made = (type(language).__name__, stochastic, fingerprint(("plant.symbolic", "cosim.kernel")))
+    text: str = kept(f"{made} {asked}", lambda: _printed(body, language, (f, g), (stochastic, x), shapes))
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -97,7 +94,32 @@ def generate(
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    return Generated(layout, "\n".join((*printed, body.shaping_function(language, "shape_all"))))
+    return Generated(layout, text)
+
+
+def _printed(
+    body: Body,
+    language: Language,
+    expressions: tuple[Sequence[Any], Sequence[Any]],
+    random: tuple[Sequence[int], Sequence[Any]],
+    shapes: Sequence[LocalShape],
+) -> str:
+    """The functions; expressions: derivatives and readings; random: places of the stochastic states, their symbols."""
+    import sympy
+
+    (f, g), (stochastic, x) = expressions, random
+    functions = {
+        "deriv": f,
+        "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
+        "measure": g,
+        "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
+    }
+    stages = [
+        dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
+    ]
+    first = {"deriv": stages, "jacobian": stages}
+    printed = [body.function(language, name, e, first.get(name, ())) for name, e in functions.items()]
+    return "\n".join((*printed, body.shaping_function(language, "shape_all")))
 
 
 def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:

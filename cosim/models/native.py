@@ -57,6 +57,22 @@ def build_native(
     return _all_or_none(Path(folder), {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
 
 
+def class_fmu(loaded: LoadedModel, path: Path) -> Path:
+    """The native FMU of the class of a model: its declared defaults, whatever the model's values are.
+
+    So its library is the same for every value, and compiled once. InputError says why there is none.
+    """
+    from fmus.native.compiler import CompilerFailed
+    from fmus.native.package import build_native as build_fmu
+
+    _check_compiler(())
+    _, native = next(_natives(LoadedModel(type(loaded.model)(), loaded.source)))
+    try:
+        return build_fmu(native, path).path
+    except CompilerFailed as error:
+        raise InputError([_failed(error)]) from None
+
+
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     """The plant, and what is built with any model of a known name."""
     from fmus.native.package import native_model
@@ -88,6 +104,10 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     return source.raised(error, "cannot be printed as C")
 
 
+def _failed(error: Exception) -> Fault:
+    return Fault(Path("--native"), 0, 0, f"the compiler {error}; mend the compiler, or say another in CC")
+
+
 def _check_platforms(platforms: Sequence[str]) -> None:
     from fmus.native.platforms import PLATFORMS
 
@@ -116,8 +136,7 @@ def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Pa
         try:
             built = {file: make(name, Path(drafts) / file) for name, file in files.items()}
         except CompilerFailed as error:
-            cure = "mend the compiler, or say another in CC"
-            raise InputError([Fault(Path("--native"), 0, 0, f"the compiler {error}; {cure}")]) from None
+            raise InputError([_failed(error)]) from None
         return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]
 
 

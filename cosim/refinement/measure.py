@@ -6,6 +6,7 @@ All horizons are measured through the FMU; the floor, which needs dozens of runs
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -122,7 +123,7 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
         if "." not in name or name.split(".")[0] in awake:
             start[f"{name}_start"] = float(value)
     k = 0
-    for effect in overrides(tuple(kind() for kind in variant.model.catalogue), "shape", Effect):
+    for effect in _shaping(variant.model.catalogue):
         if effect.delay:  # see _on_its_way
             continue
         for q in effect.memory:
@@ -130,6 +131,12 @@ def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: in
                 start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
             k += 1
     return start
+
+
+@functools.cache
+def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
+    """The effects of a catalogue that act on a command, as declared."""
+    return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 
 def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:

@@ -201,6 +201,25 @@ class Errors(_Entry):
     left_out: LeftOut | None = Field(default=None, description="of a model without states, on rows left out")
 
 
+class Replays(_Entry):
+    """Through which FMUs the logs were replayed."""
+
+    through: Literal["native", "python"] = Field(
+        description="`native`: the native FMU of the model's class, given each variant's values; `python`: FMUs "
+        "that need Python, as plant.fmu does"
+    )
+    why: str = Field(default="", description="why not natively; empty where it was")
+    log: str = Field(default="", description="the log that plant.fmu has replayed too")
+    apart: Finite | None = Field(
+        default=None,
+        description="by how much the two differ there, of max(1, largest value of an output); at most 1e-9, or no "
+        "replay is native",
+    )
+
+
+IN_PYTHON = Replays(through="python")
+
+
 class Record(_Entry):
     """The outcome of `cosim refine` on a study."""
 
@@ -235,6 +254,7 @@ class Record(_Entry):
     inputs: Inputs
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
+    replays: Replays = Field(default=IN_PYTHON)
     horizon: Finite | Literal["free run", "row"] = Field(
         description="how long a replay in `error` is [s]: the model's own; `row` of a model without states"
     )
@@ -269,11 +289,13 @@ def record(
     left_out: Mapping[str, dict[str, float]] | None,
     seconds: float,
     ends: Mapping[str, float] = MappingProxyType({}),
+    way: Replays = IN_PYTHON,
 ) -> Record:
     """What refine.json holds.
 
     left_out: errors on rows of a table left out, where there is one
     ends:     values of parameters per log with which the filter ends sealed logs
+    way:      through which FMUs the logs were replayed
     """
     judged, static = study.loaded.model.horizon, study.loaded.model.static
     rows = LeftOut.model_validate(left_out) if left_out else None
@@ -302,6 +324,7 @@ def record(
         inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),
         residual=residual(verdict),
+        replays=way,
         horizon="row" if static else judged if math.isfinite(judged) else "free run",
         error=errors(judged).model_copy(update={"left_out": rows}),
         horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},

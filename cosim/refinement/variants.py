@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,11 @@ class Variant:
     noise: Noise
     fmu: Path
     parameters: Mapping[str, Any]  # what is set on the FMU
+    defaults: Mapping[str, Any] = field(default_factory=dict)  # what its FMU has in place of the declared defaults
+
+    def natively(self, fmu: Path) -> Variant:
+        """The same in the FMU of its class, which has the declared defaults."""
+        return replace(self, fmu=fmu, parameters={**self.defaults, **self.parameters}, defaults={})
 
 
 def refined_model(study: Study, claimed: Hypothesis | None) -> LoadedModel:
@@ -65,14 +70,18 @@ def variants_of(
     recalibrated = {f.name: float(base.values[f.name]) for f in base.free if not f.group}
     changed = given.model.with_values(recalibrated)
     groups = list(study.settings.groups.values())
-    before = after = Variant(given.model, nominal | of_every_log(a.given, groups), a.given.noise, given_fmu, {})
+    before = after = Variant(
+        given.model, nominal | of_every_log(a.given, groups), a.given.noise, given_fmu, {}, given.parameters
+    )
     if claimed:
         values = _values(refined) | of_every_log(claimed.fit, groups)
-        after = Variant(refined.model, values, claimed.fit.noise, refined_fmu, {})
+        after = Variant(refined.model, values, claimed.fit.noise, refined_fmu, {}, refined.parameters)
     nominal |= of_every_log(base, groups)
     found = {
         "before": before,
-        "recalibrated": Variant(changed, {**nominal, **recalibrated}, base.noise, given_fmu, recalibrated),
+        "recalibrated": Variant(
+            changed, {**nominal, **recalibrated}, base.noise, given_fmu, recalibrated, given.parameters
+        ),
         "after": after,
     }
     return found if near is None else {**found, "nearest": near}
@@ -89,7 +98,8 @@ def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: 
 
 def variant_of(study: Study, loaded: LoadedModel, f: Fit, fmu: Path) -> Variant:
     """A model and a fit of it, whose FMU has all of it."""
-    return Variant(loaded.model, _values(loaded) | of_every_log(f, study.settings.groups.values()), f.noise, fmu, {})
+    values = _values(loaded) | of_every_log(f, study.settings.groups.values())
+    return Variant(loaded.model, values, f.noise, fmu, {}, loaded.parameters)
 
 
 def _values(loaded: LoadedModel) -> dict[str, float]:

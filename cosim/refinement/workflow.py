@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +24,19 @@ from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
-from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.logs.log import Log
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement.between import between_rows
 from cosim.refinement.evidence import best_of, beyond_chance, predicts, steadiness
 from cosim.refinement.hypotheses import Attribution, Hypothesis
 from cosim.refinement.judgement import BETTER, decided
-from cosim.refinement.measure import FLOOR_SEED, Evidence, followed, noise_floor, replays, rmse
+from cosim.refinement.measure import FLOOR_SEED, followed, noise_floor, rmse
 from cosim.refinement.missing import unknown_inputs
+from cosim.refinement.natively import LogSets, Replayer, replayed, warnings_of
 from cosim.refinement.nearest import nearest
 from cosim.refinement.proof import held_against_replays
-from cosim.refinement.record import OTHER_HORIZONS, Floors, Part, Record, Replayed, known, record
+from cosim.refinement.record import Floors, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.sealed import risen
 from cosim.refinement.search import Found
@@ -53,7 +53,6 @@ from plant.model import Model
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
-LogSets = dict[Part, Sequence[Log]]
 
 
 def refine(
@@ -89,7 +88,8 @@ def refine(
     with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
         write_model(scratch / "model.yaml", refined, folder)
-        fmus, variant = _build_fmus(study.loaded, refined, scratch), None
+        after, variant = build(refined.recipe(), scratch / "plant.fmu"), None
+        fmus = (after if refined is study.loaded else scratch / "given.fmu"), after  # the former is built when needed
         if verdict.grade != "claimed":
             write_model(scratch / "nearest.yaml", nearer, folder)
             variant = _nearest_variant(study, attribution, verdict, near, nearer, fmus, scratch)
@@ -99,21 +99,24 @@ def refine(
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
         with nullcontext() if in_process else Worker(*MODULES) as worker:
-            replayed = _replayed(variants, problem, sets, worker, study.content.limits)
+            replayer = Replayer(problem, sets, worker, study.content.limits)
+            played, way = replayed(replayer, study.loaded, variants, partial(_built, study.loaded, fmus[0]), scratch)
         progress("measuring the noise floor", 0.0)
         rng = np.random.default_rng(FLOOR_SEED)
         quiet = of_noise(variants["after"], attribution, verdict.claimed, found.heard)
         floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-        study = replace(study, warnings=(*study.warnings, *_too_calm(floors, replayed, study.loaded.model)))
-        verdict = _opened(verdict, replayed, study)
+        study = replace(
+            study, warnings=(*study.warnings, *warnings_of(way), *_too_calm(floors, played, study.loaded.model))
+        )
+        verdict = _opened(verdict, played, study)
         ends = followed(variants["after"], problem, sets.get("validation", ()))
         took = time.perf_counter() - began
-        written = record(study, attribution, verdict, near, problem, between, replayed, floors, left_out, took, ends)
+        written = record(study, attribution, verdict, near, problem, between, played, floors, left_out, took, ends, way)
         _write(scratch / "refine.json", written)
         with uninterrupted():
             variants = _publish(scratch, folder, variants)
     own = study.loaded.model.horizon
-    evidence = {name: {part: played[own] for part, played in parts.items()} for name, parts in replayed.items()}
+    evidence = {name: {part: found[own] for part, found in parts.items()} for name, parts in played.items()}
     content = written.model_dump(mode="json")
     outcome = Refinement(study, attribution, verdict, content, folder, problem, variants, evidence)
     if report:
@@ -201,37 +204,23 @@ def _nearest_variant(
     """The nearest model and its FMU: a copy of another's where it is the same."""
     same = {id(verdict.claimed): fmus[1], id(None): fmus[0]}.get(id(near))
     target = scratch / "nearest.fmu"
-    if same is None:
-        same = build(nearer.recipe(), target)
-    else:
+    if same is not None and same.is_file():
         shutil.copyfile(same, target)
-    return variant_of(study, nearer, near.fit if near else a.given, same)
+    else:
+        build(nearer.recipe(), target)
+    return variant_of(study, nearer, near.fit if near else a.given, same or target)
 
 
-def _build_fmus(loaded: LoadedModel, refined: LoadedModel, scratch: Path) -> tuple[Path, Path]:
-    """FMUs of the model named in the study and of the refined one, which stays; where nothing changed it is both."""
-    after = build(refined.recipe(), scratch / "plant.fmu")
-    return (after if refined is loaded else build(loaded.recipe(), scratch / "given.fmu")), after
+def _built(loaded: LoadedModel, given: Path) -> None:
+    """Have the FMU in Python of the model that was given, which none but replays in Python need."""
+    if not given.is_file():
+        build(loaded.recipe(), given)
 
 
 def _unsealed(study: Study) -> LogSets:
     """The logs of the study; those of validation, where there are any, are opened here."""
     sealed = study.unseal()
     return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-
-
-def _replayed(
-    variants: Mapping[str, Variant], problem: Problem, sets: LogSets, worker: Worker | None, limits: Limits | None
-) -> Replayed:
-    """Replays of every variant on every set of logs; a variant that stands for two is replayed once."""
-    horizons = [] if problem.table else list(OTHER_HORIZONS.values())
-    done: dict[int, dict[Part, dict[float, Evidence]]] = {}
-    for variant in variants.values():
-        if id(variant) not in done:
-            done[id(variant)] = {
-                part: replays(variant, problem, logs, horizons, worker, limits) for part, logs in sets.items()
-            }
-    return {name: done[id(variant)] for name, variant in variants.items()}
 
 
 def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:

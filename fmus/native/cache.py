@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import json
 import os
 import tempfile
+from collections.abc import Callable, Iterable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 def cached(source: str, suffix: str) -> Path:
@@ -17,8 +22,41 @@ def cached(source: str, suffix: str) -> Path:
         writable = os.access(folder, os.W_OK)
     except OSError:
         writable = False
-    name = hashlib.sha256(source.encode()).hexdigest()[:32]
+    name = _hash(source)[:32]
     return (folder if writable else Path(_temporary().name)) / f"{name}{suffix}"
+
+
+def kept(source: str, make: Callable[[], Any]) -> Any:
+    """What is made of a source, from the cache or made now: lists, texts and numbers, as JSON.
+
+    The hash of its content stands before it: what is damaged, or half written, is made anew.
+    """
+    path = cached(source, ".json")
+    try:
+        head, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if head == _hash(text):
+            return json.loads(text)
+    except (OSError, ValueError):
+        pass
+    made = make()
+    text = json.dumps(made)
+    with contextlib.suppress(OSError):
+        draft = path.with_name(f"{path.name}.{os.getpid()}")
+        draft.write_text(f"{_hash(text)}\n{text}", encoding="utf-8")
+        draft.replace(path)
+    return made
+
+
+def fingerprint(packages: Iterable[str]) -> str:
+    """Of the code in some packages, and of sympy: what they print is as they are."""
+    import sympy
+
+    files = (f for name in packages for f in sorted(Path(str(import_module(name).__file__)).parent.glob("*.py")))
+    return f"{sympy.__version__} {hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()}"
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @functools.cache

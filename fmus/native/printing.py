@@ -8,13 +8,14 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
+from fmus.native.cache import fingerprint, kept
 from fmus.ports import Port
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
 from plant.symbolic.blocks import function, kinks, places_of, tangent
 from plant.symbolic.languages import C
-from plant.symbolic.trace import NotNeutral, Trace, switches
+from plant.symbolic.trace import Block, NotNeutral, Trace, switches
 
 MOST_SWITCHES = 4  # each doubles what is printed
 LANGUAGE = C()
@@ -117,7 +118,7 @@ class Printer:
     def sources(self) -> Sources:
         """All that is printed."""
         tables, texts = variable_tables(self.ports)
-        functions, body_kinks, kinks_in_all = self._functions()
+        functions, body_kinks, kinks_in_all = kept(self._said(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._kinds_of_effects()]
         delay = self.trace.effects.index(self.delay) if self.delay else -1
         sizes = {
@@ -142,6 +143,23 @@ class Printer:
         return Sources("\n".join(parts), sizes)
 
     # -- functions ------------------------------------------------------------------------------
+
+    def _said(self) -> str:
+        """All that the functions are made of, expressions to the last bit."""
+        from sympy import srepr
+
+        def blocks(listed: Sequence[Block]) -> list[Any]:
+            return [(srepr(list(b.values.items())), srepr(list(b.dormant.items())), b.effect, b.title) for b in listed]
+
+        made: list[Any] = [fingerprint(("plant.symbolic", "fmus.native"))]
+        for trace in self.variants:
+            ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.memory)
+            symbols = (trace.s.time, trace.step, *trace.s.state, *trace.s.command)
+            places = [(name, self.vr(name), srepr(s)) for name, s in trace.s.parameters.items()]
+            remembering = [bool(e.memory) for e in trace.effects]
+            made.append([blocks(trace.blocks), blocks(trace.shaping), *map(srepr, (*ends, list(symbols)))])
+            made.append([places, remembering])
+        return repr((made, [self.vr(name) for name in self.switches]))
 
     def _functions(self) -> tuple[list[str], int, int]:
         """The body, its kinks and slopes; how many kinks the body has, and with the shaping of commands."""
