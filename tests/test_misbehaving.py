@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import BesideFile, read_beside
 from cosim.isolation.scratch import LOCK, scratch, sweep
+from cosim.isolation.worker import PROGRESS
 from cosim.residuals.apart import DriveApart
 from cosim.residuals.drive import StoppedReplay, log_of_fmu
 from cosim.residuals.workflow import replay
@@ -197,9 +199,14 @@ def started(folder: Path, deed: str) -> subprocess.Popen[str]:
     path = deeds_scenario(folder, "DoStep", deed, 0 if deed == "slow" else 3, duration=1000.0)
     command = [*COMMAND, str(path), "--out", str(folder / "out"), "--no-report"]
     process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
-    waited_for(lambda: [*(folder / "out").glob(".rows-*/rows")])
-    time.sleep(0.8)  # for its worker to load the FMUs
+    waited_for(lambda: rows_made(process.pid) >= 3)
     return process
+
+
+def rows_made(pid: int) -> int:
+    """Rows that the worker of a caller has made, by the file that both have mapped."""
+    mapped = re.search(rf"/\S*cosim-work-\S*/{PROGRESS}", Path(f"/proc/{pid}/maps").read_text())
+    return int.from_bytes(Path(mapped[0]).read_bytes()[:8], sys.byteorder) if mapped else 0
 
 
 def waited_for(what: object) -> None:
@@ -252,8 +259,8 @@ def test_a_run_that_is_stopped_leaves_its_rows_and_no_process(
 def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tmp_path: Path) -> None:
     process = started(tmp_path, "children")  # the FMU starts a process of its own
     (worker,) = workers_of(process.pid)
+    waited_for(lambda: workers_of(worker))
     grandchildren = workers_of(worker)
-    assert grandchildren
     process.kill()
     process.communicate()
     waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
