@@ -41,9 +41,9 @@ int fmi2DoStep(C c, double t, double h, int k)
 { M *m = c; double *r = m->r;
   if (!m->b) r[Y] += h / r[T] * (r[GAIN] * r[U] + r[BIAS] - r[Y]);
   return 0; }
-int fmi2GetFMUstate(C c, void **s) { return 3; }
-int fmi2SetFMUstate(C c, void *s) { return 3; }
-int fmi2FreeFMUstate(C c, void **s) { return 3; }
+int fmi2GetFMUstate(C c, void **s) { if (!*s) *s = malloc(sizeof(M)); memcpy(*s, c, sizeof(M)); return 0; }
+int fmi2SetFMUstate(C c, void *s) { memcpy(c, s, sizeof(M)); return 0; }
+int fmi2FreeFMUstate(C c, void **s) { free(*s); *s = 0; return 0; }
 int fmi2SerializedFMUstateSize(C c, void *s, size_t *n) { return 3; }
 int fmi2SerializeFMUstate(C c, void *s, char *b, size_t n) { return 3; }
 int fmi2DeSerializeFMUstate(C c, const char *b, size_t n, void **s) { return 3; }
@@ -62,7 +62,7 @@ const char *fmi2GetVersion(void) { return "2.0"; }
 """
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="lag" guid="lag" generationTool="tests" numberOfEventIndicators="0">
-  <CoSimulation modelIdentifier="lag" canHandleVariableCommunicationStepSize="true"/>
+  <CoSimulation modelIdentifier="lag" canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true"/>
   <UnitDefinitions>
     <Unit name="rad"><BaseUnit rad="1"/></Unit><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>
     <Unit name="s"><BaseUnit s="1"/></Unit><Unit name="m"><BaseUnit m="1"/></Unit>

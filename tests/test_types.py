@@ -20,6 +20,7 @@ from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.simulation.workflow import run
+from tests.lag import lag_fmu
 from tests.typed import typed_fmu
 
 
@@ -351,6 +352,43 @@ def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) 
         errors.append(coupling_error(path).of["a.h"])
     assert 1e-5 < errors[1] < errors[0]
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)  # of first order
+
+
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+def test_a_step_that_is_taken_back_and_made_in_halves_tells_its_own_error(tmp_path: Path, algorithm: str) -> None:
+    """Two lags in a loop, each a step of Euler's: what halves change is known."""
+    lag = {"fmu": str(lag_fmu(tmp_path / "lag.fmu"))}
+    parts, wires = (
+        {"a": {**lag, "start": {"bias": 1.0}}, "b": {**lag, "start": {"T": 0.5}}},
+        (("a.y", "b.u"), ("b.y", "a.u")),
+    )
+    h, steps = 0.1, 20
+    path = scenario(tmp_path, parts, wires, duration=h * steps, step=h, algorithm=algorithm)
+
+    def step(state: tuple[float, float], length: float) -> tuple[float, float]:
+        a, b = state
+        ahead = a + length * (b + 1.0 - a)
+        return ahead, b + length / 0.5 * (a - b)  # no output depends on an input at once
+
+    state, most = (0.0, 0.0), (0.0, 0.0)
+    for k in range(steps):
+        whole, halves = step(state, h), step(step(state, h / 2), h / 2)
+        most = max(most, (abs(whole[0] - halves[0]), h * (k + 1)))
+        state = whole
+    error = coupling_error(path)
+    assert error.without == ""
+    assert error.steps["a.y"] == pytest.approx(most, rel=1e-9)
+    assert "of a single step, taken back and made again in halves: a.y" in error.sentence
+    assert run(path, tmp_path / "out", report=False).results["a.y"][-1] == pytest.approx(state[0], rel=1e-12)
+
+
+def test_where_no_step_can_be_taken_back_the_reason_is_said(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    error = coupling_error(scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),)))
+    assert error.steps == {}
+    assert error.sentence.endswith(
+        "not known: values beside numbers, events, several rates or processes are not taken back"
+    )
 
 
 def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.archive import unpack
 from fmus.lifetime import let_go_at_exit
+from fmus.sampled import sampled_by
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 
@@ -228,6 +229,33 @@ class FmuBlock:
             self._calls.inputs_changed(lambda: self._set(values))
         for exchange in self._ports.unfed:
             self._read_in(exchange)
+
+    @property
+    def rolls_back(self) -> bool:
+        """It gives its state away, takes it back, and makes steps of any length; its connected inputs are all Real."""
+        about = self._made_of[1][2].coSimulation
+        states = getattr(about, "canGetAndSetFMUstate", False) or getattr(about, "canGetAndSetFMUState", False)
+        anyhow = about is not None and about.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
+        return bool(states and anyhow and isinstance(self._calls, CoSimulation2 | CoSimulation3) and self._plain)
+
+    @property
+    def _plain(self) -> bool:
+        return all(not signal.whole and signal.kind != "String" for signal in self.inputs)
+
+    def saved(self) -> Any:
+        """Its state, to be taken back once."""
+        with self._failing():
+            return self._fmu.getFMUState() if self._fmi3 else self._fmu.getFMUstate()
+
+    def take_back(self, state: Any) -> None:
+        """Be as it was, and free that state."""
+        with self._failing():
+            if self._fmi3:
+                self._fmu.setFMUState(state)
+                self._fmu.freeFMUState(state)
+            else:
+                self._fmu.setFMUstate(state)
+                self._fmu.freeFMUstate(state)
 
     def close(self) -> None:
         self._unload()

@@ -19,6 +19,7 @@ from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, 
 from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.results import Results
+from cosim.simulation.halving import Halved
 from cosim.simulation.master import StoppedRun, results_of, simulate
 from cosim.simulation.own_process import in_own_processes
 from cosim.simulation.system import System
@@ -45,9 +46,18 @@ def said_of(system: System) -> list[str]:
 def simulate_here(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Stepped:
     """The steps of a run in this process. Raises FmuError."""
     try:
-        return Stepped(simulate(system, steps, h, progress), said_of(system))
+        return Stepped(_stepped(system, steps, h, progress), said_of(system))
     except StoppedRun as run:
         return Stepped(run.results, said_of(system), run.error)
+
+
+def _stepped(
+    system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
+) -> Results:
+    """The rows of a run, or of what halves of its steps make of it."""
+    if not system.halved:
+        return simulate(system, steps, h, progress, rows)
+    return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
 
 
 # -- in the worker ------------------------------------------------------------------------------
@@ -75,7 +85,7 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        made = simulate(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing))
+        made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing))
     except StoppedRun as run:
         made, failure = run.results, run.error
     except FmuError as error:

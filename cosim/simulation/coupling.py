@@ -1,7 +1,8 @@
 """What the length of the communication step does to a run: the same one again in steps of half the length.
 
 Where a method of order p is used the halved run is 2^p times nearer the limit, so the difference is about the error
-of the run itself for p = 1, the order of Gauss-Seidel and Jacobi with inputs that are held.
+of the run itself for p = 1, the order of Gauss-Seidel and Jacobi with inputs that are held. Where the FMUs give their
+state away and take it back, each step is made again in halves too: that tells when the exchange of values costs most.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from cosim.isolation.process import Worker
 from cosim.results import Results
 from cosim.simulation.apart import MODULES, simulate_apart, simulate_here
 from cosim.simulation.design import designed_values
+from cosim.simulation.halving import why_not
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
@@ -30,10 +32,14 @@ class CouplingError:
     """Of each connected signal the largest difference between the run and its halved one, in the signal's unit.
 
     stopped: why there is none
+    steps:   of each connected signal the largest difference that a single step makes, and when [s]
+    without: why no step was taken back
     """
 
     of: Mapping[str, float]
     stopped: str = ""
+    steps: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    without: str = ""
 
     @property
     def sentence(self) -> str:
@@ -41,7 +47,11 @@ class CouplingError:
         if self.stopped:
             return f"coupling error not known: with half the step {self.stopped}"
         shown = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
-        return f"coupling error, by halving the step, at most: {shown or 'nothing is connected'}"
+        whole = f"coupling error, by halving the step, at most: {shown or 'nothing is connected'}"
+        if self.without:
+            return f"{whole}; of single steps not known: {self.without}"
+        single = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
+        return f"{whole}; of a single step, taken back and made again in halves: {single}" if single else whole
 
 
 def coupling_error(
@@ -54,12 +64,21 @@ def coupling_error(
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         made = [_results(Path(scenario), tuple(overrides), nearest, parts, worker) for parts in (1, 2)]
+        single = _results(Path(scenario), tuple(overrides), nearest, 1, worker, halved=True)
     for results in made:
         if isinstance(results, str):
             return CouplingError({}, results)
     whole, halved = (results for results in made if not isinstance(results, str))
-    names = dict.fromkeys(c.source for c in ScenarioFile(Path(scenario), overrides).scenario.connections)
-    return CouplingError(differences(whole, halved, list(names)))
+    names = list(dict.fromkeys(c.source for c in ScenarioFile(Path(scenario), overrides).scenario.connections))
+    of = differences(whole, halved, names)
+    if isinstance(single, str):
+        return CouplingError(of, without=single)
+    return CouplingError(of, steps={name: _largest(single, name) for name in of})
+
+
+def _largest(results: Results, name: str) -> tuple[float, float]:
+    row = int(np.argmax(results[name]))
+    return float(results[name][row]), float(results.time[row])
 
 
 def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[str, float]:
@@ -73,8 +92,13 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
     return found
 
 
-def _results(path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None) -> Results | str:
-    """Rows with steps of one of `parts` of the scenario's, or why there are none."""
+def _results(
+    path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None, *, halved: bool = False
+) -> Results | str:
+    """Rows with steps of one of `parts` of the scenario's, or why there are none.
+
+    halved: the differences that halves of each step make
+    """
     given = ScenarioFile(path, overrides)
     step, steps = given.scenario.step / parts, given.scenario.steps * parts
     overrides = (*overrides, "noise=off", f"step={step!r}")
@@ -83,6 +107,10 @@ def _results(path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, 
         if nearest:
             take_nearest(one)
     system = build_system(file, designed_values(given))
+    if halved:
+        if reason := why_not(system):
+            return reason
+        system = replace(system, halved=True)
     if worker is None:
         stepped = simulate_here(system, steps, step)
     else:

@@ -32,6 +32,7 @@ class System:
     beside: columns whose values no double holds exactly
     events: communication point → component → values that it gets there
     apart:  names of components that have a process of their own
+    halved: its rows are what halves of each step change, not what it does
     """
 
     stages: tuple[Stage, ...]
@@ -46,6 +47,7 @@ class System:
     signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
+    halved: bool = False
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:

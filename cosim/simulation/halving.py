@@ -1,0 +1,88 @@
+"""Every communication step made once whole and once in halves, from one state: what the exchange of values costs.
+
+    e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
+where FMUs give that state away and take it back. The run goes on from the whole step, as it would have without.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.sources import Source
+from cosim.simulation.master import _Run
+from cosim.simulation.system import System
+
+
+def why_not(system: System) -> str:
+    """Why the steps of a system cannot be taken back; empty where they can."""
+    if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
+        return "values beside numbers, events, several rates or processes are not taken back"
+    for stage in system.stages:
+        component = stage.component
+        if isinstance(component, FmuBlock):
+            if not component.rolls_back:
+                return f"{component.name} gives no state away, or takes no step of another length"
+        elif not isinstance(component, Source):
+            return f"{component.name} cannot be taken back"
+    return ""
+
+
+class Halved(_Run):
+    """A run whose rows are the differences of its steps from the same in halves; the first row has none."""
+
+    def _step_on(self) -> None:
+        self.table[0] = 0.0
+        parts = [c for c in self.components if isinstance(c, FmuBlock)]
+        begin = self.system.start
+        (active, *_), *_ = rounds = self._cycle()
+        calls = [a[:4] for a in active]
+        copies = [a[6:] for a in active]
+        held = rounds[0][1:]
+        try:
+            for k in range(1, self.steps + 1):
+                t, end = begin + (k - 1) * self.h, begin + k * self.h
+                before, row = [p.saved() for p in parts], bytes(self.row)
+                self._once(calls, copies, held, k, t, end)
+                whole, after, values = bytes(self.row), [p.saved() for p in parts], list(self.row)
+                _back(parts, before)
+                ctypes.memmove(self.row, row, len(row))
+                for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
+                    self._once(calls, copies, held, k, since, until)
+                self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
+                _back(parts, after)
+                ctypes.memmove(self.row, whole, len(whole))
+                self.done = self.made[0] = k + 1
+        finally:
+            self.doing[0] = 0
+
+    def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
+        """One exchange of values and the steps of all."""
+        for (marks, put, advance, get), transfers in zip(calls, copies, strict=True):
+            self._passed_on(transfers, k)
+            if put is not None:
+                self.doing[0] = marks[0]
+                put()
+            self.doing[0] = marks[1]
+            advance(t, end - t)
+            self.doing[0] = marks[2]
+            get()
+        self._passed_on(held, k)
+
+    def _passed_on(self, transfers: Any, k: int) -> None:
+        plain, noisy, through = transfers
+        row = self.row
+        for source, target in plain:
+            row[target] = row[source]
+        for source, target, samples in noisy:
+            row[target] = row[source] + samples[k]
+        for origin, source, goal, target, function in through:
+            goal[target] = function(k, origin[source])
+
+
+def _back(parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
+    """Give each FMU a state back, and free it."""
+    for part, state in zip(parts, states, strict=True):
+        part.take_back(state)
