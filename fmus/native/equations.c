@@ -3,6 +3,7 @@
  * Printed above this text, each taking every effect's branch only while it is awake:
  *   derivatives, outputs(t, x, u, p, awake, out)                      the body
  *   shape(t, h, u, memory, p, awake, out)                             what acts of a command, then the memory after it
+ *   remember(t, memory, p, awake, out)                                memory at the start from its start values
  *   indicators, shape_indicators                                      what passes through zero at a kink
  *   derivative_slopes, output_slopes, shape_slopes(…, dx, du, …)      the derivative in a direction
  *   starts(p, x, memory, u, late), wake(p, awake)                     start values; which effects act
@@ -56,6 +57,9 @@ static int initialize(Instance *m)
     for (int k = 0; k < INPUTS; k++) if (!m->given[k]) m->values[k] = u[k];
     for (int k = 0; k < STATES; k++) if (m->given[STATE_START[k]]) STATE[k] = m->values[STATE_START[k]];
     for (int k = 0; k < MEMORIES; k++) if (m->given[MEMORY_START[k]]) MEMORY[k] = m->values[MEMORY_START[k]];
+    double remembered[MEMORIES + 1];
+    remember(m->time, MEMORY, m->values, m->awake, remembered);
+    memcpy(MEMORY, remembered, sizeof(double) * MEMORIES);
     for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->given[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
     forget(&m->history);
     if (delayed(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
