@@ -12,6 +12,7 @@ from fmus import __version__
 from fmus.build import ASSETS, Recipe, digest, write_zip
 from fmus.documentation import GUID_PLACEHOLDER, write_documentation
 from fmus.files import draft_of
+from fmus.native.check import check
 from fmus.native.compiler import library_of
 from fmus.native.description import description2, description3
 from fmus.native.layout import Layout, model_layout
@@ -55,9 +56,14 @@ class Built:
     floors: Mapping[str, str]
 
 
-def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """A model of equations, described as the FMU of its recipe; printing.Unprintable."""
+def native_model(model: Model, recipe: Recipe, name: str, checked: bool = True) -> Native:
+    """A model of equations, described as the FMU of its recipe; printing.Unprintable.
+
+    checked: what is printed is compared with the model's Python first
+    """
     printer = Printer(model, recipe.about.ports)
+    if checked:
+        check(model, printer)
     printed = printer.sources()
     layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))
     return Native(name, layout, printed, {"equations.c": part("equations.c")}, recipe.text)

@@ -13,7 +13,7 @@ from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
 from plant.symbolic.blocks import function, kinks, places_of, tangent
-from plant.symbolic.equality import undecided
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import C
 from plant.symbolic.trace import Untraceable, Trace, switches
 
@@ -217,7 +217,7 @@ class Printer:
         import sympy
 
         m, own = SymbolNamespace(), self.trace.s.model
-        with undecided():
+        with guarded():
             state, inputs = own.start_state(m), own.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
             raise Unprintable("start values that a switch decides")

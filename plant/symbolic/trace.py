@@ -15,7 +15,7 @@ from plant.delay import Delay
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
-from plant.symbolic.equality import undecided
+from plant.symbolic.guard import guarded
 from plant.symbolic.symbols import SymbolicModel, symbolic
 
 APART = ("shape", "remember")  # hooks that the integrator calls, not the equations
@@ -73,7 +73,7 @@ class Trace:
 
     @classmethod
     def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
-        """Trace a model with its whole catalogue, its switches as `flags` say; Untraceable, equality.Decided."""
+        """Trace a model with its whole catalogue, its switches as `flags` say; Untraceable, guard.OfNumbersOnly."""
         import sympy
 
         trace = cls.__new__(cls)
@@ -82,7 +82,7 @@ class Trace:
         values = {p.name: getattr(model, p.name) for p in model.parameters}
         trace.__init__(symbolic(kind(**values), flags))  # type: ignore[misc]  # the effects know the trace before
         s, m = trace.s, SymbolNamespace()
-        with undecided():
+        with guarded():
             derivative, output = s.model.acting(m)
             rates = derivative(s.time, s.state, s.command)
             trace.derivative = [sympy.sympify(e) for e in rates]
