@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import fmpy
 import pytest
+from fmpy.validation import validate_fmu
 
 from cosim.errors import InputError
 from cosim.models.file import load_model
+from cosim.models.fmus import build
 from cosim.models.native import build_native
 from fmus.native.check import check
 from fmus.native.printing import Printer
@@ -155,6 +158,17 @@ def test_what_c_would_say_otherwise_is_refused_at_its_line(
     assert str(error.value).startswith(f"{tmp_path}/rotor.py:{number}:")
     assert said in str(error.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_names_that_are_not_structured_are_said_to_be_flat(tmp_path: Path) -> None:
+    own = rotor(tmp_path, 'Q("left", "rad/s", "left", 0.3)', 'Q("left <ü>", "rad/s", "left", 0.3)')
+    file = tmp_path / "rotor.py"
+    text = file.read_text(encoding="utf-8").replace('forced = ("left",)', 'forced = ("right",)')
+    file.write_text(text.replace('sensor_variance = {"left"', 'sensor_variance = {"right"'), encoding="utf-8")
+    (native,) = build_native(tmp_path, own)
+    for fmu in (native.path, build(tmp_path, own)[0]):
+        assert fmpy.read_model_description(fmu).variableNamingConvention == "flat"
+        assert not validate_fmu(str(fmu))
 
 
 @pytest.mark.parametrize("name", ["", "tanks.py:Tanks", "quarter_car.py:QuarterCar", "drive_train.py:DriveTrain"])

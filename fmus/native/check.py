@@ -77,10 +77,11 @@ class Printed:
         for name, arguments, blocks, results in listed:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
-    def __call__(self, name: str, at: Point, awake: set[str]) -> list[float]:
+    def values(self, name: str, at: Point, awake: set[str]) -> list[float]:
+        """What one of them gives with these effects awake."""
         import numpy as np
 
-        given = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
+        given: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
         given["p"] = [at.values[n] for n in self.names]
         numbers = {k: np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for k, v in given.items()}
         order = {"shape": "t h u memory p", "remember": "t memory p"}.get(name, "t x u p")
@@ -144,7 +145,7 @@ class Check:
         for k in range(TRIES):
             at = self.point(case, k)
             try:
-                both = [(*of, float(python), other) for *of, python, other in self.compared(case, at, printed)]
+                both = [(w, hook, float(a), b) for w, hook, a, b in self.compared(case, at, printed)]
             except (ArithmeticError, ValueError, TypeError):  # no point of the model's: no number, or a complex one
                 continue
             for what, hook, python, other in both:
@@ -166,11 +167,11 @@ class Check:
         command = tuple(at.command)
         rates = dict.fromkeys(listed, 0.0)
         rates |= zip(acting, stepper.derivative(at.t, state, command), strict=True)
-        ours = printed("derivatives", at, names)
+        ours = printed.values("derivatives", at, names)
         for (name, rate), other in zip(rates.items(), ours, strict=True):
             yield f"der({name})", "equations", rate, other
         outputs = stepper.output(at.t, state, command)
-        for q, value, other in zip(self.model.outputs, outputs, printed("outputs", at, names), strict=True):
+        for q, value, other in zip(self.model.outputs, outputs, printed.values("outputs", at, names), strict=True):
             yield q.name, "equations", value, other
         yield from self.shaped(stepper.model, at, names, printed)
 
@@ -179,7 +180,7 @@ class Check:
     ) -> Iterator[tuple[str, str, float, float]]:
         """The commands that act, what is remembered after that, and at the start; a delay is C of its own."""
         command, place = tuple(at.command), 0
-        ours, begun = printed("shape", at, names), printed("remember", at, names)
+        ours, begun = printed.values("shape", at, names), printed.values("remember", at, names)
         awake = {e.name: e for e in model.awake}
         for effect in overrides(self.printer.trace.effects, "shape", Effect):
             if effect.delay:

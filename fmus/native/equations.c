@@ -204,6 +204,12 @@ static void act(const Instance *m, double *u)
     }
 }
 
+/* Whether the k-th command is due, to within rounding: a host's time may lack the last bits, and no solver steps that far. */
+static int arrived(const Instance *m, size_t k)
+{
+    return row_of(&m->history, k)[0] + delay_time(m) <= m->time + 1e-12 * (1.0 + fabs(m->time));
+}
+
 /* Discrete states at an instant: the command that has arrived, and what remembers it. next: when the next arrives. */
 static int update(Instance *m, double *next)
 {
@@ -217,7 +223,7 @@ static int update(Instance *m, double *next)
         History *past = &m->history;
         if (memcmp(row_of(past, past->count - 1) + 1, m->values, sizeof(double) * INPUTS) != 0 && append(m, m->time, m->values)) return 1;
         size_t k = past->count - 1;
-        for (; k > 0 && row_of(past, k)[0] + delay_time(m) > m->time; k--) *next = row_of(past, k)[0] + delay_time(m);
+        for (; k > 0 && !arrived(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
         memcpy(late, row_of(past, k) + 1, sizeof(double) * INPUTS);
     }
     shape(m->time, 0.0, late, MEMORY, m->values, m->awake, shaped);
@@ -233,7 +239,7 @@ static int completed(Instance *m)
     if (held(m)) return 1;
     check_range(m, m->time);
     History *past = &m->history;
-    while (past->count > 1 && row_of(past, 1)[0] + delay_time(m) <= m->time) past->first++, past->count--;
+    while (past->count > 1 && arrived(m, 1)) past->first++, past->count--;
     return 0;
 }
 

@@ -15,7 +15,7 @@ from plant.quantities import parameters_of
 from plant.symbolic.blocks import function, kinks, places_of, tangent
 from plant.symbolic.guard import guarded
 from plant.symbolic.languages import C
-from plant.symbolic.trace import Untraceable, Trace, switches
+from plant.symbolic.trace import Trace, Untraceable, switches
 
 MOST_SWITCHES = 4  # each doubles what is printed
 LANGUAGE = C()
