@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -160,7 +160,7 @@ class Check:
         """What is compared, the hook it comes from, its value in Python and as printed."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
-        stepper = Stepper(self.model.with_values(base))
+        stepper = Stepper(replace(self.model, effects=()).with_values(base))
         listed = [q.name for q in self.printer.states]
         acting = [q.name for q in stepper.model.states]
         state = tuple(at.state[listed.index(name)] for name in acting)
