@@ -56,15 +56,11 @@ class Built:
     floors: Mapping[str, str]
 
 
-def native_model(model: Model, recipe: Recipe, name: str, checked: bool = True) -> Native:
-    """A model of equations, described as the FMU of its recipe; printing.Unprintable.
-
-    checked: what is printed is compared with the model's Python first
-    """
+def native_model(model: Model, recipe: Recipe, name: str) -> Native:
+    """A model of equations, described as the FMU of its recipe and compared with its Python; printing.Unprintable."""
     printer = Printer(model, recipe.about.ports)
-    if checked:
-        check(model, printer)
     printed = printer.sources()
+    check(model, printer)
     layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))
     return Native(name, layout, printed, {"equations.c": part("equations.c")}, recipe.text)
 
