@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
@@ -34,6 +35,16 @@ class Description:
     sampled: str = ""
 
 
+# FMI's structured names, those in quotes apart: names joined by dots, perhaps with indices, or the derivative of one
+_PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
+STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
+
+
+def naming_convention(names: Iterable[str]) -> str:
+    """FMI's convention that every name keeps: `structured`, or `flat`, which takes any text."""
+    return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
+
+
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     """Model description with everything an engineer expects to find, from the one pythonfmu wrote."""
     root = fromstring(xml)
@@ -45,6 +56,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "version": version,
         "license": LICENCE,
         "copyright": AUTHOR,
+        "variableNamingConvention": naming_convention(port.name for port in about.ports),
     }
     capabilities = _child(root, "CoSimulation")
     capabilities.attrib |= {

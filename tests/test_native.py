@@ -490,7 +490,7 @@ def test_the_native_pair_flies_the_scenario_by_two_lines(project: Path, native_f
             )
         path = project / "scenarios" / f"native_{native}.yaml"
         path.write_text(changed, encoding="utf-8")
-        run(path, project / f"out_{native}", ["duration=2"], report=False, in_process=True)
+        run(path, project / f"out_{native}", {"duration": 2}, report=False, in_process=True)
     files = [np.genfromtxt(project / f"out_{n}" / "results.csv", delimiter=",", names=True) for n in (False, True)]
     for name in files[0].dtype.names:
         assert np.allclose(files[0][name], files[1][name], rtol=0, atol=TIGHT), name

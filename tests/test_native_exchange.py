@@ -23,6 +23,7 @@ pytestmark = NEEDS_COMPILER
 REMEMBERING = ("actuator_delay", "servo_backlash")
 SMOOTH = {name: value for name, value in EVERYTHING.items() if name not in REMEMBERING}
 STARTS = {f"{name}_start": v for name, v in (MOVING | MEMORY).items()}
+OUTPUTS = [q.name for q in Hovercraft.outputs]
 HOVER = list(Hovercraft().start_command())
 
 
@@ -110,6 +111,22 @@ def test_a_fine_solver_that_stops_at_events_finds_what_it_finds_on_the_python_eq
             t = stop
         expected.append(output(end, tuple(x), row))
     assert difference(np.array(expected), found) < 1e-8
+
+
+def test_a_solver_of_another_host_meets_a_delay_of_whole_input_intervals(native_plant: Path) -> None:
+    values = {"actuator_delay.time": 0.04}
+    rows = wandering(Hovercraft(), 20)
+    names = [q.name for q in Hovercraft.inputs]
+    held = np.zeros(2 * len(rows), dtype=[("time", float), *((name, float) for name in names)])
+    held["time"] = np.repeat(np.arange(len(rows) + 1) * STEP, 2)[1:-1]
+    for name, column in zip(names, np.array(rows).T, strict=True):
+        held[name] = np.repeat(column, 2)
+    common = {"start_values": values, "input": held, "stop_time": len(rows) * STEP, "output_interval": STEP}
+    run = fmpy.simulate_fmu(
+        str(native_plant), fmi_type="ModelExchange", solver="CVode", relative_tolerance=1e-8, output=OUTPUTS, **common
+    )
+    exact = by_fmu(native_plant, rows, values, STEP)[-1]
+    assert np.array([run[name][-1] for name in OUTPUTS]) == pytest.approx(exact, abs=1e-4)
 
 
 def test_moving_inputs_are_refused_where_something_remembers_and_taken_elsewhere(native_plant: Path) -> None:

@@ -97,10 +97,9 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
         return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
     source = Source(Path(file))
     if isinstance(error, Unprintable):
-        owner, hook = getattr(error.__cause__, "owner", None), getattr(error.__cause__, "hook", "")
-        if owner is not None:
-            return source.fault(owner, hook, f"cannot be printed as C: {error}; let m.where choose another value there")
-        return source.fault(type(loaded.model), "equations", f"cannot be printed as C: {error}; {cure}")
+        owner = error.owner or type(loaded.model)
+        hook = error.hook if error.owner else "equations"
+        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
     return source.raised(error, "cannot be printed as C")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from fmus.annotation import annotation
-from fmus.description import AUTHOR, LICENCE
+from fmus.description import AUTHOR, LICENCE, naming_convention
 from fmus.native.layout import Layout, Local
 from fmus.ports import Port
 from fmus.sampled import sampled
@@ -58,7 +58,9 @@ def _head(layout: Layout, version: str) -> dict[str, str]:
         "copyright": AUTHOR,
         "license": LICENCE,
         "generationTool": f"{TOOL} {version}",
-        "variableNamingConvention": "structured",
+        "variableNamingConvention": naming_convention(
+            [*(p.name for p in layout.ports), *(v.name for v in layout.locals)]
+        ),
     }
 
 

@@ -3,6 +3,7 @@
  * Printed above this text, each taking every effect's branch only while it is awake:
  *   derivatives, outputs(t, x, u, p, awake, out)                      the body
  *   shape(t, h, u, memory, p, awake, out)                             what acts of a command, then the memory after it
+ *   remember(t, memory, p, awake, out)                                memory at the start from its start values
  *   indicators, shape_indicators                                      what passes through zero at a kink
  *   derivative_slopes, output_slopes, shape_slopes(…, dx, du, …)      the derivative in a direction
  *   starts(p, x, memory, u, late), wake(p, awake)                     start values; which effects act
@@ -56,6 +57,9 @@ static int initialize(Instance *m)
     for (int k = 0; k < INPUTS; k++) if (!m->given[k]) m->values[k] = u[k];
     for (int k = 0; k < STATES; k++) if (m->given[STATE_START[k]]) STATE[k] = m->values[STATE_START[k]];
     for (int k = 0; k < MEMORIES; k++) if (m->given[MEMORY_START[k]]) MEMORY[k] = m->values[MEMORY_START[k]];
+    double remembered[MEMORIES + 1];
+    remember(m->time, MEMORY, m->values, m->awake, remembered);
+    memcpy(MEMORY, remembered, sizeof(double) * MEMORIES);
     for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->given[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
     forget(&m->history);
     if (delayed(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
@@ -200,6 +204,12 @@ static void act(const Instance *m, double *u)
     }
 }
 
+/* Whether the k-th command is due, to within rounding: a host's time may lack the last bits, and no solver steps that far. */
+static int arrived(const Instance *m, size_t k)
+{
+    return row_of(&m->history, k)[0] + delay_time(m) <= m->time + 1e-12 * (1.0 + fabs(m->time));
+}
+
 /* Discrete states at an instant: the command that has arrived, and what remembers it. next: when the next arrives. */
 static int update(Instance *m, double *next)
 {
@@ -213,7 +223,7 @@ static int update(Instance *m, double *next)
         History *past = &m->history;
         if (memcmp(row_of(past, past->count - 1) + 1, m->values, sizeof(double) * INPUTS) != 0 && append(m, m->time, m->values)) return 1;
         size_t k = past->count - 1;
-        for (; k > 0 && row_of(past, k)[0] + delay_time(m) > m->time; k--) *next = row_of(past, k)[0] + delay_time(m);
+        for (; k > 0 && !arrived(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
         memcpy(late, row_of(past, k) + 1, sizeof(double) * INPUTS);
     }
     shape(m->time, 0.0, late, MEMORY, m->values, m->awake, shaped);
@@ -229,7 +239,7 @@ static int completed(Instance *m)
     if (held(m)) return 1;
     check_range(m, m->time);
     History *past = &m->history;
-    while (past->count > 1 && row_of(past, 1)[0] + delay_time(m) <= m->time) past->first++, past->count--;
+    while (past->count > 1 && arrived(m, 1)) past->first++, past->count--;
     return 0;
 }
 

@@ -12,6 +12,7 @@ from fmus import __version__
 from fmus.build import ASSETS, Recipe, digest, write_zip
 from fmus.documentation import GUID_PLACEHOLDER, write_documentation
 from fmus.files import draft_of
+from fmus.native.check import check
 from fmus.native.compiler import library_of
 from fmus.native.description import description2, description3
 from fmus.native.layout import Layout, model_layout
@@ -56,9 +57,10 @@ class Built:
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """A model of equations, described as the FMU of its recipe; printing.Unprintable."""
+    """A model of equations, described as the FMU of its recipe and compared with its Python; printing.Unprintable."""
     printer = Printer(model, recipe.about.ports)
     printed = printer.sources()
+    check(model, printer)
     layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))
     return Native(name, layout, printed, {"equations.c": part("equations.c")}, recipe.text)
 

@@ -14,8 +14,9 @@ from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
 from plant.symbolic.blocks import function, kinks, places_of, tangent
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import C
-from plant.symbolic.trace import Block, NotNeutral, Trace, switches
+from plant.symbolic.trace import Block, Trace, Untraceable, switches
 
 MOST_SWITCHES = 4  # each doubles what is printed
 LANGUAGE = C()
@@ -23,7 +24,14 @@ Printed = tuple[str, str, str]  # name, arguments, text
 
 
 class Unprintable(ValueError):
-    """A model that cannot be C, and why."""
+    """A model that cannot be C, and why.
+
+    owner, hook: the class at fault and what of it, where that is known; cure: what to do about it
+    """
+
+    def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
+        super().__init__(text)
+        self.owner, self.hook, self.cure = owner, hook, cure
 
 
 @dataclass(frozen=True)
@@ -84,12 +92,15 @@ class Printer:
         self.place = {port.name: k for k, port in enumerate(ports)}
         self.switches = switches(model)
         if len(self.switches) > MOST_SWITCHES:
-            raise Unprintable(f"{len(self.switches)} switches; {MOST_SWITCHES} are printed at most")
+            named, most = ", ".join(self.switches), MOST_SWITCHES
+            text = f"{len(self.switches)} parameters are true or false ({named}); {most} are printed at most"
+            cure = "make the rest numbers that m.where looks at, or constants of the class"
+            raise Unprintable(text, type(model), self.switches[most].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
         try:
             self.variants = [Trace.of(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
-        except NotNeutral as error:
-            raise Unprintable(str(error)) from error
+        except Untraceable as error:
+            raise Unprintable(str(error), error.owner, error.hook, error.cure) from error
         self.trace = self.variants[0]
 
     # -- sizes and places -----------------------------------------------------------------------
@@ -153,7 +164,7 @@ class Printer:
 
         made: list[Any] = [fingerprint(("plant.symbolic", "fmus.native"))]
         for trace in self.variants:
-            ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.memory)
+            ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory)
             symbols = (trace.s.time, trace.step, *trace.s.state, *trace.s.command)
             places = [(name, self.vr(name), srepr(s)) for name, s in trace.s.parameters.items()]
             remembering = [bool(e.memory) for e in trace.effects]
@@ -194,6 +205,7 @@ class Printer:
             ("derivatives", "t x u p", body, trace.derivative),
             ("outputs", "t x u p", body, trace.outputs),
             ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered]),
+            ("remember", "t memory p", [], trace.started),
             ("indicators", "t x u p", [*body, *body_kinks], filled[0]),
             ("shape_indicators", "t h u memory p", [*shaping, *shape_kinks], filled[1]),
             ("derivative_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[:n]),
@@ -223,7 +235,8 @@ class Printer:
         import sympy
 
         m, own = SymbolNamespace(), self.trace.s.model
-        state, inputs = own.start_state(m), own.start_input()
+        with guarded():
+            state, inputs = own.start_state(m), own.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
             raise Unprintable("start values that a switch decides")
         printer = LANGUAGE.printer(places_of(self.trace, {n: f"p[{self.vr(n)}]" for n in self.trace.s.parameters}))

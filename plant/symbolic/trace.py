@@ -11,23 +11,25 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from plant.delay import Delay
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
+from plant.symbolic.guard import guarded
 from plant.symbolic.symbols import SymbolicModel, symbolic
 
 APART = ("shape", "remember")  # hooks that the integrator calls, not the equations
 
 
-class NotNeutral(ValueError):
-    """An effect whose lines have no value at its neutral value, so that it cannot be left out at run time.
+class Untraceable(ValueError):
+    """Of a model what symbols cannot say: an effect without a value at its neutral value, a delay by a rule of its own.
 
-    owner, hook: its class and the hook, where it is one effect's fault
+    owner, hook: its class and the hook, where it is one effect's fault; cure: what to do about it
     """
 
-    def __init__(self, text: str, owner: type | None = None, hook: str = "") -> None:
+    def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
         super().__init__(text)
-        self.owner, self.hook = owner, hook
+        self.owner, self.hook, self.cure = owner, hook, cure
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Trace:
     derivative, outputs: an expression each state, each output
     shaped, remembered:  commands that act, and the memory after a substep; `memory` are the symbols before it. A delay
                          is left out: it is a history, not an expression
+    started:             memory at the start time from its start values, which are `memory`
     """
 
     s: SymbolicModel
@@ -61,6 +64,7 @@ class Trace:
     outputs: list[Any] = field(default_factory=list)
     shaped: list[Any] = field(default_factory=list)
     remembered: list[Any] = field(default_factory=list)
+    started: list[Any] = field(default_factory=list)
     memory: list[Any] = field(default_factory=list)
     step: Any = None  # symbol of the substep's length
 
@@ -69,7 +73,7 @@ class Trace:
 
     @classmethod
     def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
-        """Trace a model with its whole catalogue, its switches as `flags` say; NotNeutral."""
+        """Trace a model with its whole catalogue, its switches as `flags` say; Untraceable, guard.OfNumbersOnly."""
         import sympy
 
         trace = cls.__new__(cls)
@@ -78,12 +82,13 @@ class Trace:
         values = {p.name: getattr(model, p.name) for p in model.parameters}
         trace.__init__(symbolic(kind(**values), flags))  # type: ignore[misc]  # the effects know the trace before
         s, m = trace.s, SymbolNamespace()
-        derivative, output = s.model.acting(m)
-        rates = derivative(s.time, s.state, s.command)
-        trace.derivative = [sympy.sympify(e) for e in rates]
-        trace._still()
-        trace.outputs = [sympy.sympify(e) for e in output(s.time, s.state, s.command)]
-        trace._shape(m)
+        with guarded():
+            derivative, output = s.model.acting(m)
+            rates = derivative(s.time, s.state, s.command)
+            trace.derivative = [sympy.sympify(e) for e in rates]
+            trace._still()
+            trace.outputs = [sympy.sympify(e) for e in output(s.time, s.state, s.command)]
+            trace._shape(m)
         return trace
 
     @property
@@ -125,7 +130,12 @@ class Trace:
         command: tuple[Any, ...] = self.s.command
         shaping = overrides(self.effects, "shape", Effect)
         if any(e.delay for e in shaping[1:]):
-            raise NotNeutral("a delay comes first in the catalogue, and there is one at most")
+            raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+        for late in (e for e in self.effects if e.delay):
+            for hook in APART:
+                if getattr(type(late), hook) is not getattr(Delay, hook):
+                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of plant.delay.Delay alone"
+                    raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
         for k, effect in enumerate(self.effects):
             if effect.delay or effect not in shaping:
                 continue
@@ -139,6 +149,11 @@ class Trace:
             self.shaping.append(Block(values, k, sleeping, f"{effect.name}.shape"))
             command = tuple(kept[: len(command)])
             self.memory += own
+            started = [sympy.sympify(e) for e in effect.remember(self.s.time, own)]
+            if len(started) != len(own):
+                text = f"{effect.name} declares {len(own)} remembered values; remember gives {len(started)}"
+                raise Untraceable(text, type(effect), "remember", "let it give one for each")
+            self.started += started
             self.remembered += kept[len(command) :]
         self.shaped = list(command)
 
@@ -159,7 +174,7 @@ class Trace:
         import sympy
 
         arguments = _mapped(arguments, lambda e: self.name(sympy.sympify(e)))
-        key = (place, name, *(str(e) for e in _numbers((arguments, keywords))))
+        key = (place, name, _key((arguments, keywords)))
         if key in self._calls:
             return self._calls[key]
         result = lines(effect, *arguments, **keywords)
@@ -172,7 +187,8 @@ class Trace:
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
                 text = f"{effect.name} has no value where {_at(effect)}: {name} gives {asleep}"
-                raise NotNeutral(text, type(effect), name)
+                cure = "let m.where choose another value there"
+                raise Untraceable(text, type(effect), name, cure)
             if asleep == awake and (awake in passed or awake.is_Number):
                 return awake
             symbol = sympy.Symbol(f"b{len(self._calls)}_{len(block.values)}", real=True)
@@ -216,6 +232,21 @@ def _numbers(value: Any) -> Iterator[Any]:
             yield from _numbers(part)
     elif _is_number(value):
         yield value
+
+
+def _key(value: Any) -> Any:
+    """What tells the arguments of one call from those of another, texts and Booleans too."""
+    if isinstance(value, Mapping):
+        return ("mapping", *((key, _key(part)) for key, part in value.items()))
+    if isinstance(value, (tuple, list)):
+        return (type(value), *(_key(part) for part in value))
+    if _is_number(value):
+        return str(value)
+    try:
+        hash(value)
+    except TypeError:
+        return repr(value)
+    return (type(value), value)
 
 
 def _is_number(value: Any) -> bool:

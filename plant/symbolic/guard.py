@@ -1,0 +1,55 @@
+"""What a model may write of numbers and not of symbols: while tracing it is an error at its line, not another value."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+OURS = Path(__file__).resolve().parent
+EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >= in m.where"
+REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
+SIGNS = {"__eq__": "==", "__ne__": "!=", "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
+
+
+class OfNumbersOnly(TypeError):
+    """A model does with a symbol what only a number bears."""
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """While it lasts, `==`, `!=`, `%` and `//` of a symbolic expression in a model's lines raise OfNumbersOnly.
+
+    Sympy itself compares expressions all the time, and so does what traces: the file that the operator stands in tells
+    them apart.
+    """
+    import sympy
+
+    library = (str(Path(sympy.__file__).parent), *map(str, (OURS, OURS.parent / "namespaces.py")))
+
+    def guard(plain: Callable[[Any, Any], Any], name: str) -> Callable[[Any, Any], Any]:
+        def operator(a: Any, b: Any) -> Any:
+            if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
+                file = sys._getframe(1).f_code.co_filename
+                if not file.startswith(library) and not file.startswith("<") and a.free_symbols:
+                    raise OfNumbersOnly(_sentence(name, a, b))
+            return plain(a, b)
+
+        return operator
+
+    kept = [(k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in SIGNS if name in vars(k)]
+    try:
+        for kind, name, plain in kept:
+            setattr(kind, name, guard(plain, name))
+        yield
+    finally:
+        for kind, name, plain in kept:
+            setattr(kind, name, plain)
+
+
+def _sentence(name: str, a: Any, b: Any) -> str:
+    first, second = (b, a) if name.startswith("__r") else (a, b)
+    text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
+    return f"{text} {EQUALITY if SIGNS[name] in ('==', '!=') else REMAINDER}"
