@@ -199,7 +199,11 @@ def started(folder: Path, deed: str) -> subprocess.Popen[str]:
     path = deeds_scenario(folder, "DoStep", deed, 0 if deed == "slow" else 3, duration=1000.0)
     command = [*COMMAND, str(path), "--out", str(folder / "out"), "--no-report"]
     process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
-    waited_for(lambda: rows_made(process.pid) >= 3)
+    try:
+        waited_for(lambda: rows_made(process.pid) >= 3)
+    except BaseException:
+        process.terminate()
+        raise
     return process
 
 

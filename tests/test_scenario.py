@@ -10,6 +10,7 @@ from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+from cosim.simulation.workflow import run
 from cosim.yaml_file import YamlFile
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
@@ -263,3 +264,10 @@ def test_json_that_is_no_yaml_has_faults_without_places(tmp_path: Path) -> None:
     path.write_text('{"name": "\x7f", "duration": 1, "step": 0.5, "components": {"a": {"blok": 1}}}')
     with pytest.raises(InputError, match="a component has fmu"):
         read(path)
+
+
+def test_a_name_that_no_file_may_have_is_no_such_fmu(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text("name: x\nduration: 1\nstep: 0.5\ncomponents:\n  a: {fmu: a.fmu}\n")
+    with pytest.raises(InputError, match=r"case.yaml:5:12: no such FMU"):
+        run(path, tmp_path / "out", [r'components.a.fmu="\u0000"'])

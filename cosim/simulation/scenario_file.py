@@ -73,8 +73,12 @@ class ScenarioFile:
         raise InputError(self.faults)
 
     def resolve(self, name: str) -> Path:
-        """A file named in the scenario, relative to the scenario's own folder."""
-        return (self.path.parent / name).resolve()
+        """A file named in the scenario, relative to its own folder; unresolved where no file may be so named."""
+        path = self.path.parent / name
+        try:
+            return path.resolve()
+        except (OSError, ValueError):  # a loop of links, a zero byte
+            return path
 
     @property
     def files(self) -> list[Path]:
