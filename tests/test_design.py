@@ -26,6 +26,13 @@ CRAFT = Hovercraft()
 HEAVIER: dict[str, float | bool] = {"mass": 1.0, "friction": 0.4, "yaw_damping.coefficient": 0.02}
 
 
+@pytest.fixture
+def project(project: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The project, from the folder of its scenarios: names of files in overrides are from here."""
+    monkeypatch.chdir(project / "scenarios")
+    return project
+
+
 def model_file(project: Path, text: str) -> Path:
     path = project / "scenarios" / "model.yaml"
     path.write_text(text)
@@ -152,6 +159,6 @@ def test_a_controller_designed_for_the_refined_craft_brings_it_home(project: Pat
         assert end["new"] < 0.05 < 0.2 < end["old"]
         assert heading["new"] < heading["old"]
     manifest = json.loads((project / "new" / "manifest.json").read_text())
-    assert manifest["design"]["model"] == "model.yaml"
+    assert Path(manifest["design"]["model"]).resolve() == project / "scenarios" / "model.yaml"
     assert "design" not in manifest["scenario"]  # repeated from its numbers, whatever becomes of the model file
     assert manifest["scenario"]["components"]["controller"]["start"]["mass"] == 1.0

@@ -137,7 +137,7 @@ def test_a_start_value_that_does_not_fit_is_refused(tmp_path: Path, plant_fmu: P
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("run plant.fmu", "is an FMU, not a scenario or a manifest: `cosim check plant.fmu`"),
+        ("run plant.fmu", "is an FMU, not a scenario or a manifest: `cosim info plant.fmu`"),
         ("run log.CSV", "is a log, not a scenario or a manifest: `cosim check log.CSV`"),
         ("refine case.yaml", "is a scenario, not a study: `cosim run case.yaml`"),
         ("run study.yaml", "is a study, not a scenario or a manifest: `cosim refine study.yaml`"),
