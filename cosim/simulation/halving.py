@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
-from cosim.simulation.master import _Run
+from cosim.simulation.master import _Run, _transfer
 from cosim.simulation.system import System
 
 
@@ -37,10 +37,8 @@ class Halved(_Run):
         self.table[0] = 0.0
         parts = [c for c in self.components if isinstance(c, FmuBlock)]
         begin = self.system.start
-        (active, *_), *_ = rounds = self._cycle()
-        calls = [a[:4] for a in active]
-        copies = [a[6:] for a in active]
-        held = rounds[0][1:]
+        ((active, *held), *_) = self._cycle()  # of one rate: every round is alike
+        calls, copies = [a[:4] for a in active], [a[6:] for a in active]
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
@@ -61,7 +59,7 @@ class Halved(_Run):
     def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
         """One exchange of values and the steps of all."""
         for (marks, put, advance, get), transfers in zip(calls, copies, strict=True):
-            self._passed_on(transfers, k)
+            _transfer(self.row, transfers, k)
             if put is not None:
                 self.doing[0] = marks[0]
                 put()
@@ -69,17 +67,7 @@ class Halved(_Run):
             advance(t, end - t)
             self.doing[0] = marks[2]
             get()
-        self._passed_on(held, k)
-
-    def _passed_on(self, transfers: Any, k: int) -> None:
-        plain, noisy, through = transfers
-        row = self.row
-        for source, target in plain:
-            row[target] = row[source]
-        for source, target, samples in noisy:
-            row[target] = row[source] + samples[k]
-        for origin, source, goal, target, function in through:
-            goal[target] = function(k, origin[source])
+        _transfer(self.row, held, k)
 
 
 def _back(parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
