@@ -45,6 +45,11 @@ class Known:
     design: str = ""
 
 
+LAWS = {  # the craft's controller under another law, with the same ports
+    "controller-pole.fmu": "fmus.recipes:poles_recipe",
+    "controller-lqi.fmu": "fmus.recipes:integral_recipe",
+    "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
+}
 BASE = "base"  # the first of these
 MODELS = {
     "hovercraft": Known(
@@ -54,8 +59,9 @@ MODELS = {
             "plant.fmu": "fmus.recipes:plant_recipe",
             "controller.fmu": "fmus.recipes:controller_recipe",
             "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
+            **LAWS,
         },
-        beside={"controller.fmu": "fmus.recipes:controller_recipe"},
+        beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
         native={"controller": "fmus.controller_native:controller_native"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",

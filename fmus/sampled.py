@@ -1,4 +1,4 @@
-"""FMUs of ours that take one communication step only say so in their vendor annotations, which are read here."""
+"""What FMUs of ours that are sampled say in their vendor annotations: their one communication step, their law."""
 
 from __future__ import annotations
 
@@ -10,11 +10,23 @@ from fmus.archive import BadArchive, description_of
 TOOL = "cosim"
 
 
-def sampled(parameter: str) -> Element:
-    """`VendorAnnotations` of an FMU that takes no communication step but the one this parameter states [s]."""
+def sampled(parameter: str, law: str = "") -> Element:
+    """`VendorAnnotations` of an FMU that takes no communication step but the one this parameter states [s].
+
+    law: the control law its start values are designed for, where it is not the designer's first
+    """
     root = Element("VendorAnnotations")
-    SubElement(SubElement(root, "Tool", name=TOOL), "Sampled", parameter=parameter)
+    tool = SubElement(root, "Tool", name=TOOL)
+    SubElement(tool, "Sampled", parameter=parameter)
+    if law:
+        SubElement(tool, "Law", name=law)
     return root
+
+
+def law_of(fmu: Path) -> str:
+    """The control law that the start values of an FMU are designed for, "" where it says none."""
+    node = own_annotation(fmu, "Law")
+    return "" if node is None else node.get("name", "")
 
 
 def sampled_by(fmu: Path) -> str | None:
