@@ -36,6 +36,11 @@ class Description:
     sampled: str = ""
     law: str = ""
 
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Inputs that may stay unconnected."""
+        return tuple(port.name for port in self.ports if port.optional)
+
 
 # FMI's structured names, those in quotes apart: names joined by dots, perhaps with indices, or the derivative of one
 _PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
@@ -71,7 +76,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
     )
     more = [] if about.traits is None else [annotation(about.traits)]
-    more += [sampled(about.sampled, about.law)] if about.sampled else []
+    more += [sampled(about.sampled, about.optional, about.law)] if about.sampled else []
     for element in (experiment, *more):
         root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):

@@ -1,7 +1,8 @@
-"""What FMUs of ours that are sampled say in their vendor annotations: their one communication step, their law."""
+"""What sampled FMUs of ours say in their vendor annotations: their only step, optional inputs, their control law."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
 
@@ -10,14 +11,17 @@ from fmus.archive import BadArchive, description_of
 TOOL = "cosim"
 
 
-def sampled(parameter: str, law: str = "") -> Element:
+def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:
     """`VendorAnnotations` of an FMU that takes no communication step but the one this parameter states [s].
 
-    law: the control law its start values are designed for, where it is not the designer's first
+    optional: inputs that may stay unconnected
+    law:      the control law its start values are designed for, where it is not the designer's first
     """
     root = Element("VendorAnnotations")
     tool = SubElement(root, "Tool", name=TOOL)
-    SubElement(tool, "Sampled", parameter=parameter)
+    node = SubElement(tool, "Sampled", parameter=parameter)
+    if names := " ".join(optional):
+        node.set("optional", names)
     if law:
         SubElement(tool, "Law", name=law)
     return root
@@ -33,6 +37,12 @@ def sampled_by(fmu: Path) -> str | None:
     """The parameter that states the only communication step an FMU of ours takes; None where there is none."""
     node = own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
+
+
+def optional_inputs(fmu: Path) -> frozenset[str]:
+    """Inputs that an FMU of ours lets stay unconnected."""
+    node = own_annotation(fmu, "Sampled")
+    return frozenset() if node is None else frozenset(node.get("optional", "").split())
 
 
 def own_annotation(fmu: Path, tag: str) -> Element | None:

@@ -39,8 +39,9 @@ from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.archive import unpack
+from fmus.description import AUTHOR
 from fmus.lifetime import let_go_at_exit
-from fmus.sampled import sampled_by
+from fmus.sampled import optional_inputs, sampled_by
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 
@@ -102,7 +103,8 @@ class FmuBlock:
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
-        self._ports = ports = Ports(description, connected, recorded)
+        optional = self._optional(description, connected | start.keys())
+        self._ports = ports = Ports(description, connected, recorded, optional)
         self._fmi3, self._kinds = ports.fmi3, ports.kinds
         self._variables = {v.name: v for v in description.modelVariables}
         self.inputs, self.outputs = ports.inputs, ports.outputs
@@ -116,6 +118,11 @@ class FmuBlock:
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process makes its own of the same."""
         return self._made_of
+
+    def _optional(self, description: Any, given: frozenset[str]) -> frozenset[str]:
+        """Inputs without a source or a value that the FMU says need none; only FMUs of ours say so."""
+        free = {v.name for v in description.modelVariables if v.causality == "input"} - given
+        return optional_inputs(self.path) & free if free and description.author == AUTHOR else frozenset()
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])

@@ -16,14 +16,22 @@ class Ports:
 
     fed, unfed: inputs that are connected, and the others
     read:       outputs, before what is recorded
-    inward:     all inputs
+    inward:     all inputs; of optional ones those that are connected
+
+    optional: inputs that are left out where nothing feeds them
     """
 
-    def __init__(self, description: Any, connected: frozenset[str], recorded: frozenset[str]) -> None:
+    def __init__(
+        self,
+        description: Any,
+        connected: frozenset[str],
+        recorded: frozenset[str],
+        optional: frozenset[str] = frozenset(),
+    ) -> None:
         self.description = description
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         supported = [v for v in description.modelVariables if v.type in self.kinds]
-        inputs = [v for v in supported if v.causality == "input"]
+        inputs = [v for v in supported if v.causality == "input" and v.name not in optional - connected]
         meant = [not connected.isdisjoint({v.name, *element_names(v)}) for v in inputs]
         fed, unfed = ([v for v, is_fed in zip(inputs, meant, strict=True) if is_fed is way] for way in (True, False))
         outputs = [v for v in supported if v.causality == "output"]

@@ -83,7 +83,7 @@ def _experiment(layout: Layout) -> Element:
 def _annotations(layout: Layout) -> list[Element]:
     about = layout.about
     found = [] if about.traits is None else [annotation(about.traits, "doubles")]
-    return found + ([sampled(about.sampled)] if about.sampled else [])
+    return found + ([sampled(about.sampled, about.optional)] if about.sampled else [])
 
 
 def _of_real(node: Element, unit: str) -> None:
