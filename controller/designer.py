@@ -1,4 +1,4 @@
-"""`design:` of a scenario, for the craft's controllers: what their laws need, from options and the numbers of a craft."""
+"""`design:` of a scenario, for the craft's controllers: what a law needs, from options and the numbers of a craft."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from controller.gains import ESTIMATORS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, POLES, PREDICTIVE, PredictiveSettings
+from controller.variants import INTEGRAL, POLES, PREDICTIVE
 from plant.design import BadOption, Option
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -18,7 +18,12 @@ GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))
 
 
 INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))
-WEIGHTS = ("weight_x", "weight_vx", "weight_psi", "weight_psi_dot")  # the fifth state has no place in the predictive law
+WEIGHTS = (
+    "weight_x",
+    "weight_vx",
+    "weight_psi",
+    "weight_psi_dot",
+)  # the fifth state has no place in the predictive law
 BY_WEIGHTS = ("", INTEGRAL, PREDICTIVE)
 
 
@@ -30,7 +35,13 @@ class LqrDesigner:
 
     version = 4
     options: Mapping[str, Option] = {
-        "Q": Option("weights of the five states, diagonal, eq 6.4", (1.0, 0.5, 0.1, 0.01, 0.0), 5, positive=False, laws=BY_WEIGHTS),
+        "Q": Option(
+            "weights of the five states, diagonal, eq 6.4",
+            (1.0, 0.5, 0.1, 0.01, 0.0),
+            5,
+            positive=False,
+            laws=BY_WEIGHTS,
+        ),
         "R": Option("weights of the two tilts, diagonal, eq 6.4", (1.0, 1.0), 2, laws=BY_WEIGHTS),
         "poles": Option(
             "poles [rad/s]: three of the forward axis, then two of the turn", PLACED, 5, complex=True, laws=(POLES,)
@@ -103,11 +114,11 @@ class LqrDesigner:
         values |= numbers
         if isinstance(model, Hovercraft):
             values |= roll_numbers_of(model)
-        duties = PredictiveSettings(**{**values, "duty_min": 0.0, "duty_max": 100.0}).duty_nominal
-        if not values["duty_min"] < duties < values["duty_max"]:
+        hover = values.get("duty_nominal", Settings().duty_nominal)
+        if not values["duty_min"] < hover < values["duty_max"]:
             raise BadOption(
                 "duty_limits",
-                f"{values['duty_min']:g} to {values['duty_max']:g} % hold no craft that hovers at {duties:.6g} %, so"
+                f"{values['duty_min']:g} to {values['duty_max']:g} % hold no craft that hovers at {hover:.6g} %, so"
                 " the predictive law has no solution; give limits below and above that",
             )
         return values

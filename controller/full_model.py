@@ -1,4 +1,4 @@
-"""The plant's fourteen states linearised at hover, by the few numbers that are in it: what the predictive law predicts with.
+"""The plant's fourteen states linearised at hover, by the few numbers that are in it.
 
 States and inputs as the plant has them. The lag is on both axes, each propeller has its own thrust and tilt. A test
 holds it against the linearisation of the plant's equations, entry by entry.

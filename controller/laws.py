@@ -28,9 +28,11 @@ class Seen(NamedTuple):
 
 
 class Law(Protocol):
-    """A control law; `duties` [%] are those that go with the tilts it commanded last."""
+    """A control law."""
 
-    duties: tuple[float, float]
+    @property
+    def duties(self) -> tuple[float, float]:
+        """Duties [%] that go with the tilts it commanded last, right and left."""
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
         """Tilts [rad], right and left."""
@@ -78,8 +80,8 @@ class IntegralFeedback:
 
         ξ₁ += Δt·(x_meas − x_ref) once there is a fix, Δt·(x̂ − x_ref) before;   ξ₂ += Δt·(ψ_meas − ψ_ref)
 
-    While a tilt is saturated an integral only moves towards zero error, so that it does not wind up. Without fixes a push that
-    the accelerometer does not feel (a table out of level) is in no measurement: x̂ comes to rest at x_ref, x does not.
+    While a tilt is saturated the integrals stand still, so that they do not wind up. Without fixes a push that the
+    accelerometer does not feel (a table out of level) is in no measurement: x̂ comes to rest at x_ref, x does not.
     """
 
     def __init__(self, p: IntegralSettings) -> None:

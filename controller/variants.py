@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from controller.gains import Settings, gain, variance
+from controller.gains import Settings, gain
 from plant.quantities import parameter
 
 POLES, INTEGRAL, PREDICTIVE = LAWS = ("poles", "integral", "predictive")  # what `design:` knows; "" is the LQR
@@ -106,7 +106,6 @@ class PredictiveSettings(Settings):
     iterations_max: float = parameter(
         400.0, unit="1", bounds=(1, 1e5), doc="most iterations of the solver a sample; then the last one is taken"
     )
-    process_variance_lateral: float = variance(1e-4, "m2/s2", "process noise of vy per step, as that of vx")
 
     def __post_init__(self) -> None:
         faults = []

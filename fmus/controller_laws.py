@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from controller.laws import IntegralFeedback, Law
@@ -10,17 +10,18 @@ from controller.variants import IntegralSettings, PlacedSettings, PredictiveSett
 from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
 from fmus.ports import Port, Value
 
+Dependencies = Mapping[str, Sequence[str]]
 INTEGRALS = (
     Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
     Port("psi_integral", "output", 0.0, "rad.s", "integral of the error of the measured heading"),
 )
 LATERAL = (
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right"),
-    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the filter believes in"),
     Port("iterations", "output", 0.0, "1", "iterations of the solver at this sample"),
     Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
 )
-Y_REF = Port("y_ref", "input", 0.0, "m", "reference of the drift to the right")
+Y_REF = Port("y_ref", "input", 0.0, "m", "reference of the drift to the right", optional=True)
 Y_START = Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts")
 
 
@@ -33,8 +34,8 @@ def extended(ports: Sequence[Port], *more: Port) -> tuple[Port, ...]:
 class HovercraftPolesController(HovercraftController):
     """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
 
-    The tilts together drive the one axis, their difference the other, so that the gain of each is unique; at most two poles
-    are equal, one in either axis.
+    The tilts together drive the one axis, their difference the other, so that the gain of each is unique; at most two
+    poles are equal, one in either axis.
     """
 
     settings = PlacedSettings()
@@ -64,31 +65,22 @@ class HovercraftPredictiveController(HovercraftController):
 
         return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
 
-    def named(self, more: Sequence[float]) -> dict[str, float]:
-        """With the reference of y."""
-        *others, y_ref = more
-        return {**super().named(others), "y_ref": y_ref}
 
-
-def integral_dependencies() -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+def integral_dependencies() -> tuple[Dependencies, Dependencies]:
     """What outputs depend on at a sample, and in initialization mode."""
     tilts = DEPENDENCIES["tilt_right"]
-    own = {"x_integral": tilts, "psi_integral": tilts}  # whether a tilt saturates decides about both
-    return {**DEPENDENCIES, **own}, {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()}
+    # whether a tilt saturates decides about both integrals
+    at_sample = {**DEPENDENCIES, "x_integral": tilts, "psi_integral": tilts}
+    return at_sample, {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()}
 
 
-def predictive_dependencies() -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+def predictive_dependencies() -> tuple[Dependencies, Dependencies]:
     """What outputs depend on at a sample, and in initialization mode: commands on all there is."""
     ports = HovercraftPredictiveController.ports
     inputs = tuple(p.name for p in ports if p.causality == "input")
-    known = (
-        *inputs[3:],
-        *(p.name for p in ports if p.causality == "parameter" and p.kind == "Real" and not p.name.startswith("k_")),
-    )
+    parameters = (p.name for p in ports if p.causality == "parameter" and p.kind == "Real")
+    known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
     solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
-    fixed: dict[str, tuple[str, ...]] = dict.fromkeys(("y_hat", "y_sigma"), inputs[5:-1])
-    started: dict[str, tuple[str, ...]] = {"y_hat": ("y_hat_start",), "y_sigma": ()}
-    return (
-        {**DEPENDENCIES, **fixed, **dict.fromkeys(solved, inputs)},
-        {**INITIAL_DEPENDENCIES, **started, **dict.fromkeys(solved, known)},
-    )
+    at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
+    return at_sample, at_start

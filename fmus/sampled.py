@@ -18,19 +18,18 @@ def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Elem
     law:      the control law its start values are designed for, where it is not the designer's first
     """
     root = Element("VendorAnnotations")
-    tool = SubElement(root, "Tool", name=TOOL)
-    node = SubElement(tool, "Sampled", parameter=parameter)
+    node = SubElement(SubElement(root, "Tool", name=TOOL), "Sampled", parameter=parameter)
     if names := " ".join(optional):
         node.set("optional", names)
     if law:
-        SubElement(tool, "Law", name=law)
+        node.set("law", law)
     return root
 
 
 def law_of(fmu: Path) -> str:
     """The control law that the start values of an FMU are designed for, "" where it says none."""
-    node = own_annotation(fmu, "Law")
-    return "" if node is None else node.get("name", "")
+    node = own_annotation(fmu, "Sampled")
+    return "" if node is None else node.get("law", "")
 
 
 def sampled_by(fmu: Path) -> str | None:
