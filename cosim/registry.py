@@ -54,6 +54,8 @@ MODELS = {
             "plant.fmu": "fmus.recipes:plant_recipe",
             "controller.fmu": "fmus.recipes:controller_recipe",
             "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
+            "filter.fmu": "fmus.estimator_recipes:filter_recipe",
+            "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
         },
         beside={"controller.fmu": "fmus.recipes:controller_recipe"},
         native={"controller": "fmus.controller_native:controller_native"},
