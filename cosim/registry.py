@@ -60,6 +60,8 @@ MODELS = {
             "controller.fmu": "fmus.recipes:controller_recipe",
             "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
             **LAWS,
+            "filter.fmu": "fmus.estimator_recipes:filter_recipe",
+            "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
         },
         beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
         native={"controller": "fmus.controller_native:controller_native"},

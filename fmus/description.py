@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 from fmus.annotation import annotation
 from fmus.ports import Port
-from fmus.sampled import sampled
+from fmus.sampled import AUTHOR, sampled
 from fmus.units import DISPLAY, unit_definitions
 from plant.traits import Traits
 
-AUTHOR, LICENCE = "The cosim authors", "MIT"
+LICENCE = "MIT"
 
 
 @dataclass(frozen=True)

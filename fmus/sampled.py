@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
 
 from fmus.archive import BadArchive, description_of
 
-TOOL = "cosim"
+TOOL, AUTHOR = "cosim", "The cosim authors"
 
 
 def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:

@@ -39,9 +39,8 @@ from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.errors import FmuError, SimulationError
 from fmus.archive import unpack
-from fmus.description import AUTHOR
 from fmus.lifetime import let_go_at_exit
-from fmus.sampled import optional_inputs, sampled_by
+from fmus.sampled import AUTHOR, optional_inputs, sampled_by
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 

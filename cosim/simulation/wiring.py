@@ -13,7 +13,7 @@ from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
 from cosim.errors import SimulationError
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.scenario import Connection, Disturbance, FmuComponent, Noise
+from cosim.simulation.scenario import Connection, Disturbance, FixComponent, FmuComponent, Noise
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
 
@@ -284,5 +284,7 @@ def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
             for s in _signals(component, "inputs")
             if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
         ]
-        if free:
+        if free and isinstance(declared, FixComponent):
+            yield f"not connected, so its fixes are of 0: {_some([f'{name}.{s}' for s in free])}"
+        elif free:
             yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"
