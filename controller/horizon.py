@@ -1,14 +1,12 @@
-"""The quadratic program of the predictive law: commands over a horizon, within limits, solved by OSQP."""
+"""The quadratic program of the predictive law: commands over a horizon, within limits, by a dual active set."""
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import daqp
 import numpy as np
-import osqp
 from scipy.linalg import solve_discrete_are
-from scipy.sparse import csc_matrix, triu
 
 from controller.design_model import Matrix
 from controller.full_model import INPUTS, STATES, full_model, held
@@ -18,20 +16,20 @@ from controller.variants import PredictiveSettings
 PREDICTED = [k for k, name in enumerate(STATES) if not name.endswith("_world")]
 NAMES = [STATES[k] for k in PREDICTED]
 BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6)  # steps of the prediction over which a command is held; the last one to its end
-SOLVED = 1  # OSQP's status
-TOLERANCE = 1e-5  # of commands, which are scaled to ±1: 1e-4 degrees
-SPEEDING = 100.0  # weight of (m/s)² beyond speed_max: more than any other, yet no wall
+SOLVED = (1, 2)  # DAQP's flags: optimal, and where a soft limit is exceeded
+HARD, SOFT = 0, 8  # its kinds of limits
+ROUNDING = 1e-9  # multipliers below are those of no limit
 
 
 class Found(NamedTuple):
-    """What the solver came to. Where it has no finite iterate, `hot` is None and the command says nothing.
+    """What the solver came to.
 
     command: the first one, a deviation from rest
-    hot:     commands and multipliers, where the next sample starts from
+    hot:     multipliers, whose signs say at which limits the next sample starts
     """
 
     command: Matrix
-    hot: tuple[Matrix, Matrix] | None
+    hot: Matrix
     iterations: int
     solved: bool
 
@@ -105,66 +103,38 @@ def block_lengths(steps: int) -> list[int]:
 class Problem:
     """The program, set up once; of a sample only its linear term and the limits of speed are new.
 
-    With a limit of speed |vx| ≤ speed_max + s at every step, s ≥ 0 one slack for all: there always is a solution.
+    A limit of speed |vx| ≤ speed_max holds at every step of the prediction, yet is soft: there always is a solution.
     """
 
     def __init__(self, p: PredictiveSettings) -> None:
         _, low, high = limits(p)
         self.scale = np.maximum(-low, high)
-        cost = condensed(p, self.scale)
-        n, N = len(cost.H), len(cost.free)
-        blocks = n // len(INPUTS)
-        self.f, self.low, self.high = cost.f, np.tile(low / self.scale, blocks), np.tile(high / self.scale, blocks)
-        H, rows, self.offset = cost.H, np.eye(n), np.zeros((n, cost.f.shape[1]))
-        if p.speed_max > 0:
-            H = np.block([[H, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), SPEEDING)]])
-            slack = np.ones((N, 1))
-            rows = np.block([[rows, 0.0 * slack[:1].repeat(n, 0)], [cost.forced, -slack], [cost.forced, slack]])
-            rows = np.vstack([rows, np.eye(n + 1)[-1:]])
-            nothing = np.zeros((1, cost.f.shape[1]))
-            self.f, self.offset = np.vstack([cost.f, nothing]), np.vstack([self.offset, cost.free, cost.free, nothing])
-            never, most = np.full(N, np.inf), np.full(N, p.speed_max)
-            self.low = np.concatenate([self.low, -never, -most, [0.0]])
-            self.high = np.concatenate([self.high, most, never, [np.inf]])
-        self.solver = _solver(H, rows, self.low, self.high, int(p.iterations_max))
+        self.cost = cost = condensed(p, self.scale)
+        blocks = len(cost.H) // len(INPUTS)
+        self.low, self.high = np.tile(low / self.scale, blocks), np.tile(high / self.scale, blocks)
+        limited = slice(len(cost.free) if p.speed_max > 0 else 0)
+        self.free, self.most = cost.free[limited], np.full(len(cost.free[limited]), p.speed_max)
+        self.rows = np.ascontiguousarray(cost.forced[limited])
+        self.kinds = np.array([HARD] * len(cost.H) + [SOFT] * len(self.most), dtype=np.int32)
+        self.iterations = int(p.iterations_max)
 
-    def cold(self) -> tuple[Matrix, Matrix]:
-        """Where the first sample starts from: no deviation, no multiplier."""
-        return np.zeros(len(self.f)), np.zeros(len(self.low))
+    def cold(self) -> Matrix:
+        """Where the first sample starts from: no limit touched."""
+        return np.zeros(len(self.kinds))
 
-    def solve(self, z: Matrix, hot: tuple[Matrix, Matrix]) -> Found:
-        """The best commands from the deviation z on."""
-        free = self.offset @ z
-        self.solver.update(q=self.f @ z, l=self.low - free, u=self.high - free)
-        self.solver.warm_start(x=hot[0], y=hot[1])
-        result = self.solver.solve(raise_error=False)
-        command, usable = np.zeros(len(self.scale)), False
-        if result.x is not None:
-            usable = bool(np.isfinite(result.x).all() and np.isfinite(result.y).all())
-        if usable:
-            command, hot = self.scale * result.x[: len(self.scale)], (np.array(result.x), np.array(result.y))
-        status = result.info.status_val == SOLVED and usable
-        return Found(command, hot if usable else None, int(result.info.iter), status)
+    def solve(self, z: Matrix, hot: Matrix) -> Found:
+        """The best commands from the deviation z on, started from the multipliers of the sample before.
 
-
-def _solver(H: Matrix, rows: Matrix, low: Matrix, high: Matrix, iterations: int) -> Any:
-    """OSQP, that ends by iterations and never by time, and adapts nothing that a state would have to hold."""
-    size = np.linalg.eigvalsh(H)
-    solver = osqp.OSQP()
-    solver.setup(
-        csc_matrix(triu(H)),
-        np.zeros(len(H)),
-        csc_matrix(rows),
-        low,
-        high,
-        eps_abs=TOLERANCE,
-        eps_rel=TOLERANCE,
-        max_iter=iterations,
-        check_termination=5,
-        rho=0.1 * math.sqrt(max(float(size[0]), 1e-9) * float(size[-1])),
-        adaptive_rho=0,
-        scaling=0,
-        polishing=False,
-        verbose=False,
-    )
-    return solver
+        Where the limit of iterations comes first: those without limits, cut off at them.
+        """
+        f, free = self.cost.f @ z, self.free @ z
+        high, low = np.concatenate([self.high, self.most - free]), np.concatenate([self.low, -self.most - free])
+        U, _, flag, info = daqp.solve(
+            self.cost.H, f, self.rows, high, low, self.kinds, iter_limit=self.iterations, dual_start=hot
+        )
+        solved = flag in SOLVED
+        if solved:
+            hot = np.where(np.abs(info["lam"]) > ROUNDING, info["lam"], 0.0)
+        else:  # what it leaves then is not all written
+            U, hot = np.clip(-np.linalg.solve(self.cost.H, f), self.low, self.high), self.cold()
+        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), solved)

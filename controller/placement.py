@@ -63,4 +63,4 @@ def _faults(axis: str, poles: Sequence[complex]) -> list[str]:
 
 
 def _said(pole: complex) -> str:
-    return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real:g}"
+    return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real + 0.0:g}"

@@ -26,8 +26,8 @@ class PredictiveLaw:
 
     z the deviation from rest at the references of x, y and ψ; P the cost to go of the LQR, which this law is where no
     limit is touched. x, ẋ, ψ and ψ̇ are the filter's; y, roll, thrusts and tilts follow from what was commanded,
-    corrected by fixes of y. A limit of speed is given up where it cannot be kept. Where the solver ends by its
-    limit of iterations its last command is taken, within the limits; where it has none, the one before.
+    corrected by fixes of y. A limit of speed is given up where it cannot be kept. Where the solver comes to its
+    limit of iterations, the command is that without limits, cut off at them, and `solved` is 0.
     """
 
     def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
@@ -55,10 +55,8 @@ class PredictiveLaw:
         z[OWN], z[ESTIMATED] = self.observer.x, x_hat[: len(ESTIMATED)]
         z[POSITIONS] -= seen.x_ref, seen.y_ref, seen.psi_ref
         found = self.problem.solve(z, self.hot)
-        self.iterations, self.solved = found.iterations, found.solved
-        if found.hot is not None:
-            self.hot = found.hot
-            self.last = np.clip(found.command, self.low, self.high) + 0.0  # -0.0 is 0.0
+        self.hot, self.iterations, self.solved = found.hot, found.iterations, found.solved
+        self.last = np.clip(found.command, self.low, self.high) + 0.0  # within a rounding; -0.0 is 0.0
         return tuple((self.last + self.rest).tolist()[2:])
 
     def outputs(self) -> list[float]:
@@ -72,7 +70,7 @@ class PredictiveLaw:
             "x": self.observer.x.tolist(),
             "P": self.observer.P.tolist(),
             "last": self.last.tolist(),
-            "hot": [part.tolist() for part in self.hot],
+            "hot": self.hot.tolist(),
             "told": [self.fix, self.iterations, self.solved],
         }
 
@@ -80,7 +78,7 @@ class PredictiveLaw:
         """Bit for bit: the solver keeps nothing from one sample to the next but what it is started from."""
         self.observer.x, self.observer.P = np.array(snapshot["x"]), np.array(snapshot["P"])
         self.last = np.array(snapshot["last"])
-        self.hot = np.array(snapshot["hot"][0]), np.array(snapshot["hot"][1])
+        self.hot = np.array(snapshot["hot"])
         self.fix, self.iterations, self.solved = snapshot["told"]
 
 

@@ -54,7 +54,7 @@ class HovercraftIntegralController(HovercraftController):
 
 
 class HovercraftPredictiveController(HovercraftController):
-    """Predictive control with limits of tilt and duty; holds y as well, given fixes. Needs osqp in its host too."""
+    """Predictive control with limits of tilt and duty; holds y as well, given fixes. Needs daqp in its host too."""
 
     settings = PredictiveSettings()
     ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)

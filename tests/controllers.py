@@ -1,4 +1,4 @@
-"""Four controllers held against each other: `python -m tests.controllers [SEEDS]` prints the tables of docs/controllers.md.
+"""Four controllers against each other: `python -m tests.controllers [SEEDS]` prints the tables of docs/controllers.md.
 
 Plain functions, the same loop and laws that the FMUs carry: Fig 6.2 on the true state, the manoeuvre of App. G and the
 regulator under each effect and each sensor error of the catalogue at its `typical` size, with and without fixes.
@@ -189,7 +189,7 @@ def figure_6_2() -> dict[str, tuple[float, float, float]]:
 
 
 def app_g(name: str, seeds: Iterable[int], *, fixes: bool = False) -> dict[str, float]:
-    """The manoeuvre with noise: worst error of x [m] and ψ [deg] where a command ends, overshoot, effort, saturation."""
+    """The manoeuvre with noise: worst error of x [m], ψ [deg] where a command ends, overshoot, effort, saturation."""
     flights = [fly(name, manoeuvre, 26.0, seed=seed, fixes=fixes) for seed in seeds]
     worst = {"x": 0.0, "psi": 0.0}
     for f in flights:

@@ -20,7 +20,8 @@ VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
 CRAFT = (
     "plant/bench.py", "fmus/bench_fmu.py", "cosim/identification/",
     "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
-    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/controller_laws.py", "fmus/recipes.py", "fmus/controller_native.py",
+    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/controller_laws.py", "fmus/recipes.py",
+    "fmus/controller_native.py",
     "cosim/simulation/report/craft/",
     "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/registry.py",
 )  # fmt: skip

@@ -36,7 +36,7 @@ def belief_sentence(craft: Craft) -> str | None:
 
 
 def integral_sentence(craft: Craft) -> str | None:
-    """What becomes of the position under a controller that integrates its error: of x̂ alone where there are no fixes."""
+    """What becomes of the position under a controller that integrates its error: without fixes, of x̂ alone."""
     if craft.estimate("x_integral") is None:
         return None
     x, target = craft.signal("x"), craft.reference("x")
