@@ -48,9 +48,10 @@ crash: $(TESTING)
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
-# how often the intervals of `cosim identify` hold the truth, over SEEDS
+# how often the intervals of `cosim identify` hold the truth, over SEEDS; the controllers, over 20
 seed: $(TESTING)
 	$(BIN)/python -m tests.seed $(SEEDS)
+	$(BIN)/python -m tests.controllers 20
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench

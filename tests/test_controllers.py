@@ -390,3 +390,14 @@ def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) 
     predictive = run("hold.yaml", flown / "mpc", [swap, "duration=20"], report=False, in_process=True)
     assert [c["of"] for c in predictive.missed] == ["plant.x"]  # off by what the tilt pushes: it has no integral
     assert abs(predictive.results["plant.y"][-1]) < 0.1
+
+
+def test_a_scheduler_cuts_the_inputs_off(flown: Path) -> None:
+    """App. G: after a stated time every input of the craft is disconnected, whatever the controller commands."""
+    inputs = ("duty_right", "duty_left", "tilt_right", "tilt_left")
+    cut = ", ".join(f"{{on: plant.{name}, kind: stuck, value: 0, from: 0.5}}" for name in inputs)
+    settings = ["duration=2", "criteria={}", f"faults=[{cut}]"]
+    results = run("regulate.yaml", flown / "cut", settings, report=False, in_process=True).results
+    assert results["plant.thrust_right"][25] > 2.0  # [N], t = 0.5 s
+    assert results["plant.thrust_right"][-1] < 1e-6  # 17 lags later
+    assert np.abs(results["controller.tilt_right"][-50:]).max() > 0.01  # it still commands

@@ -102,3 +102,11 @@ def test_the_curves_of_the_cells_pass_near_the_points_of_app_c() -> None:
         curve = [getattr(b, f"{cell}_{p}") for p in ("zero", "slope", "square", "cube")]
         read = np.polynomial.polynomial.polyval(unit * np.array(loads), curve)
         assert np.abs(read - volts).max() < off, cell
+
+
+def test_the_horizontal_projection_of_app_g_is_unusable() -> None:
+    """G.3, G.4: H in degrees is 0.006 at 10°, where the sine is 0.17."""
+    coefficients = (6.251e-5, 6.843e-5, -9.170e-8, -2.199e-10, 7.100e-13, -5.138e-16)
+    projected = sum(c * 10.0 ** (2 * k) for k, c in enumerate(coefficients))
+    assert projected == pytest.approx(0.006, abs=5e-4)
+    assert math.sin(math.radians(10.0)) > 25 * projected
