@@ -20,7 +20,7 @@ def consistency(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
     as_json: Json = False,
 ) -> None:
-    """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs, a verdict each."""
+    """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
     from cosim.estimation.consistency import CONSISTENT
     from cosim.estimation.consistency import consistency as over_runs
 
