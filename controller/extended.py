@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,12 @@ ESTIMATED = ("x", "vx", "psi", "psi_dot")
 class ExtendedSettings(Parametric):
     """Noise that the extended filter believes in, and how its fixes are given; `axes` is one of `AXES`.
 
-    Process noise is per sample; that of the five states is eq 5.47's, the other numbers are ours.
+    Process noise is per sample; that of the five states is eq 5.47's, the other numbers are ours. What moves the craft
+    along its own axes moves it in the world's: the world position has no noise of its own.
     """
 
     process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
     process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
-    process_variance_x_world: float = variance(1e-4, "m2", "process noise of x_world per step, as of x")
-    process_variance_y_world: float = variance(1e-4, "m2", "process noise of y_world per step, as of x")
     process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
     process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
     process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
@@ -63,8 +62,8 @@ class ExtendedSettings(Parametric):
 
     @property
     def process_variances(self) -> tuple[float, ...]:
-        """Diagonal of the process noise, in the order of the plant's states."""
-        return tuple(getattr(self, f"process_variance_{name}") for name in STATES)
+        """Diagonal of the process noise, in the order of the plant's states; 0 of the world position."""
+        return tuple(getattr(self, f"process_variance_{name}", 0.0) for name in STATES)
 
     @property
     def measurement_variances(self) -> tuple[float, ...]:
@@ -77,13 +76,25 @@ class ExtendedSettings(Parametric):
         return self.measurement_variance_x, self.measurement_variance_y
 
 
-NOISE = tuple(f.name for f in fields(ExtendedSettings) if f.name != "axes")
+HEADING = STATES.index("psi")
+
+
+def carried(psi: float) -> Matrix:
+    """G (14, 14): how noise of the states enters them, the own axes' into the world's."""
+    G = np.eye(len(STATES))
+    for row, (along, right) in (
+        ("x_world", (math.cos(psi), math.sin(psi))),
+        ("y_world", (math.sin(psi), -math.cos(psi))),
+    ):
+        G[STATES.index(row), STATES.index("x")], G[STATES.index(row), STATES.index("y")] = along, right
+    return G
 
 
 class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
     """The craft's equations as filterpy's extended filter asks for them.
 
-        x̂ = f(x̂, u),   P = F·P·F' + Q,   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
+        x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
+        G = I, but for the world position, which the noise of x and y moves by (cos ψ, sin ψ), (sin ψ, −cos ψ)
 
     jacobians: what `plant.symbolic.jacobian.printed_jacobians` printed of this model and (a_x), loaded
     """
@@ -96,16 +107,18 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         self.numbers = [float(getattr(model, name)) for name in jacobians["PARAMETERS"]]
         self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
         self.P = np.zeros((len(STATES), len(STATES)))
-        self.Q, self.R = np.diag(settings.process_variances), np.diag(settings.measurement_variances)
+        self.noise, self.R = np.diag(settings.process_variances), np.diag(settings.measurement_variances)
         self.fixed = [STATES.index(name) for name in AXES[settings.axes]]
         self.fix_noise = np.diag(settings.fix_variances)
         self.command: tuple[float, ...] = model.start_command()
 
     def predict_x(self, u: Any = 0) -> None:
-        """State and transition matrix one sample on, the command held."""
+        """State, transition matrix and noise one sample on, the command held."""
         dt = self.settings.sample_time
         A = dt * self.slope("state", (len(STATES), len(STATES)))
         A2 = A @ A
+        G = carried(float(self.x[HEADING]))
+        self.Q = G @ self.noise @ G.T
         self.F = np.eye(len(STATES)) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
         self.x = np.array(self.stepper.step(Moment(0.0, tuple(self.x.tolist())), self.command, dt).state)
 
@@ -159,7 +172,7 @@ class ExtendedFilter:
     ) -> None:
         self.filter = Craft(model, settings, jacobians)
         self.filter.x = np.array(model.start(start), dtype=float)
-        self.fix, self.nis = fix, 0.0
+        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
         self.damping = model.friction / model.mass  # [1/s]
 
     def step(
@@ -174,6 +187,7 @@ class ExtendedFilter:
         if fix != self.fix:
             self.fix = fix
             kf.update(np.array(position), kf.located_slope, kf.located, kf.fix_noise)
+            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
 
     @property
     def estimate(self) -> tuple[float, ...]:

@@ -23,7 +23,7 @@ class LinearFilter:
     def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
         self.filter = kalman_filter(settings, np.array(start, dtype=float))
         self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag(settings.fix_variances)
-        self.fix, self.nis = fix, 0.0
+        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
 
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
@@ -36,6 +36,7 @@ class LinearFilter:
         if fix != self.fix:
             self.fix = fix
             kf.update(np.array(position[:1]), self.fix_noise, self.fix_matrix)
+            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
 
     @property
     def estimate(self) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cosim.api import check, compare, read, refine, replay, run, simulate
+    from cosim.estimation.consistency import consistency
     from cosim.experiment.excite import excite
     from cosim.identification.workflow import identify
     from cosim.models.fmus import build
@@ -20,6 +21,7 @@ __all__ = [
     "build",
     "check",
     "compare",
+    "consistency",
     "excite",
     "export_ssp",
     "identify",
@@ -34,6 +36,7 @@ _PLACES = {
     "build": "cosim.models.fmus",
     "check": "cosim.api",
     "compare": "cosim.api",
+    "consistency": "cosim.estimation.consistency",
     "excite": "cosim.experiment.excite",
     "export_ssp": "cosim.simulation.export",
     "identify": "cosim.identification.workflow",

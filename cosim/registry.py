@@ -34,6 +34,8 @@ class Known:
     native:  name → what makes a native FMU beside its own
     rig:     what plays its experiments
     design:  the designer of its controller, behind `design:` of a scenario
+    cases:   its estimators and truths to hold them against; estimators: of (case, runs, steps, random numbers), the
+             normalised errors and innovations of one
     """
 
     model: str
@@ -43,6 +45,8 @@ class Known:
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
+    cases: str = ""
+    estimators: str = ""
 
 
 LAWS = {  # the craft's controller under another law, with the same ports
@@ -67,6 +71,8 @@ MODELS = {
         native={"controller": "fmus.controller_native:controller_native"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",
+        cases="controller.monte_carlo:CASES",
+        estimators="controller.monte_carlo:squares_of",
     ),
     "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
 }
