@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 from controller.gains import ESTIMATORS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, POLES, PREDICTIVE
+from controller.variants import INTEGRAL, POLES, PREDICTIVE, PredictiveSettings, conflicts
 from plant.design import BadOption, Option
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -114,14 +115,14 @@ class LqrDesigner:
         values |= numbers
         if isinstance(model, Hovercraft):
             values |= roll_numbers_of(model)
-        hover = values.get("duty_nominal", Settings().duty_nominal)
-        if not values["duty_min"] < hover < values["duty_max"]:
-            raise BadOption(
-                "duty_limits",
-                f"{values['duty_min']:g} to {values['duty_max']:g} % hold no craft that hovers at {hover:.6g} %, so"
-                " the predictive law has no solution; give limits below and above that",
-            )
         return values
+
+    def conflicts(self, values: Mapping[str, Any], law: str) -> list[str]:
+        """Why the predictive law would have no solution; the others take any values."""
+        if law != PREDICTIVE:
+            return []
+        numbers = {p.name: p.default for p in parameters_of(PredictiveSettings)}
+        return conflicts(SimpleNamespace(**{**numbers, **values}))
 
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Estimator, thrust and lag."""

@@ -68,6 +68,25 @@ class IntegralSettings(Settings):
         return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
 
 
+def conflicts(p: Any) -> list[str]:
+    """What keeps the predictive law from a solution, by the numbers of `PredictiveSettings` together."""
+    found = []
+    if not p.duty_min < p.duty_nominal < p.duty_max:
+        found.append(
+            f"no duty of {p.duty_min:g} to {p.duty_max:g} % holds the craft, which hovers at {p.duty_nominal:.6g} %:"
+            " the predictive law has no solution; widen duty_min and duty_max about it"
+        )
+    if not (p.weight_tilt > 0 and p.weight_duty > 0):
+        found.append("weight_tilt and weight_duty are above 0, so that there is one best command")
+    if not (p.weight_x > 0 and p.weight_psi > 0 and p.weight_y > 0):
+        found.append("weight_x, weight_y and weight_psi are above 0, so that no position is left to itself")
+    if not p.prediction_step <= p.horizon <= 200 * p.prediction_step:
+        found.append("the horizon has 1 to 200 steps of prediction_step")
+    if not p.tilt_max > 0:
+        found.append("tilt_max is above 0; with 0 nothing can be commanded")
+    return found
+
+
 @dataclass(frozen=True, kw_only=True)
 class PredictiveSettings(Settings):
     """Of the predictive law: numbers of roll and motors, weights, limits, horizon. Its gains `k_i_j` are not used."""
@@ -113,16 +132,6 @@ class PredictiveSettings(Settings):
             super().__post_init__()
         except ValueError as error:
             faults.append(str(error))
-        if not self.duty_min < self.duty_nominal < self.duty_max:
-            faults.append(
-                f"no duty of {self.duty_min:g} to {self.duty_max:g} % holds the craft, which hovers at"
-                f" {self.duty_nominal:.6g} %: the predictive law has no solution; widen duty_min and duty_max about it"
-            )
-        if not self.weight_tilt > 0 or not self.weight_duty > 0:
-            faults.append("weight_tilt and weight_duty are above 0, so that there is one best command")
-        if self.prediction_step > self.horizon or self.horizon / self.prediction_step > 200:
-            faults.append("the horizon has 1 to 200 steps of prediction_step")
-        if not self.tilt_max > 0:
-            faults.append("tilt_max is above 0; with 0 nothing can be commanded")
+        faults += conflicts(self)
         if faults:
             raise ValueError("; ".join(faults))

@@ -56,5 +56,8 @@ class Designer(Protocol):
         Raises BadOption where one option is at fault, ValueError where there is no such design.
         """
 
+    def conflicts(self, values: Mapping[str, Any], law: str) -> list[str]:
+        """Why a controller with these start values, each within its bounds, could not be."""
+
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start values that the options say themselves; they win."""

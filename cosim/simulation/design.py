@@ -65,7 +65,19 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     except InputError as error:
         file.faults += error.faults
         return {}
-    return {design.component: {**values, **designer.given(options)}}
+    designed = {**values, **designer.given(options)}
+    _check_together(file, design.component, designer, designed, law)
+    return {design.component: designed}
+
+
+def _check_together(
+    file: ScenarioFile, component: str, designer: Designer, designed: Mapping[str, Any], law: str
+) -> None:
+    """The scenario's own start values stand over what is designed: whether both go together."""
+    own = getattr(file.scenario.components.get(component), "start", None) or {}
+    numbers = {n: v for n, v in own.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    place = ("design",) if designer.conflicts(designed, law) else ("components", component, "start")
+    file.faults += [file.fault(place, said) for said in designer.conflicts({**designed, **numbers}, law)]
 
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
