@@ -15,7 +15,7 @@ from controller.variants import PredictiveSettings
 # x_world and y_world say over again what x and y say, and carry no weight: twelve states are predicted of fourteen.
 PREDICTED = [k for k, name in enumerate(STATES) if not name.endswith("_world")]
 NAMES = [STATES[k] for k in PREDICTED]
-BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6)  # steps of the prediction over which a command is held; the last one to its end
+BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps of the prediction over which a command is held; the last one to its end
 SOLVED = (1, 2)  # DAQP's flags: optimal, and where a soft limit is exceeded
 HARD, SOFT = 0, 8  # its kinds of limits
 ROUNDING = 1e-9  # multipliers below are those of no limit

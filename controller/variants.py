@@ -80,8 +80,8 @@ def conflicts(p: Any) -> list[str]:
         found.append("weight_tilt and weight_duty are above 0, so that there is one best command")
     if not (p.weight_x > 0 and p.weight_psi > 0 and p.weight_y > 0):
         found.append("weight_x, weight_y and weight_psi are above 0, so that no position is left to itself")
-    if not p.prediction_step <= p.horizon <= 200 * p.prediction_step:
-        found.append("the horizon has 1 to 200 steps of prediction_step")
+    if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
+        found.append("the horizon has 1 to 1000 steps of prediction_step")
     if not p.tilt_max > 0:
         found.append("tilt_max is above 0; with 0 nothing can be commanded")
     return found
@@ -120,7 +120,7 @@ class PredictiveSettings(Settings):
     speed_max: float = parameter(
         0.0, unit="m/s", bounds=(0, 100), doc="greatest speed forward or back, 0 for none; given up where it must be"
     )
-    prediction_step: float = parameter(0.1, unit="s", bounds=(0.01, 1), doc="step of the prediction")
+    prediction_step: float = parameter(0.02, unit="s", bounds=(0.01, 1), doc="step of the prediction")
     horizon: float = parameter(2.0, unit="s", bounds=(0.1, 20), doc="how far is predicted; then as the LQR would")
     iterations_max: float = parameter(
         200.0, unit="1", bounds=(1, 1e5), doc="most iterations of the solver a sample; then limits only cut off"

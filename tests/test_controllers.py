@@ -252,7 +252,7 @@ def test_the_predictive_law_holds_y_with_fixes() -> None:
     ("given", "words"),
     [
         ({"duty_min": 6.5}, "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
-        ({"horizon": 0.1, "prediction_step": 0.2}, "1 to 200 steps"),
+        ({"horizon": 0.1, "prediction_step": 0.2}, "1 to 1000 steps"),
         ({"weight_tilt": 0.0}, "above 0"),
         ({"tilt_max": 0.0}, "tilt_max is above 0"),
     ],
