@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cosim
 from cosim.errors import InputError
 from cosim.results import Results
 from cosim.simulation.export import export_ssp
@@ -114,6 +115,15 @@ def test_a_signal_that_nothing_feeds_is_told(tmp_path: Path) -> None:
     run(tmp_path)
     file = ScenarioFile(tmp_path / "level.yaml", ["components.sonar.signals.warmth={unit: K}"])
     assert "not connected, so its fixes are of 0: sonar.warmth" in build_system(file).warnings
+
+
+def test_the_page_says_that_fixes_are_noisy_how_often_and_how_late_they_come(tmp_path: Path) -> None:
+    run(tmp_path, NOISY, latency=0.3, dropout=0.1)
+    done = cosim.run(tmp_path / "level.yaml", tmp_path / "out", in_process=True)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "noise on" in page
+    assert "fix, 2 Hz, 0.3 s late, 0.1 lost" in page
+    assert done.report == tmp_path / "out" / "report.html"
 
 
 def test_an_ssp_holds_no_fixes(tmp_path: Path) -> None:

@@ -363,3 +363,24 @@ def test_an_estimator_is_sampled_and_refuses_another_step(folder: Path, name: st
         fmu.step(0.0, 0.05)
 
     assert "the estimator is sampled at 0.02 s (parameter sample_time)" in refused(folder / "build" / name, {}, call)
+
+
+def test_inputs_for_fixes_are_recorded_and_told_only_where_something_feeds_them(
+    folder: Path, flown: Mapping[str, Run]
+) -> None:
+    without = cosim.run(folder / "scenarios" / "regulate.yaml", set={"duration": 0.2}, in_process=True)
+    ports = {f"controller.{n}" for n in ("x_meas", "y_meas", "fix")}
+    assert not ports & set(without.names)
+    assert without.warnings == []
+    fed = flown["localisation_fixes"]
+    assert ports & set(fed.names) == {"controller.x_meas", "controller.fix"}
+    given = {"duration": 0.2, "components.controller.start.fix": 1}
+    assert "controller.fix" in cosim.run(folder / "scenarios" / "regulate.yaml", set=given, in_process=True).names
+
+
+def test_a_manifest_repeats_a_run_with_fixes_to_the_byte(folder: Path, tmp_path: Path) -> None:
+    scenario, short = folder / "scenarios" / "localisation_fixes.yaml", {"duration": 0.6, "criteria": {}}
+    cosim.run(scenario, tmp_path / "first", set=short, report=False)
+    cosim.run(tmp_path / "first" / "manifest.json", tmp_path / "again", report=False, in_process=True)  # or in a worker
+    first, again = (tmp_path / name / "results.csv" for name in ("first", "again"))
+    assert first.read_bytes() == again.read_bytes()

@@ -98,7 +98,7 @@ class Row:
 
 
 def consistency(
-    runs: int = 100, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
+    runs: int = 50, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> Sequence[Row]:
     """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds."""
     if runs < 2 or steps < 2 * SHORTEST or seed < 0:

@@ -15,7 +15,7 @@ def register(app: typer.Typer) -> None:
 
 
 def consistency(
-    runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 100,
+    runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
     as_json: Json = False,

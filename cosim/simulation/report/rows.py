@@ -38,7 +38,9 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
         )
     scenario, seed = run.scenario, run.manifest.get("seed")
     found += [Badge(run.algorithm.replace("_", "-").title())] if run.algorithm else []
-    noisy = any(mapping(link.get("noise")) for link in mappings(scenario.get("connections")))
+    measured = (mapping(c).get("signals") for c in mapping(scenario.get("components")).values())
+    sources = (*mappings(scenario.get("connections")), *(s for found in measured for s in mapping(found).values()))
+    noisy = any(mapping(mapping(source).get("noise")) for source in sources)
     found += [Badge("noise on" if noisy and scenario.get("noise", True) else "noise off")] if run.links else []
     found += [Badge(f"seed {seed}")] if seed is not None else []
     warnings = texts(run.manifest.get("warnings"))
@@ -86,8 +88,10 @@ def _acting(run: Run, link: Mapping[str, Any]) -> list[str]:
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
     """Faults injected into the connections to these inputs."""
-    arrays = {name.partition("[")[0] for name in inputs}
     faults = mappings(run.scenario.get("faults"))
+    if not faults:
+        return []
+    arrays = {name.partition("[")[0] for name in inputs}
     return [fault for fault in faults if fault.get("on") in {*inputs, *arrays}]
 
 
