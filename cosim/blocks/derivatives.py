@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,8 +28,9 @@ def states_of(description: Any) -> list[Any]:
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Inputs or outputs that are continuous numbers."""
-    return [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    """Inputs or outputs that are real numbers; of inputs those that may move at any time."""
+    found = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    return [v for v in found if causality != "input" or v.variability in (None, "continuous")]
 
 
 def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
@@ -61,10 +64,11 @@ class DifferentiableFmu(FmuBlock):
     @property
     def gives_slopes(self) -> bool:
         """It says that it has directional derivatives, of scalars."""
-        about = self.description.modelExchange
-        flags = (getattr(about, f"providesDirectionalDerivative{s}", False) for s in ("", "s"))
+        about = ElementTree.fromstring(zipfile.ZipFile(self.path).read("modelDescription.xml")).find("ModelExchange")
+        # FMPy knows the word of FMI 2.0 only, which 3.0 has in the plural
+        flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
         plain = all(not v.shape for v in (*self._states, *self._fed, *self._shown))
-        return any(flags) and plain
+        return plain and any(flag in ("true", "1") for flag in flags)
 
     def here(self) -> tuple[Array, Array]:
         """States and inputs as they are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,14 +16,17 @@ from cosim.linearization.linear import Point
 from cosim.linearization.point import AT, Moment, read_value
 from cosim.linearization.source import EquationSource, Source
 from cosim.results import Results
+from cosim.simulation.packaged import is_ssp
+from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from plant.integrate import Stepper
 
+SLACK = 1e-9  # [s]
 AGREE = 1e-6  # of an output's range, within which the model and the component are one
 
 
 class Along:
-    """Points of a model along a run.
+    """Points of a model along a run; an FMU is flown itself, in the place of the component.
 
     component: in the scenario, where several would do
     """
@@ -31,13 +35,16 @@ class Along:
         self.notes: list[str] = []
         self._source, self._moment = source, moment
         record = [] if isinstance(source, EquationSource) else list(source.states)
+        _check(moment, component)
         with tempfile.TemporaryDirectory(prefix="cosim-linearize-") as folder:
             self._results, self._manifest = _run(moment.scenario, Path(folder))
             self._name = self._component(component)
             if record:
                 patterns = [f"{self._name}.{state}" for state in record]
-                override = f"record={[*self._recorded(), *patterns]}".replace("'", '"')
-                self._results, self._manifest = _run(moment.scenario, Path(folder), [override])
+                record = [*self._recorded(), *patterns]
+                flown = f"components.{self._name}.fmu={json.dumps(str(source.files[0].resolve()))}"
+                overrides = [f"record={json.dumps(record, ensure_ascii=False)}", flown]
+                self._results, self._manifest = _run(moment.scenario, Path(folder), overrides)
         self._rows = self._rows_of(moment.times)
 
     @property
@@ -65,9 +72,6 @@ class Along:
         owners = dict.fromkeys(c.partition(".")[0] for c in self._results.columns)
         wanted = (*self._source.inputs, *self._source.outputs)
         fitting = [o for o in owners if all(f"{o}.{n}" in columns for n in wanted)]
-        if asked and asked not in owners:
-            message = f'{self._moment.scenario} has no component "{asked}" ({", ".join(owners)})'
-            raise InputError([Fault(Path("--component"), 0, 0, message)])
         if asked in fitting or (len(fitting) == 1 and not asked):
             return asked or fitting[0]
         if asked or not fitting:
@@ -89,11 +93,8 @@ class Along:
 
     def _rows_of(self, times: Array) -> list[int]:
         """The communication point of each time, or the last before it."""
-        have, slack = self._results.time, 1e-9
-        first, last = float(have[0]), float(have[-1])
-        if outside := [t for t in times.tolist() if not first - slack <= t <= last + slack]:
-            told = f"{outside[0]:g} s is not within {self._moment.scenario}, which runs from {first:g} to {last:g} s"
-            raise InputError([Fault(AT, 0, 0, told)])
+        have, slack = self._results.time, SLACK
+        _check_times(self._moment, float(have[0]), float(have[-1]))
         rows = np.searchsorted(have, times + slack * np.maximum(1.0, np.abs(times)), side="right") - 1
         if (np.abs(have[rows] - times) > 1e-6).any():
             self.notes.append("between communication points the last one before is taken")
@@ -136,9 +137,27 @@ class Along:
             )
 
 
+def _check(moment: Moment, component: str) -> None:
+    """What the scenario itself tells, before it is run: its times and the names in it."""
+    if not moment.scenario.is_file():
+        raise InputError([Fault(moment.scenario, 0, 0, "no such scenario")])
+    if is_ssp(moment.scenario):
+        return
+    scenario = ScenarioFile(moment.scenario).scenario
+    _check_times(moment, scenario.start_time, scenario.start_time + scenario.duration)
+    if component and component not in scenario.components:
+        message = f'{moment.scenario} has no component "{component}" ({", ".join(scenario.components)})'
+        raise InputError([Fault(Path("--component"), 0, 0, message)])
+
+
+def _check_times(moment: Moment, first: float, last: float) -> None:
+    outside = [t for t in moment.times.tolist() if not first - SLACK <= t <= last + SLACK]
+    if outside:
+        told = f"{outside[0]:g} s is not within {moment.scenario}, which runs from {first:g} to {last:g} s"
+        raise InputError([Fault(AT, 0, 0, told)])
+
+
 def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:
-    if not scenario.is_file():
-        raise InputError([Fault(scenario, 0, 0, "no such scenario")])
     try:
         outcome = run(scenario, folder, list(overrides), report=False)
     except (InputError, FmuError, SimulationError) as error:

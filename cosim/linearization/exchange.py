@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,11 @@ def about(
     try:
         for point in points:
             slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, given=given)
-            found.append((slopes, rates, after, _notes(block, point, slopes, rates, after, step, given)))
+            notes = _notes(block, point, after)
+            if given:
+                slopes, more = _believed(block, replace(point, states=after), slopes, step)
+                notes += more
+            found.append((slopes, rates, after, notes))
     finally:
         block.close()
     return found
@@ -64,10 +69,8 @@ def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> Different
     return block
 
 
-def _notes(
-    block: DifferentiableFmu, point: Point, slopes: Array, rates: Array, after: Array, step: float, given: bool
-) -> list[str]:
-    """States that an event has moved, kinks, and where the FMU's own slopes are not those that differences show."""
+def _notes(block: DifferentiableFmu, point: Point, after: Array) -> list[str]:
+    """States that an event has moved, and kinks."""
     n, notes = len(after), []
     names = scalars(states_of(block.description))
     moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
@@ -77,15 +80,21 @@ def _notes(
     fed = scalars(reals(block.description, "input"))
     notes += bends(lambda z: block.rates(z[:n], z[n:]), np.concatenate([after, point.inputs]), names, fed)
     block.rates(after, point.inputs)
-    if given:
-        differences, _, _ = slopes_at(block, point.time, after, point.inputs, step, given=False)
-        size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), 1e-9)
-        off = (np.abs(slopes - differences) / size[:, None]).max(initial=0.0)
-        if off > APART:
-            notes.append(
-                f"the FMU's own slopes are up to {100 * off:.2g} % off what differences show; --step takes those"
-            )
     return notes
+
+
+def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float) -> tuple[Array, list[str]]:
+    """The FMU's own slopes, but for rows in which differences show others: those are taken, and noted."""
+    differences, _, _ = slopes_at(block, point.time, point.states, point.inputs, step, given=False)
+    size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
+    off = np.abs(slopes - differences).max(axis=1, initial=0.0) > APART * np.maximum(size, 1e-9)
+    if not off.any():
+        return slopes, []
+    states, shown = scalars(states_of(block.description)), scalars(reals(block.description, "output"))
+    rows = [*(f"the derivative of {n}" for n in states), *shown]
+    told = ", ".join(n for n, other in zip(rows, off, strict=True) if other)
+    note = f"differences of step {step:g} are taken for {told}: the FMU's own slopes of these are others"
+    return np.where(off[:, None], differences, slopes), [note]
 
 
 # -- its caller -----------------------------------------------------------------------------------

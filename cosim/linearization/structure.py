@@ -69,7 +69,7 @@ def structure(linear: Linear) -> Structure:
     to, by = reachable(A, B), reachable(A.T, C.T)
     found = tuple(_pole(A, B, C, values[g], size) for g in groups)
     return Structure(
-        found, to, by, condition(A, B) if to == n else float("inf"),
+        found, to, by, condition(A, B) if to == n > 0 else float("inf"),
         all(p.value.real < -SAME * size for p in found),
     )  # fmt: skip
 
