@@ -150,7 +150,8 @@ class Bench(Model):
 
         F_z = T·Γ(z)·cos α + load, F_x = T·Γ(z)·sin α + load (4.7, 4.8), M = m_PA·g·l·sin α + load (4.10)
         v   = clip(v₀ + s·F + q·F² + c·F³ + noise, 0, range), in whole steps of the converter
-        τ·Ṫ = T_OGE(δ) − T (4.9), T_f·v̇_f = v − v_f where there is a low pass, α̇: `servo_rate`, or what effects make of it
+        τ·Ṫ = T_OGE(δ) − T (4.9), T_f·v̇_f = v − v_f where there is a low pass
+        α̇: `servo_rate`, or what effects make of it
         """
 
         def forces(state: Values, command: Values) -> tuple[Number, Number, Number]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +35,11 @@ class Outcome:
             for e in r.estimates:
                 found.setdefault(e.name, e)
         return found
+
+    def closing(self, out: Path) -> str:
+        """Where the power-train is, and what builds it."""
+        file = out / "powertrain.yaml"
+        return f"power-train: {file}, built by: cosim build --model {file}"
 
     @property
     def sentences(self) -> list[str]:
