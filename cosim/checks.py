@@ -84,7 +84,7 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case kinds.MODEL:
             read_model(path)
         case kinds.PROTOCOL:
-            from cosim.identification.protocol import check_protocol  # of the craft's bench: others do without
+            from cosim.identification.given import check_protocol  # of the craft's bench: others do without
 
             check_protocol(path)
         case kinds.STUDY:

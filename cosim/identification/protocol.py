@@ -138,23 +138,6 @@ class Protocol:
         return self.file.bench == BENCH
 
 
-def craft_file(path: Path) -> YamlFile | None:
-    """The file where it is about logs of a craft in place of a bench."""
-    refuse_other(path, kind_of(path), PROTOCOL)
-    yaml = YamlFile(path)
-    return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
-
-
-def check_protocol(path: Path) -> None:
-    """InputError with every fault of a protocol of a bench, or of logs of a craft and what they are to tell."""
-    if (yaml := craft_file(path)) is None:
-        read_protocol(path)
-        return
-    from cosim.identification.craft import read_craft
-
-    read_craft(yaml)
-
-
 def read_protocol(path: Path) -> Protocol:
     """Read a protocol; InputError with every fault that can be known without a recording."""
     refuse_other(path, kind_of(path), PROTOCOL)

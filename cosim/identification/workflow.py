@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,19 +15,19 @@ from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
+from cosim.identification.craft import CraftOutcome
+from cosim.identification.craft_workflow import identify_craft
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.faults import recording_faults
-from cosim.identification.outcome import Outcome
-from cosim.identification.protocol import BENCH, CHANNELS, Protocol, craft_file, read_protocol
+from cosim.identification.given import craft_file
+from cosim.identification.outcome import Outcome, plain_values
+from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
 from cosim.models.file import load_model, named_model
 from cosim.registry import MODELS, resolve
 from cosim.version import __version__
 from plant.bench import Bench
 from plant.model import Model
-
-if TYPE_CHECKING:
-    from cosim.identification.craft import CraftOutcome
 
 FILES = ("powertrain.yaml", "identify.json", "report.html")
 # in the order in which one needs another's number; the lag of a step is that of the model
@@ -44,8 +44,6 @@ def identify(
     """
     path, out = Path(path), Path(out)
     if (yaml := craft_file(path)) is not None:
-        from cosim.identification.craft import identify_craft
-
         return identify_craft(yaml, out, report=report)
     protocol = read_protocol(path)
     model = _model_of(protocol)
@@ -231,17 +229,6 @@ def _texts(outcome: Outcome, model: Model) -> Iterable[tuple[str, str]]:
         },
     }  # fmt: skip
     yield "identify.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def plain_values(value: Any) -> Any:
-    """Numbers that JSON knows: what is missing is null."""
-    if isinstance(value, dict):
-        return {str(k): plain_values(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_values(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:

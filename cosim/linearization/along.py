@@ -13,7 +13,8 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.linearization.linear import Point
-from cosim.linearization.point import AT, Moment, read_value
+from cosim.linearization.parameters import read_value
+from cosim.linearization.point import AT, Moment
 from cosim.linearization.source import EquationSource, Source
 from cosim.results import Results
 from cosim.simulation.packaged import is_ssp

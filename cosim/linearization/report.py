@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.linearization.linear import Linear
+from cosim.linearization.outcome import Outcome
 from cosim.linearization.response import Response, frequencies, response
-from cosim.linearization.structure import Pole, Structure
+from cosim.linearization.structure import Pole, Structure, poles
 from cosim.linearization.words import headline, number, pole_rows
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, Tick, make_axis, make_plot
@@ -20,9 +21,6 @@ from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.text import counted, plain, written
 from cosim.version import __version__
-
-if TYPE_CHECKING:
-    from cosim.linearization.workflow import Outcome
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
 TOGETHER = 6  # curves in a panel
@@ -87,10 +85,10 @@ def _matrix(linear: Linear, name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def pole_map(poles: Sequence[Pole]) -> Plot:
+def pole_map(found: Sequence[Pole]) -> Plot:
     """Poles as crosses in the complex plane."""
-    real = np.array([p.value.real for p in poles])
-    imag = np.array([p.value.imag for p in poles])
+    real = np.array([p.value.real for p in found])
+    imag = np.array([p.value.imag for p in found])
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
     left, right = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
     room = 0.06 * (right - left or reach)
@@ -101,7 +99,7 @@ def pole_map(poles: Sequence[Pole]) -> Plot:
     )  # fmt: skip
     axis = int(x.whole(np.zeros(1), WIDTH)[0])
     curves = (Curve("poles", "s0", crosses, ""), Curve("imaginary axis", "reference", f"M{axis} 0v{HEIGHT}", ""))
-    told = ", ".join(f"{p.value:.4g}" for p in poles)
+    told = ", ".join(f"{p.value:.4g}" for p in found)
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
     return Plot("Imaginary part of the poles", "rad/s", curves, "", "", (), "", x, y, zero, f"Poles at {told}.")
 
@@ -144,8 +142,6 @@ def log_axis(omega: Array) -> Axis:
 
 def _along(outcome: Outcome) -> Plot | None:
     """Real parts of the poles over time, where there are several times."""
-    from cosim.linearization.structure import poles
-
     if len(outcome.linear) < 2:
         return None
     time = np.array([m.point.time for m in outcome.linear])

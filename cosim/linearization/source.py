@@ -13,7 +13,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import SimulationError
 from cosim.linearization.linear import Linear, Point
-from cosim.linearization.point import with_parameters
+from cosim.linearization.parameters import with_parameters
 from cosim.models.file import LoadedModel
 from plant.model import Effect, overrides
 from plant.namespaces import SCALAR

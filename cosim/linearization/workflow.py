@@ -13,9 +13,11 @@ from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
 from cosim.linearization.linear import Linear, Point, chosen, missing_states, residualised
-from cosim.linearization.point import moved, read_at, with_parameters
+from cosim.linearization.outcome import Outcome
+from cosim.linearization.parameters import with_parameters
+from cosim.linearization.point import moved, read_at
 from cosim.linearization.source import EquationSource, Source, settled
-from cosim.linearization.structure import Structure, structure
+from cosim.linearization.structure import structure
 from cosim.linearization.write import FILES, write
 from cosim.models.file import LoadedModel, load_model, named_model
 from cosim.models.refined import names_refine, refined_file
@@ -35,23 +37,6 @@ class Asked:
     inputs: Sequence[str] = ()
     outputs: Sequence[str] = ()
     fast: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Linear models, one a time, and what the first tells."""
-
-    name: str
-    title: str
-    linear: tuple[Linear, ...]
-    structure: Structure
-    notes: tuple[str, ...]
-    folder: Path | None
-
-    @property
-    def first(self) -> Linear:
-        """The linear model, or the first of several."""
-        return self.linear[0]
 
 
 def linearize(

@@ -10,7 +10,7 @@ import typer
 from cosim.verbs.terminal import Json, Open, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
-    from cosim.linearization.workflow import Outcome
+    from cosim.linearization.outcome import Outcome
 
 NAMES = "comma between them, repeatable"
 
