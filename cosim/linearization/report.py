@@ -95,7 +95,7 @@ def pole_map(found: Sequence[Pole]) -> Plot:
     x, y = make_axis(left - room, right + room, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
     u, v = x.whole(real, WIDTH), HEIGHT - y.whole(imag, HEIGHT)
     crosses = "".join(
-        f"M{a - 24} {b - 24}l48 48m-48 0l48-48" for a, b in zip(u.tolist(), v.tolist(), strict=True)
+        f"M{a - 36} {b - 22}l72 44m-72 0l72-44" for a, b in zip(u.tolist(), v.tolist(), strict=True)
     )  # fmt: skip
     axis = int(x.whole(np.zeros(1), WIDTH)[0])
     curves = (Curve("poles", "s0", crosses, ""), Curve("imaginary axis", "reference", f"M{axis} 0v{HEIGHT}", ""))

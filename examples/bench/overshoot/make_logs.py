@@ -2,7 +2,7 @@
 
 The bench of truth.yaml is built and played by the public verbs (`cosim.build`, `cosim.simulate`). Loads hung on its
 cells give points that carry 0.25 % of full scale (App. B.1), a cubic through them reads the voltages, the tare is read
-at rest: what is logged are forces as one has them on a bench. Beside the logs go bench.yaml and study.yaml.
+at rest: what is logged are forces as one has them on a bench. Beside the logs go bench.yaml, study.yaml and craft.yaml.
 """
 
 import argparse
@@ -68,7 +68,7 @@ def calibrated(fmu: Path, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def make_logs(out: Path, seed: int = 1) -> Path:
-    """Logs, bench.yaml and study.yaml in `out`; returns the study. The same seed gives the same bytes."""
+    """Logs, study.yaml and the model files, in `out`; returns the study. The same seed gives the same bytes."""
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -83,7 +83,7 @@ def make_logs(out: Path, seed: int = 1) -> Path:
             rest = told["time"] < 0.9
             nothing = dict.fromkeys((f"{w}_{c}" for w in ("load", "noise") for c in "zxm"), np.zeros(rest.size))
             write(out / f"{name}.csv", {**told, **nothing, **{n: f - f[rest].mean() for n, f in force.items()}})
-    for name in ("bench.yaml", "study.yaml"):
+    for name in ("bench.yaml", "study.yaml", "craft.yaml"):
         if out.resolve() != HERE:
             shutil.copy(HERE / name, out / name)
     return out / "study.yaml"
