@@ -8,6 +8,7 @@ import runpy
 import sys
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import scipy.io
@@ -24,6 +25,7 @@ from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
 from tests.tank import MODEL
 
+SCHEMA = ROOT / "cosim" / "linearization" / "linear.schema.json"
 EIGHT = ("x", "vx", "y", "vy", "psi", "psi_dot", "phi", "phi_dot")  # eq 5.11
 FOUR = ("duty_right", "duty_left", "tilt_right", "tilt_left")
 LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")
@@ -164,6 +166,7 @@ def test_a_drive_and_a_pendulum_are_linearised_too() -> None:
 def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     outcome = linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
     content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
+    jsonschema.validate(content, json.loads(SCHEMA.read_text(encoding="utf-8")))
     (model,) = content["models"]
     mat = scipy.io.loadmat(tmp_path / "out" / "linear.mat")
     system = runpy.run_path(str(tmp_path / "out" / "linear.py"))["system"]
@@ -180,6 +183,27 @@ def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "inflow: magnitude" in page
     assert "Imaginary part of the poles" in page
+
+
+def test_a_point_at_which_an_input_moves_nothing_is_told() -> None:
+    # upright, the bench's servo is in the middle of its dead band
+    outcome = linearize("bench", inputs=["duty", "servo_duty"])
+    assert "servo_duty moves nothing at this point: a dead band or a stop, perhaps" in outcome.notes
+    moving = linearize("bench", at=["servo_duty=8.5"], inputs=["duty", "servo_duty"])
+    assert not any(note.startswith("servo_duty") for note in moving.notes)
+
+
+def test_an_unstable_pole_and_a_pole_without_an_input_are_seen() -> None:
+    A = np.array([[0.5, 0.0], [0.0, -2.0]])
+    point, none = Point(0.0, np.zeros(2), np.zeros(1)), np.zeros(2)
+    B, C, D = np.array([[1.0], [0.0]]), np.array([[1.0, 1.0]]), np.zeros((1, 1))
+    found = structure(Linear(A, B, C, D, ("a", "b"), ("u",), ("y",), point, none, np.zeros(1), {}, "by hand"))
+    assert not found.stable
+    assert [(p.value.real, p.controllable, p.observable) for p in found.poles] == [
+        (0.5, True, True),
+        (-2.0, False, True),
+    ]
+    assert (found.controllable, found.observable, found.condition) == (1, 2, math.inf)
 
 
 def test_bode_plots_are_those_of_the_control_library(tank: Path) -> None:

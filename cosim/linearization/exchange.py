@@ -12,7 +12,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, slopes_at, states_of, units_of
 from cosim.blocks.description import ways
-from cosim.errors import Fault, FmuError, InputError
+from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
@@ -27,7 +27,7 @@ NAME = "fmu"
 DIFFERENCE = 1e-5  # of each state and input, or of 1
 APART = 1e-3  # by which an FMU's own slopes may differ from differences, of the largest in a row
 GIVEN = "directional derivatives of the FMU"
-Found = tuple[Array, Array, Array, list[str]]
+Found = tuple[Array, Array, Array, list[str], bool]
 
 # -- in the worker ------------------------------------------------------------------------------
 
@@ -44,7 +44,25 @@ def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array
 def about(
     path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, given: bool
 ) -> list[Found]:
-    """Slopes, rates and outputs, states after events, and notes, of each point."""
+    """Slopes, rates and outputs, states after events, notes, and whether the slopes are its own, of each point.
+
+    An FMU whose directional derivatives fail is opened anew and moved in their place.
+    """
+    if not given:
+        return _about(path, description, start, points, step, given=False)
+    try:
+        return _about(path, description, start, points, step, given=True)
+    except SimulationError as error:
+        if "DirectionalDerivative" not in str(error):
+            raise
+        told = f"differences of step {step:g} are taken: {error.reason.partition(':')[0]} for its own slopes"
+    moved = _about(path, description, start, points, step, given=False)
+    return [(slopes, rates, after, [told, *notes], own) for slopes, rates, after, notes, own in moved]
+
+
+def _about(
+    path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, *, given: bool
+) -> list[Found]:
     block, found = _opened(path, description, start), []
     try:
         for point in points:
@@ -53,7 +71,7 @@ def about(
             if given:
                 slopes, more = _believed(block, replace(point, states=after), slopes, step)
                 notes += more
-            found.append((slopes, rates, after, notes))
+            found.append((slopes, rates, after, notes, given))
     finally:
         block.close()
     return found
@@ -119,9 +137,6 @@ class ExchangeSource(Source):
         block = DifferentiableFmu(NAME, path, description, self._start, frozenset())
         self._own = step is None and block.gives_slopes
         self.step = DIFFERENCE if step is None else step
-        self.method = (
-            GIVEN if self._own else f"central differences of the FMU, step {self.step:g} of each value or of 1"
-        )
 
     def given(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """The same with the start values of a scenario's component, but for those that this FMU does not have."""
@@ -138,11 +153,13 @@ class ExchangeSource(Source):
         """About each point."""
         n, made = len(self.states), []
         found: list[Found] = self._call(about, list(points), self.step, self._own)
-        for point, (slopes, rates, after, notes) in zip(points, found, strict=True):
+        differences = f"central differences of the FMU, step {self.step:g} of each value or of 1"
+        for point, (slopes, rates, after, notes, own) in zip(points, found, strict=True):
+            method = GIVEN if own else differences
             made.append(
                 Linear(
                     slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], self.states, self.inputs,
-                    self.outputs, Point(point.time, after, point.inputs), rates[:n], rates[n:], self.units, self.method,
+                    self.outputs, Point(point.time, after, point.inputs), rates[:n], rates[n:], self.units, method,
                     tuple(notes),
                 )
             )  # fmt: skip

@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
@@ -24,6 +26,8 @@ from cosim.models.refined import names_refine, refined_file
 from cosim.registry import BASE, MODELS
 from cosim.simulation.single import start_pairs
 from cosim.yaml_file import did_you_mean
+
+IDLE = "moves nothing at this point: a dead band or a stop, perhaps"
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ def linearize(
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked)
+    notes += [f"{name} {IDLE}" for name in _idle(found)]
     if found[0].notes:
         notes += [n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in notes]
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
@@ -90,6 +95,12 @@ def linearize(
             with atomic_write(folder / "report.html") as stream:
                 stream.write(page(outcome))
     return outcome
+
+
+def _idle(found: Sequence[Linear]) -> list[str]:
+    """Inputs that change neither rates nor outputs at any of the points."""
+    sizes = [np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in found]
+    return [n for n, size in zip(found[0].inputs, np.max(sizes, axis=0).tolist(), strict=True) if size == 0.0]
 
 
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
