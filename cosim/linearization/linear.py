@@ -53,7 +53,7 @@ class Linear:
 
         return control.ss(
             self.A, self.B, self.C, self.D, states=list(self.states), inputs=list(self.inputs),
-            outputs=[f"{n}" for n in self.outputs], remove_useless_states=False,
+            outputs=list(self.outputs), remove_useless_states=False,
         )  # fmt: skip
 
     def unit(self, name: str) -> str:
