@@ -1,7 +1,8 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify` and `compare` are the verbs of the command
-line as functions, `read` reads what they left; each is imported when it is first asked for. docs/python.md shows them.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize` and `compare` are the verbs
+of the command line as functions, `read` reads what they left; each is imported when it is first asked for.
+docs/python.md shows them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from cosim.estimation.consistency import consistency
     from cosim.experiment.excite import excite
     from cosim.identification.workflow import identify
+    from cosim.linearization.workflow import linearize
     from cosim.models.fmus import build
     from cosim.simulation.export import export_ssp
 
@@ -25,6 +27,7 @@ __all__ = [
     "excite",
     "export_ssp",
     "identify",
+    "linearize",
     "read",
     "refine",
     "replay",
@@ -40,6 +43,7 @@ _PLACES = {
     "excite": "cosim.experiment.excite",
     "export_ssp": "cosim.simulation.export",
     "identify": "cosim.identification.workflow",
+    "linearize": "cosim.linearization.workflow",
     "read": "cosim.api",
     "refine": "cosim.api",
     "replay": "cosim.api",

@@ -84,9 +84,9 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case kinds.MODEL:
             read_model(path)
         case kinds.PROTOCOL:
-            from cosim.identification.protocol import read_protocol  # of the craft's bench: others do without
+            from cosim.identification.given import check_protocol  # of the craft's bench: others do without
 
-            read_protocol(path)
+            check_protocol(path)
         case kinds.STUDY:
             return [f"warning: {text}" for text in read_study(path).warnings]
         case None if root.keys() & {"model", "candidates"} and "step" not in root:

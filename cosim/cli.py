@@ -282,7 +282,8 @@ def excite(
 @app.command()
 def identify(
     protocol: Annotated[
-        Path, typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings.")
+        Path,
+        typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
     ],
     out: Out = Path("identified"),
     seed: Annotated[
@@ -290,14 +291,14 @@ def identify(
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
-    """Identify a power-train on a testing bench: powertrain.yaml, identify.json and report.html."""
+    """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
     from cosim.identification.workflow import identify as identify_bench
 
     with stages() as progress:
         outcome = identify_bench(protocol, out, progress, report=report, seed=seed)
     for line in outcome.sentences:
         say(line)
-    say(f"power-train: {out / 'powertrain.yaml'}, built by: cosim build --model {out / 'powertrain.yaml'}")
+    say(outcome.closing(out))
 
 
 @app.command()

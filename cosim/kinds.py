@@ -20,7 +20,7 @@ READ_BY = {
     SSP: "`cosim run {file}` runs it",
     SCENARIO: "`cosim run {file}` runs it",
     MANIFEST: "`cosim run {file}` repeats its run",
-    PROTOCOL: "`cosim identify {file}` identifies its power-train",
+    PROTOCOL: "`cosim identify {file}` identifies from it",
     STUDY: "`cosim refine {file}` refines its model",
     MODEL: "`cosim build --model {file}` builds its FMU, a study names it as model:",
     ANSWER: "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
@@ -50,7 +50,7 @@ def kind_by_keys(root: Any) -> str | None:
         return ANSWER
     if keys >= {"scenario", "schema_version"}:
         return MANIFEST
-    if keys >= {"cells", "tests"}:
+    if keys >= {"cells", "tests"} or (keys & {"rest", "distance"} and "logs" not in keys):
         return PROTOCOL
     if "components" in keys or "connections" in keys:
         return SCENARIO

@@ -63,7 +63,7 @@ def page(outcome: Outcome) -> str:
     )  # fmt: skip
 
 
-def _number(value: float, unit: str, like: float) -> str:
+def number(value: float, unit: str, like: float) -> str:
     """To as many digits as an interval of this half-width has a use for."""
     if not np.isfinite(value):
         return MISSING
@@ -76,10 +76,10 @@ def _number(value: float, unit: str, like: float) -> str:
 def _row(key: str, e: Estimate) -> Mapping[str, Any]:
     half = 0.5 * (e.high - e.low)
     return {
-        "name": e.name, "test": TITLES[key.partition(".")[0]], "value": _number(e.value, e.unit, half),
-        "interval": f"{_number(e.low, e.unit, half)} … {_number(e.high, e.unit, half)}",
-        "thesis": _number(e.thesis, e.unit, half), "truth": _number(e.truth, e.unit, half), "holds": e.holds,
-        "scatter": _number(e.scatter, e.unit, e.scatter), "calibration": _number(e.calibration, e.unit, e.calibration),
+        "name": e.name, "test": TITLES[key.partition(".")[0]], "value": number(e.value, e.unit, half),
+        "interval": f"{number(e.low, e.unit, half)} … {number(e.high, e.unit, half)}",
+        "thesis": number(e.thesis, e.unit, half), "truth": number(e.truth, e.unit, half), "holds": e.holds,
+        "scatter": number(e.scatter, e.unit, e.scatter), "calibration": number(e.calibration, e.unit, e.calibration),
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
     }  # fmt: skip
 
