@@ -21,6 +21,7 @@ from fmus.native.cache import fingerprint, kept
 from plant.model import Model
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.functions import Body
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import Language
 
 
@@ -161,7 +162,8 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
         if kind.late:
             continue  # it changes when readings were taken, not what they say
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
-        read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
+        with guarded(smooth=True):
+            read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
         body.outputs.update({name: sympy.sympify(e) for name, e in read.items()})
 
 

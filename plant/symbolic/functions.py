@@ -13,6 +13,7 @@ from typing import Any
 
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import Language
 from plant.symbolic.symbols import SymbolicModel, symbolic
 
@@ -48,12 +49,13 @@ class Body:
 
     @classmethod
     def of(cls, model: Model, *, effects: bool = True) -> Body:
-        """The body of a model, its Booleans as they are."""
+        """The body of a model, its Booleans as they are. Raises guard.OfNumbersOnly."""
         import sympy
 
         s = symbolic(model, effects=effects)
-        derivative, output = s.model.acting(SymbolNamespace())
-        rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
+        with guarded(smooth=True):
+            derivative, output = s.model.acting(SymbolNamespace())
+            rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
         return cls(
             s,
             {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)},
@@ -87,7 +89,8 @@ class Body:
             if effect.delay:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
-            shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
+            with guarded(smooth=True):
+                shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
             results = [sympy.sympify(e) for e in (*shaped, *memory)]
             names = [sympy.Symbol(f"s{len(stages)}_{k}", real=True) for k in range(len(results))]
             stages.append(dict(zip(names, results, strict=True)))
