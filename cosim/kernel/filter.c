@@ -33,10 +33,10 @@ static void transition(double h, const double *A, double *Phi)
         term[i] = A[i] * h;
         Phi[i] = (i % (NS + 1) == 0) + term[i];
     }
-    for (int order = 2; order <= 3; order++) {
-        multiply(term, A, next);
-        for (int i = 0; i < NS * NS; i++) Phi[i] += term[i] = next[i] * h / order;
-    }
+    multiply(term, A, next);
+    for (int i = 0; i < NS * NS; i++) Phi[i] += term[i] = next[i] * h / 2.0;
+    multiply(term, A, next);
+    for (int i = 0; i < NS * NS; i++) Phi[i] += next[i] * h / 3.0;
 }
 
 /* Over a whole step: the series is good for a substep, its power for the step. */
@@ -107,12 +107,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
             for (int i = 0; i < NS; i++) {
+                double less[NS + 1]; /* the same on both sides of the diagonal, and a division is dear */
                 moved[i] += PC[i] * e / s;
-                for (int l = 0; l <= i; l++) {
-                    const double less = PC[i] * PC[l] / s; /* a division is dear, and the same on both sides */
-                    P[NS * i + l] -= less;
-                    if (l < i) P[NS * l + i] -= less;
-                }
+                for (int l = 0; l <= i; l++) less[l] = PC[i] * PC[l] / s;
+                for (int l = 0; l <= i; l++) P[NS * i + l] -= less[l];
+                for (int l = 0; l < i; l++) P[NS * l + i] -= less[l];
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];

@@ -80,6 +80,7 @@ def generate(
     asked += srepr([list(stage.items()) for stage in body.shaping.stages])
     asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
     asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
+    asked += srepr([list(term.items()) for term in body.terms])
     made = (type(language).__name__, stochastic, fingerprint(("plant.symbolic", "cosim.kernel")))
     text: str = kept(f"{made} {asked}", lambda: _printed(body, language, (f, g), (stochastic, x), shapes))
     layout = Layout(

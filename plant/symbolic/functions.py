@@ -13,6 +13,7 @@ from typing import Any
 
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
+from plant.quantities import parameters_of
 from plant.symbolic.guard import guarded
 from plant.symbolic.languages import Language
 from plant.symbolic.symbols import SymbolicModel, symbolic
@@ -101,7 +102,16 @@ class Body:
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
     ) -> str:
         """`name(t, x, u, p, out)`, printed: expressions of time, state, command, parameters and what comes `before`."""
-        return language.function(name, "t x u p", expressions, self._places, before)
+        return language.function(name, "t x u p", expressions, self._places, before, self.terms)
+
+    @property
+    def terms(self) -> list[dict[Any, float]]:
+        """Of each effect, the parameters that make it dormant, and at which values."""
+        every = (
+            {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
+            for e in self.symbols.model.effects
+        )
+        return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
         """`name(u, memory, p, out)`, printed: the command that acts, then the memory after it."""
