@@ -364,10 +364,10 @@ def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters(
         (s2, (a - 1) * s1 + b),
         (s3, sympy.cos(x)),  # 1/cos: what 0 makes of it is not plain
         (None, a * s0 - s0 + b * s0**2 + s2),
-        (None, c / s3 + d * sympy.sin(x) + sympy.log(x)),
+        (None, c / s3 + d * sympy.sin(x) + c * x**3 + b * x**2 + sympy.log(x)),
     ]
     found = skippable(lines, [{a: 1.0}, {b: 0.0}, {c: 0.0}, {d: 0.0}])
-    assert found == {sympy.tanh(x): {a: 1.0, b: 0.0}, sympy.exp(x): {a: 1.0}, sympy.sin(x): {d: 0.0}}
+    assert found == {sympy.tanh(x): {a: 1.0, b: 0.0}, sympy.exp(x): {a: 1.0}, sympy.sin(x): {d: 0.0}, x**3: {c: 0.0}}
     assert skippable(lines, []) == {}
 
 

@@ -6,14 +6,13 @@
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
  * A reading that is older than its row by a part of it is held against g(x) less that part of what the last step changed it by.
  */
-/* Rows of b are added up so that a compiler can take several columns at once; Phi and A are mostly 0. */
+/* Rows of b are added up, so that a compiler can take several columns at once. */
 static void multiply(const double *a, const double *b, double *out)
 {
     for (int i = 0; i < NS; i++) {
         double row[NS + 1] = {0.0};
         for (int k = 0; k < NS; k++) {
             const double factor = a[NS * i + k];
-            if (factor == 0.0) continue;
             for (int j = 0; j < NS; j++) row[j] += factor * b[NS * k + j];
         }
         memcpy(out + NS * i, row, sizeof(double) * NS);

@@ -1,4 +1,4 @@
-"""Which sines and exponentials of printed code count for nothing while terms are dormant, so that they may be skipped.
+"""Which sines, exponentials and powers of printed code count for nothing while terms are dormant, so that they may be skipped.
 
 A term is dormant at its neutral values. A function that is then only multiplied by 0 need not be computed: 0 stands in
 its place, and no bit of any result differs.
@@ -13,6 +13,13 @@ Line = tuple[Any, Any]  # symbol that a common subexpression goes by, None of a 
 Term = Mapping[Any, float]  # symbols of the parameters of a term → neutral values
 
 COSTLY = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "asin", "acos", "atan", "atan2")
+
+CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents, which compilers know: products, quotients, roots
+
+
+def _costly(f: Any) -> bool:
+    """Whether a function, or a power, takes as long as a branch several times over."""
+    return type(f).__name__ in COSTLY or (f.is_Pow and f.exp not in CHEAP)
 
 
 def skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:
@@ -37,8 +44,8 @@ class _Lines:
 
         found: dict[Any, set[int] | None] = {}
         for symbol, e in self.lines:
-            for f in e.atoms(sympy.Function):
-                if type(f).__name__ not in COSTLY:
+            for f in e.atoms(sympy.Function, sympy.Pow):
+                if not _costly(f):
                     continue
                 place = sympy.Dummy(real=True)
                 needed = self._needed_by(symbol) if e == f else self._needed((symbol, e.xreplace({f: place})), place)
