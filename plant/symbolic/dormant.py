@@ -1,4 +1,4 @@
-"""Which sines, exponentials and powers of printed code count for nothing while terms are dormant, so that they may be skipped.
+"""Which sines, exponentials and powers of printed code count for nothing while terms are dormant, and may be skipped.
 
 A term is dormant at its neutral values. A function that is then only multiplied by 0 need not be computed: 0 stands in
 its place, and no bit of any result differs.
