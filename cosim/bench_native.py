@@ -45,15 +45,20 @@ connections:
 {links}"""
 LINKS = [("plant", name, "controller") for name in INPUTS["controller"]]
 LINKS += [("controller", name, "plant") for name in INPUTS["plant"]]
+FIGURES = (
+    "native_fmpy_over_ours",
+    "native_fmpy_over_ours_without_compiler",
+    "native_over_c",
+    "ecos_over_ours",
+    "python_over_native_plant",
+)
 Seconds = Callable[[], float]
 
 
 def native_figures(place: Path) -> dict[str, float | str]:
     """Each ratio by its name, or why there is none."""
-    names = ("native_fmpy_over_ours", "native_fmpy_over_ours_without_compiler", "native_over_c")
-    names += ("ecos_over_ours", "python_over_native_plant")
     if compiler() is None:
-        return dict.fromkeys(names, "no C compiler")
+        return dict.fromkeys(FIGURES, "no C compiler")
     build_native(place)
     links = "".join(f"  - {{from: {a}.{name}, to: {b}.{name}}}\n" for a, name, b in LINKS)
     scenario = place / "native.yaml"
@@ -65,13 +70,15 @@ def native_figures(place: Path) -> dict[str, float | str]:
             return loop_seconds(system, in_c=True)
 
         figures: dict[str, float | str] = {
-            names[0]: of_pairs(lambda: fmpy_seconds(craft), ours),
-            names[1]: of_pairs(lambda: fmpy_seconds(craft), lambda: loop_seconds(system, in_c=False)),
-            names[2]: of_pairs(ours, lambda: c_seconds(craft)),
-            names[4]: python_over_native_plant(place, craft["plant"]),
+            "native_fmpy_over_ours": of_pairs(lambda: fmpy_seconds(craft), ours),
+            "native_fmpy_over_ours_without_compiler": of_pairs(
+                lambda: fmpy_seconds(craft), lambda: loop_seconds(system, in_c=False)
+            ),
+            "native_over_c": of_pairs(ours, lambda: c_seconds(craft)),
+            "python_over_native_plant": python_over_native_plant(place, craft["plant"]),
         }
-    figures[names[3]] = ecos_over_ours(place, ours)
-    return {name: figures[name] for name in names}
+    figures["ecos_over_ours"] = ecos_over_ours(place, ours)
+    return {name: figures[name] for name in FIGURES}
 
 
 def of_pairs(one: Seconds, other: Seconds) -> float:
