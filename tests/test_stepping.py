@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from cosim.bench_native import native_figures
 from cosim.blocks.description import read_description
 from cosim.blocks.faults import disturbed
 from cosim.blocks.fmi import EXCHANGE, STEP2
@@ -460,3 +461,12 @@ def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
     with pytest.raises(KeyboardInterrupt):
         block.came_to(1.0)
     block.came_to(1.0)
+
+
+def test_the_benchs_native_lines_say_so_where_there_is_no_compiler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", "none")
+    figures = native_figures(tmp_path)
+    assert "native_over_c" in figures
+    assert set(figures.values()) == {"no C compiler"}
