@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from array import array
 
 import numpy as np
 
@@ -13,7 +14,6 @@ def stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, key])
 
 
-def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
     """`count` samples of bias + √variance·n, n standard normal, in the unit of the signal."""
-    samples: list[float] = (bias + np.sqrt(variance) * rng.standard_normal(count)).tolist()
-    return samples
+    return array("d", (bias + np.sqrt(variance) * rng.standard_normal(count)).tobytes())
