@@ -6,6 +6,8 @@ import hashlib
 
 import numpy as np
 
+from cosim.arrays import Array
+
 
 def stream(seed: int, name: str) -> np.random.Generator:
     """A random stream of its own for each noise source: adding a source changes no other."""
@@ -13,7 +15,13 @@ def stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, key])
 
 
-def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
+def samples_of(rng: np.random.Generator, variance: float, bias: float, count: int) -> Array:
     """`count` samples of bias + √variance·n, n standard normal, in the unit of the signal."""
-    samples: list[float] = (bias + np.sqrt(variance) * rng.standard_normal(count)).tolist()
+    samples: Array = bias + np.sqrt(variance) * rng.standard_normal(count)
+    return samples
+
+
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
+    """The same as a list of floats, for a loop in Python."""
+    samples: list[float] = samples_of(rng, variance, bias, count).tolist()
     return samples

@@ -25,7 +25,7 @@ class Source:
         self.exact_inputs: tuple[Signal, ...] = ()
         self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
-        self._functions = tuple(function for _, function in signals.values())
+        self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
@@ -44,7 +44,7 @@ class Source:
         pass
 
     def get(self) -> None:
-        for k, function in enumerate(self._functions, self._first):
+        for k, function in enumerate(self.functions, self._first):
             self._row[k] = function(self._t)
 
     def advance(self, t: float, h: float) -> None:
