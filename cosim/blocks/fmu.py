@@ -82,7 +82,7 @@ class FmuBlock:
         solver: Solver | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
-        self.start_values = start
+        self.start_values, self.connected = start, connected
         self._made_of = (
             partial(
                 type(self),
@@ -116,6 +116,11 @@ class FmuBlock:
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process makes its own of the same."""
         return self._made_of
+
+    def started_from(self, start: Mapping[str, Any]) -> FmuBlock:
+        """Another instance, with these start values."""
+        make, (name, path, description, _, connected) = self._made_of
+        return make(name, path, description, start, connected)
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
