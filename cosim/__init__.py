@@ -1,6 +1,6 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify` and `compare` are the verbs of the command
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `compare` and `sweep` are the verbs of the command
 line as functions, `read` reads what they left; each is imported when it is first asked for. docs/python.md shows them.
 """
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cosim.identification.workflow import identify
     from cosim.models.fmus import build
     from cosim.simulation.export import export_ssp
+    from cosim.sweeps.workflow import sweep
 
 __all__ = [
     "build",
@@ -28,6 +29,7 @@ __all__ = [
     "replay",
     "run",
     "simulate",
+    "sweep",
 ]
 
 _PLACES = {
@@ -42,6 +44,7 @@ _PLACES = {
     "replay": "cosim.api",
     "run": "cosim.api",
     "simulate": "cosim.api",
+    "sweep": "cosim.sweeps.workflow",
 }
 
 

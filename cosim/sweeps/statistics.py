@@ -45,16 +45,18 @@ def quantiles(values: Array) -> Array:
 class Sensitivity:
     """How much an outcome depends on each factor, most important first.
 
-    first:     share of the variance that each makes alone (first-order index), and its half-width at 95 %
-    other:     of each the total Sobol index where the sampling allows it, else Borgonovo's delta; and its half-width
-    is_total:  which of the two
+    first:    share of the variance that each makes alone (first-order index), and its half-width at 95 %
+    total:    likewise with all that it does together with others; only of a sampling that allows it
+    pawn:     without that, how far the distribution of the outcome moves with the factor (PAWN, median of 10 slices)
+    chance:   what PAWN gives of a factor that does nothing
     """
 
     outcome: str
     factors: tuple[str, ...]
     first: tuple[tuple[float, float], ...]
-    other: tuple[tuple[float, float], ...]
-    is_total: bool
+    total: tuple[tuple[float, float], ...] = ()
+    pawn: tuple[float, ...] = ()
+    chance: float = 0.0
 
 
 def sensitivity(
@@ -69,27 +71,43 @@ def sensitivity(
     spread = np.ptp(values[good]) if good.any() else 0.0
     if not varied or good.sum() < FEWEST or spread <= 1e-12 * np.max(np.abs(values[good])):
         return None
-    X = np.column_stack(list(varied.values()))
-    problem = {"num_vars": len(varied), "names": list(varied), "bounds": [[c.min(), c.max()] for c in X.T]}
+    names, X = list(varied), np.column_stack(list(varied.values()))
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         if saltelli and good.all():
-            from SALib.analyze import sobol
+            return _sobol(outcome, values, names, X, seed)
+        rows = np.flatnonzero(good)
+        if rows.size > MOST:
+            rows = np.sort(np.random.default_rng(seed).choice(rows, MOST, replace=False))
+        return _given(outcome, values[rows], names, X[rows], seed)
 
-            found = sobol.analyze(problem, values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
-            first, other, is_total = (found["S1"], found["S1_conf"]), (found["ST"], found["ST_conf"]), True
-        else:
-            from SALib.analyze import delta
 
-            rows = np.flatnonzero(good)
-            if rows.size > MOST:
-                rows = np.sort(np.random.default_rng(seed).choice(rows, MOST, replace=False))
-            found = delta.analyze(problem, X[rows], values[rows], num_resamples=RESAMPLES, seed=seed)
-            first, other, is_total = (found["S1"], found["S1_conf"]), (found["delta"], found["delta_conf"]), False
-    order = np.argsort(-np.asarray(other[0]))
-    names = list(varied)
-    pairs = [tuple((float(p[0][k]), float(p[1][k])) for k in order) for p in (first, other)]
-    return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], pairs[1], is_total)
+def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
+    """Sobol indices, of runs that were drawn for them."""
+    from SALib.analyze import sobol
+
+    found = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
+    order = np.argsort(-np.asarray(found["ST"]))
+    pairs = [tuple((float(found[n][k]), float(found[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
+    return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], total=pairs[1])
+
+
+def _given(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
+    """Of any runs: RBD-FAST, and PAWN with a factor more that does nothing."""
+    from SALib.analyze import pawn, rbd_fast
+
+    first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
+    idle = np.random.default_rng([seed, 1]).random((len(X), 1))
+    both = np.hstack((X, idle))
+    moved = np.asarray(pawn.analyze(_problem([*names, ""], both), both, values, seed=seed)["median"], float)
+    order = np.argsort(-moved[:-1])
+    pairs = tuple((float(first["S1"][k]), float(first["S1_conf"][k])) for k in order)
+    shown = tuple(float(moved[k]) for k in order)
+    return Sensitivity(outcome, tuple(names[k] for k in order), pairs, pawn=shown, chance=float(moved[-1]))
+
+
+def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:
+    return {"num_vars": len(names), "names": list(names), "bounds": [[c.min(), c.max()] for c in X.T]}
 
 
 def _numbers(values: Sequence[Any]) -> bool:
