@@ -47,7 +47,12 @@ def most_at_once(system: System, steps: int, kept: int) -> int:
 
 
 def run_batch(
-    system: System, kinds: Mapping[str, Kind], steps: int, h: float, starts: Sequence[Starts], seeds: Sequence[int],
+    system: System,
+    kinds: Mapping[str, Kind],
+    steps: int,
+    h: float,
+    starts: Sequence[Starts],
+    seeds: Sequence[int],
     kept: Sequence[int],
 ) -> Array:
     """Rows of the signals in the places `kept`, shape (steps + 1, kept, runs); NaN and infinity where a run fails.

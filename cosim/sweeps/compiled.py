@@ -1,4 +1,4 @@
-"""The equations of a model printed as C for many runs at once, and compiled; the same equations, by the one generator."""
+"""The equations of a model printed as C for many runs at once, by the one generator, and compiled."""
 
 from __future__ import annotations
 
@@ -70,10 +70,6 @@ def _of(effect: Any, model: Any) -> list[str]:
     return [name for name in model.declared if name.startswith(f"{effect.name}.")]
 
 
-class _Switches(dict[str, bool]):
-    """Booleans by name; hashable where a cache needs it."""
-
-
 @cache
 def _compiled(source: str) -> Any:
     library = loaded(source)
@@ -112,7 +108,13 @@ def _printed(model: Any, awake: tuple[str, ...], flags: dict[str, bool]) -> tupl
         functions = "\n".join(
             body.function(language, name, of) for name, of in (("deriv", derivative), ("measure", outputs))
         )
-        sizes = {"W": WIDTH, "NX": len(derivative), "NU": len(body.symbols.command), "NY": len(outputs), "NP": len(names)}
+        sizes = {
+            "W": WIDTH,
+            "NX": len(derivative),
+            "NU": len(body.symbols.command),
+            "NY": len(outputs),
+            "NP": len(names),
+        }
         defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
         return defined + SOURCE.read_text(encoding="utf-8").replace("/*LANES*/", functions)
 

@@ -46,14 +46,14 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
         if not deviation > 0:
             raise ValueError(f"a standard deviation of {deviation:g} is none; give one above 0")
         if within is None:
-            return lambda u: norm.ppf(u, mean, deviation)  # type: ignore[no-any-return]
+            return lambda u: norm.ppf(u, mean, deviation)
         low, high = within
         if not low < high:
             raise ValueError(f"within {low:g} … {high:g} there is nothing; write the lower end first")
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
             raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
-        return lambda u: truncnorm.ppf(u, a, b, mean, deviation)  # type: ignore[no-any-return]
+        return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     low, high = numbers[0], numbers[-1]
     if not low < high:
         raise ValueError(f"between {low:g} and {high:g} there is nothing; write the lower end first")
@@ -62,7 +62,7 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     if way == "triangular":
         if not low <= numbers[1] <= high:
             raise ValueError(f"the most likely, {numbers[1]:g}, is not between {low:g} and {high:g}")
-        return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)  # type: ignore[no-any-return]
+        return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
         raise ValueError(f"the logarithm of {low:g} is none; give ends above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
@@ -118,4 +118,3 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
         warnings.simplefilter("ignore", UserWarning)
         points: Array = kind(count, seed=rng).random(rows)
     return np.clip(points, 1e-12, 1.0 - 1e-12)
-

@@ -1,4 +1,4 @@
-"""Reading a sweep: its file, the scenario that it names, what varies; every fault with its place, before anything runs."""
+"""Reading a sweep: its file, its scenario, what varies; every fault with its place, before anything runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import resolve_scenario
 from cosim.simulation.scenario import Scenario, resolved
 from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.start_values import Misfit, kind_of as kind_of_variable, settable, typed
+from cosim.simulation.start_values import Misfit, settable, typed
+from cosim.simulation.start_values import kind_of as kind_of_variable
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.design import MOST_RUNS, Factor, columns_of, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.runs import Asked, Job
@@ -113,7 +114,10 @@ def read_sweep(path: Path) -> Sweep:
 
 def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -> list[Fault]:
     """Faults of `set` and `vary` at their places in the sweep; those of the scenario's file stay at theirs."""
-    return [f if f.line and f.file != yaml.path else yaml.fault(where, f.message, exit_code=f.exit_code) for f in error.faults]
+    return [
+        f if f.line and f.file != yaml.path else yaml.fault(where, f.message, exit_code=f.exit_code)
+        for f in error.faults
+    ]
 
 
 def _named(path: Path, name: str, value: Any) -> Any:
@@ -154,11 +158,15 @@ class _Reading:
             largest = max(listed, key=lambda n: listed[n], default=None)
             in_list = largest is not None and (not sampled or listed[largest] > self.file.runs)
             where: Location = ("vary", str(largest)) if in_list else ("runs",)
-            message = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            message = (
+                f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            )
             raise InputError([self.yaml.fault(where, message, key=in_list)])
         if self.file.sampling == "saltelli":
             if not sampled or listed:
-                message = "saltelli needs distributions, and nothing listed; vary by distributions, or take another sampling"
+                message = (
+                    "saltelli needs distributions, and nothing listed; vary by distributions, or take another sampling"
+                )
                 self.faults.append(self.yaml.fault(("sampling",), message))
             elif not saltelli_base(self.file.runs, len(sampled)):
                 self.faults.append(self.yaml.fault(("runs",), f"saltelli needs {len(sampled) + 2} runs at least"))
@@ -270,11 +278,14 @@ class _Reading:
             if any(isinstance(e, (bool, str)) or e is None for e in ends):
                 self._not_numbers(name, way, ends)
                 return None
-            return Factor(name, unit, np.linspace(*ends, varied.grid.count).tolist())
+            return Factor(name, unit, np.linspace(ends[0], ends[1], varied.grid.count).tolist())
         given = getattr(varied, way)
         numbers = [v if (way, k) == ("normal", 1) else value((way, k), v) for k, v in enumerate(given)]
         within = None if varied.within is None else [value(("within", k), v) for k, v in enumerate(varied.within)]
-        if any(isinstance(e, (bool, str, int)) and not isinstance(e, float) or e is None for e in (*numbers, *(within or ()))):
+        if any(
+            (isinstance(e, (bool, str, int)) and not isinstance(e, float)) or e is None
+            for e in (*numbers, *(within or ()))
+        ):
             self._not_numbers(name, way, [*numbers, *(within or ())])
         if any(isinstance(e, (bool, str)) or e is None for e in (*numbers, *(within or ()))):
             return None

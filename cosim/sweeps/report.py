@@ -80,17 +80,19 @@ def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
 
 
 def _factors(swept: Swept) -> list[Mapping[str, str]]:
-    found = []
+    found: list[Mapping[str, str]] = []
     for factor in swept.sweep.factors:
         varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
         given: Any = getattr(varied, varied.way)
         said = given.model_dump(by_alias=True) if hasattr(given, "model_dump") else given
-        text = ", ".join(map(str, said[:8])) + (", …" if len(said) > 8 else "") if isinstance(said, list | tuple) else said
+        text = (
+            ", ".join(map(str, said[:8])) + (", …" if len(said) > 8 else "") if isinstance(said, list | tuple) else said
+        )
         if isinstance(said, dict):
             text = ", ".join(f"{key} {value}" for key, value in said.items())
         found.append({
             "name": factor.name, "unit": factor.unit, "way": varied.way.replace("_", " "), "said": str(text),
-            "values": counted(len(set(map(str, values))), "value"),
+            "different": counted(len(set(map(str, values))), "value"),
         })  # fmt: skip
     return found
 

@@ -147,8 +147,8 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
         except (ArithmeticError, ValueError, KeyError, TypeError):  # whatever a model does on arrays
             found += [_by_fmus(job, prepared, one) for one in some]
             continue
-        time = prepared.system.start + h * np.arange(steps + 1)
-        finite = np.isfinite(table).all(axis=(0, 1))
+        time = prepared.system.start + h * np.arange(steps + 1, dtype=np.float64)
+        finite: list[bool] = np.isfinite(table).all(axis=(0, 1)).tolist()  # type: ignore[union-attr]
         for k, one in enumerate(some):
             if finite[k]:
                 values = np.ascontiguousarray(table[:, :, k])

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
 MADE, CHECKED = "made", "checked"
+COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
 
 
 class Database:
@@ -31,12 +32,13 @@ class Database:
             self._base = sqlite3.connect(self.path)
             self._base.execute("PRAGMA synchronous = NORMAL")
             for table in (MADE, CHECKED):
-                columns = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
-                self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({columns})")
+                self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
             self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
             self._base.commit()
         except sqlite3.Error as error:
-            raise InputError([Fault(self.path, 0, 0, f"is no database of a sweep: {error}; --force begins anew")]) from None
+            raise InputError(
+                [Fault(self.path, 0, 0, f"is no database of a sweep: {error}; --force begins anew")]
+            ) from None
         before = self.get("key")
         if before is not None and before != key:
             self._base.close()
@@ -78,7 +80,9 @@ class Database:
     def runs(self, table: str = MADE) -> list[Made]:
         """All of them, in order."""
         found = []
-        for run, status, through, figures, met, signals, rows in self._base.execute(f"SELECT * FROM {table} ORDER BY run"):
+        for run, status, through, figures, met, signals, rows in self._base.execute(
+            f"SELECT * FROM {table} ORDER BY run"
+        ):
             shaped = np.frombuffer(signals).reshape(rows, -1) if rows else np.empty((0, 0))
             values = tuple(np.frombuffer(figures).tolist())
             found.append(Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through))

@@ -182,7 +182,9 @@ class _ModelKind:
 
     def pattern(self, given: Given) -> Hashable:
         """Which effects act, and what is no number."""
-        awake = {name.partition(".")[0] for name, neutral in self.neutral.items() if given.get(name, neutral) != neutral}
+        awake = {
+            name.partition(".")[0] for name, neutral in self.neutral.items() if given.get(name, neutral) != neutral
+        }
         return frozenset(awake), tuple(sorted((n, v) for n, v in given.items() if isinstance(v, (bool, str))))
 
     def make(self, given: Given, count: int) -> Twin:

@@ -40,7 +40,7 @@ class Makers(Protocol):
 
 
 def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
-    """Make runs in a worker process, which is kept for the next; one that ends it has failed, the others are made again."""
+    """Make runs in a worker process, which is kept for the next; a run that ends it has failed."""
     with _lock:
         worker = _idle.pop() if _idle else None
         if worker is None:
@@ -173,11 +173,12 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
         raise InputError([place(message)]) from None
     with client:
         if not client.nthreads():
-            raise InputError([place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")])
+            raise InputError(
+                [place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")]
+            )
         yield client
 
 
 def fault_of(yaml: YamlFile, given: str | None) -> Callable[[str], Fault]:
     """Where the fault of an address stands: in the file, or in the option."""
     return lambda text: yaml.fault(("dask",), text) if given is None else Fault(Path("--dask"), 0, 0, text)
-

@@ -1,4 +1,4 @@
-"""`cosim sweep`, in order: file → design → a check of arrays against FMUs → runs → sweep.parquet, sweep.json, report."""
+"""`cosim sweep`, in order: file → design → arrays checked against FMUs → runs → sweep.parquet, sweep.json, report."""
 
 from __future__ import annotations
 
@@ -141,12 +141,17 @@ class _Sweep:
             message = f"{there} of {counted(self.study.count, 'run')} are kept in {self.base.path}"
             error = SweepStopped(f"stopped: {message}; the same command goes on with them")
             if isinstance(stop, Terminated):
-                error.exit_code = Terminated.exit_code  # type: ignore[misc]
+                error.exit_code = Terminated.exit_code
             raise error from None
         runs = self.base.runs()
         record = self._record(runs, way, why)
         names = [c["name"] for c in record["criteria"]]
-        about = {"key": self.study.key, "times": record["times"], "units": record["units"], "signals": self.study.job.signals}
+        about = {
+            "key": self.study.key,
+            "times": record["times"],
+            "units": record["units"],
+            "signals": self.study.job.signals,
+        }
         write_table(self.folder / TABLE, runs, self.study.columns, names, self.study.job.signals, about)
         with atomic_write(self.folder / RECORD) as stream:
             json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
@@ -255,10 +260,8 @@ class _Sweep:
                 shown = replace(one, signals=one.signals[np.ix_(columns, at[1])])
                 apart = max(apart, _apart(replace(kept, signals=kept.signals[:, at[0]]), shown))
         agree = "agree" if apart <= EQUAL else "DO NOT AGREE"
-        sentence = (
-            f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}: at most {plain(apart, 2)} apart, "
-            f"of max(1, largest value); {plain(EQUAL, 1)} is allowed"
-        )
+        repeated = f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}"
+        sentence = f"{repeated}: at most {plain(apart, 2)} of max(1, largest value) apart; {plain(EQUAL, 1)} is allowed"
         return {"runs": len(checked), "apart": apart, "sentence": sentence}
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import MANNER, Force, Json, Open, progress_bar, say, say_json, say_more, show, warn
+from cosim.verbs.terminal import MANNER, Json, Open, progress_bar, say, say_json, say_more, show, warn
 
 EVERY = 10.0  # [s] between lines of those who asked for more
 

@@ -117,7 +117,7 @@ class Lanes(C):
                 *branches, last = e.args
                 if last[1] != True:  # noqa: E712 - sympy's own
                     raise Unprintable("a branch without an otherwise")
-                text = self._print(last[0])
+                text = str(self._print(last[0]))
                 for value, condition in reversed(branches):
                     text = f"chosen({self._print(condition)}, {self._print(value)}, {text})"
                 return text
