@@ -110,6 +110,7 @@ class FmuBlock:
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
+        self._unpacked: Path | None = None
         self._initialized = False
         self._time = 0.0
 
@@ -117,10 +118,12 @@ class FmuBlock:
         """Another process makes its own of the same."""
         return self._made_of
 
-    def started_from(self, start: Mapping[str, Any]) -> FmuBlock:
-        """Another instance, with these start values."""
+    def started_from(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
+        """Another instance, with these start values; `unpacked`: where the FMU lies already, which stays as it is."""
         make, (name, path, description, _, connected) = self._made_of
-        return make(name, path, description, start, connected)
+        block = make(name, path, description, start, connected)
+        block._unpacked = unpacked
+        return block
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
@@ -264,7 +267,7 @@ class FmuBlock:
 
     def close(self) -> None:
         self._unload()
-        if self._folder is not None:
+        if self._folder is not None and self._folder != self._unpacked:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
@@ -275,6 +278,9 @@ class FmuBlock:
     # -- life ---------------------------------------------------------------------------------
 
     def _unpack(self) -> None:
+        if self._unpacked is not None:
+            self._folder = self._unpacked
+            return
         self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
             unpack(self.path, self._folder)

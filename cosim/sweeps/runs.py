@@ -26,6 +26,7 @@ from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.batch import Starts, kinds_of, most_at_once, run_batch
+from cosim.sweeps.twins import unpacked
 
 Way = Literal["arrays", "fmus"]
 MOST_ROWS = 2000  # of a run that are compared with another's
@@ -86,7 +87,9 @@ class _Prepared:
         for stage in self.system.stages:
             component, own = stage.component, asked.starts.get(stage.component.name)
             if isinstance(component, FmuBlock):  # each run has an instance of its own
-                component = component.started_from({**component.start_values, **(own or {})})
+                # those in Python share nothing but their code; of others a library may keep what a run left in it
+                place = unpacked(component.path) if component.nominal_step else None
+                component = component.started_from({**component.start_values, **(own or {})}, place)
             stages.append(replace(stage, component=component))
         return replace(self.system, stages=tuple(stages), seed=self._seed(asked))
 
@@ -148,7 +151,7 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
             found += [_by_fmus(job, prepared, one) for one in some]
             continue
         time = prepared.system.start + h * np.arange(steps + 1, dtype=np.float64)
-        finite: list[bool] = np.isfinite(table).all(axis=(0, 1)).tolist()  # type: ignore[union-attr]
+        finite = [bool(np.isfinite(table[:, :, k]).all()) for k in range(len(some))]
         for k, one in enumerate(some):
             if finite[k]:
                 values = np.ascontiguousarray(table[:, :, k])

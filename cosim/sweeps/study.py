@@ -104,7 +104,7 @@ class SweepFile(Part):
     name: str | None = None
     description: str = ""
     scenario: str
-    set: dict[str, Scalar] = Field(default_factory=dict)
+    set: dict[str, Any] = Field(default_factory=dict)
     vary: dict[str, Varied] = Field(min_length=1)
     sampling: Literal["latin-hypercube", "sobol", "random", "saltelli"] = "latin-hypercube"
     runs: Count = 100

@@ -123,7 +123,7 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
             script = archive.read("resources/slavemodule.txt").decode().strip()
     except (OSError, KeyError, ValueError, zipfile.BadZipFile):
         return _known_model(name)
-    folder = _resources(path)
+    folder = unpacked(path) / "resources"
     if not (folder / script.removesuffix("_slave") / "plant" / "integrate.py").is_file():
         return None  # of somebody else
     sys.path.insert(0, str(folder))
@@ -141,12 +141,13 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
         sys.path.remove(str(folder))
 
 
-def _resources(path: Path) -> Path:
-    """Where an FMU's resources are unpacked, as long as this process lives."""
+@cache
+def unpacked(path: Path) -> Path:
+    """Where an FMU is unpacked as long as this process lives."""
     kept = tempfile.TemporaryDirectory(prefix="cosim-fmu-", ignore_cleanup_errors=True)
     _KEPT.append(kept)
     unpack(path, Path(kept.name))
-    return Path(kept.name) / "resources"
+    return Path(kept.name)
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
@@ -223,9 +224,11 @@ class _ModelTwin:
             row[:] = value
 
     def advance(self, t: float, h: float) -> None:
+        # what remembers commands keeps them, and the rows change
+        command = tuple(row.copy() for row in self.command) if self.memory else self.command
         if self.compiled is None:
             moment = self._moment(t)
-            after = self.stepper.step(moment, self.command, h)
+            after = self.stepper.step(moment, command, h)
             for row, value in zip(self.state, after.state, strict=True):
                 row[:] = value
             self.memory, self.t = after.memory, after.t
@@ -238,7 +241,7 @@ class _ModelTwin:
         else:  # what shapes a command does so substep by substep
             acting = np.empty(self.inputs.shape)
             for k in range(n):
-                shaped, self.memory = self.stepper.shape(t + k * dt, dt, self.command, self.memory)
+                shaped, self.memory = self.stepper.shape(t + k * dt, dt, command, self.memory)
                 for row, value in zip(acting, shaped, strict=True):
                     row[:] = value
                 self.compiled.step(t + k * dt, dt, 1, self.state, acting, None)
