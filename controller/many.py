@@ -37,8 +37,8 @@ class Controllers:
         """Runs of one estimator are made together."""
         return given.get("estimator")
 
-    def make(self, given: Mapping[str, Any], count: int) -> ManyLoops:
-        """The controllers of so many runs."""
+    def make(self, given: Mapping[str, Any], count: int, *, compiled: bool) -> ManyLoops:
+        """The controllers of so many runs; matrices need no compiler."""
         return ManyLoops(given, count, self.order)
 
 

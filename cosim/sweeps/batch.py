@@ -7,6 +7,7 @@ steps and is read; steps are counted. No run's values reach another's.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,48 +47,54 @@ def most_at_once(system: System, steps: int, kept: int) -> int:
     return max(WIDTH, min(1024, LIMIT // (8 * (steps + 1) * (kept + noisy + 1)) // WIDTH * WIDTH))
 
 
-def run_batch(
-    system: System,
-    kinds: Mapping[str, Kind],
-    steps: int,
-    h: float,
-    starts: Sequence[Starts],
-    seeds: Sequence[int],
-    kept: Sequence[int],
-) -> Array:
-    """Rows of the signals in the places `kept`, shape (steps + 1, kept, runs); NaN and infinity where a run fails.
+@dataclass(frozen=True)
+class Batch:
+    """What is the same for all runs: the system, how its twins are made, steps and their length [s].
 
-    starts: of each run the start values of each component, all of them
-    """  # fmt: skip
-    table = np.empty((steps + 1, len(kept), len(starts)))
-    groups: dict[Any, list[int]] = {}
-    for k, start in enumerate(starts):
-        pattern = tuple(kind.pattern(start.get(name, {})) for name, kind in kinds.items())
-        groups.setdefault(pattern, []).append(k)
-    with np.errstate(all="ignore"):
-        for members in groups.values():
-            one = _Together(system, kinds, [starts[k] for k in members], [seeds[k] for k in members], steps, h)
-            table[:, :, members] = one.rows(kept)
-    return table
+    compiled: equations are compiled, where they can be
+    """
+
+    system: System
+    kinds: Mapping[str, Kind]
+    steps: int
+    h: float
+    compiled: bool = True
+
+    def run(self, starts: Sequence[Starts], seeds: Sequence[int], kept: Sequence[int]) -> Array:
+        """Rows of the signals in the places `kept`, shape (steps + 1, kept, runs); NaN and infinity where a run fails.
+
+        starts: of each run the start values of each component, all of them
+        """
+        table = np.empty((self.steps + 1, len(kept), len(starts)))
+        groups: dict[Any, list[int]] = {}
+        for k, start in enumerate(starts):
+            pattern = tuple(kind.pattern(start.get(name, {})) for name, kind in self.kinds.items())
+            groups.setdefault(pattern, []).append(k)
+        with np.errstate(all="ignore"):
+            for members in groups.values():
+                one = _Together(self, [starts[k] for k in members], [seeds[k] for k in members])
+                if len(groups) == 1:
+                    return one.rows(kept)
+                table[:, :, members] = one.rows(kept)
+        return table
 
 
 class _Together:
     """Runs whose effects are awake alike."""
 
-    def __init__(
-        self, system: System, kinds: Mapping[str, Kind], starts: Sequence[Starts], seeds: Sequence[int], steps: int,
-        h: float,
-    ) -> None:  # fmt: skip
+    def __init__(self, batch: Batch, starts: Sequence[Starts], seeds: Sequence[int]) -> None:
         count = len(starts)
         padded = -(-count // WIDTH) * WIDTH
         starts = [*starts, *[starts[-1]] * (padded - count)]
-        self.system, self.steps, self.h, self.count = system, steps, h, count
+        self.system, self.steps, self.h, self.count = batch.system, batch.steps, batch.h, count
+        system = batch.system
         self.row = np.zeros((len(system.columns), padded))
         self.twins: list[tuple[str, Twin]] = []
         first = {name: k for k, name in reversed([*enumerate(c.partition(".")[0] for c in system.columns)])}
         for stage in system.stages:
             c = stage.component
-            twin = kinds[c.name].make(merged([start.get(c.name, {}) for start in starts]), padded)
+            given = merged([start.get(c.name, {}) for start in starts])
+            twin = batch.kinds[c.name].make(given, padded, compiled=batch.compiled)
             at = first.get(c.name, 0)
             split, end = at + len(c.inputs), at + len(c.inputs) + len(c.outputs)
             twin.begin(self.row[at:split], self.row[split:end], system.start)

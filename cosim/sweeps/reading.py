@@ -31,6 +31,7 @@ from cosim.yaml_file import YamlFile, did_you_mean, short
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # the same for all runs
 FILES = ("fmu", "file", "model")  # last keys of paths whose values are names of files
 MOST_TRIED = 50  # values of a path that are tried before anything runs
+WORTH_COMPILING = 300_000  # steps of all runs: it takes a second or two, a step on arrays some 5 µs
 MOST_SIGNALS = 8  # kept where nobody says which
 Location = tuple[str | int, ...]
 
@@ -107,7 +108,8 @@ def read_sweep(path: Path) -> Sweep:
     if faults := list(reading.drawn_faults(factors, columns)):
         raise InputError(faults)
     signals = tuple(file.signals) or _signals(scenario.scenario, system)
-    job = Job(scenario_path.resolve(), overrides, signals, file.samples)
+    compiled = len(next(iter(columns.values()))) * scenario.scenario.steps >= WORTH_COMPILING
+    job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled)
     made_of = resolved(resolve_scenario(scenario, designed, system))
     return Sweep(yaml, file, scenario.scenario, system, tuple(factors), columns, job, made_of)
 

@@ -25,7 +25,7 @@ from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
-from cosim.sweeps.batch import Starts, kinds_of, most_at_once, run_batch
+from cosim.sweeps.batch import Batch, Starts, kinds_of, most_at_once
 from cosim.sweeps.twins import unpacked
 
 Way = Literal["arrays", "fmus"]
@@ -37,7 +37,8 @@ SYSTEMS = 16  # that a worker keeps put together
 class Job:
     """What is the same for all runs: the scenario, what is set over it, signals kept and how many times of each.
 
-    whole: every signal is kept, at more times: to compare runs made in two ways
+    whole:    every signal is kept, at more times: to compare runs made in two ways
+    compiled: equations on arrays are compiled, where they can be
     """
 
     scenario: Path
@@ -45,6 +46,7 @@ class Job:
     signals: tuple[str, ...]
     samples: int
     whole: bool = False
+    compiled: bool = True
 
 
 @dataclass(frozen=True)
@@ -140,13 +142,14 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
     columns = _needed(job, prepared)
     places = [prepared.system.columns.index(c) for c in columns]
     steps, h = prepared.scenario.steps, prepared.scenario.step
+    batch = Batch(prepared.system, kinds, steps, h, job.compiled)
     most = most_at_once(prepared.system, steps, len(columns))
     found: list[Made] = []
     for first in range(0, len(asked), most):
         some = asked[first : first + most]
         starts, seeds = [prepared.starts(one) for one in some], [prepared._seed(one) for one in some]
         try:
-            table = run_batch(prepared.system, kinds, steps, h, starts, seeds, places)
+            table = batch.run(starts, seeds, places)
         except (ArithmeticError, ValueError, KeyError, TypeError):  # whatever a model does on arrays
             found += [_by_fmus(job, prepared, one) for one in some]
             continue

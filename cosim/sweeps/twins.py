@@ -51,8 +51,8 @@ class Kind(Protocol):
     def pattern(self, given: Given) -> Hashable:
         """Runs whose patterns are equal are made together; of a run's values."""
 
-    def make(self, given: Given, count: int) -> Twin:
-        """A twin of so many runs."""
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+        """A twin of so many runs; `compiled`: where it can be."""
 
 
 def kind_of(component: Component) -> Kind | None:
@@ -87,7 +87,7 @@ class _SourceKind:
     def pattern(self, given: Given) -> Hashable:
         return ()
 
-    def make(self, given: Given, count: int) -> Twin:
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
         return _SourceTwin(self.source)
 
 
@@ -188,13 +188,13 @@ class _ModelKind:
         }
         return frozenset(awake), tuple(sorted((n, v) for n, v in given.items() if isinstance(v, (bool, str))))
 
-    def make(self, given: Given, count: int) -> Twin:
-        return _ModelTwin(self, given, count)
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+        return _ModelTwin(self, given, compiled)
 
 
 class _ModelTwin:
-    def __init__(self, kind: _ModelKind, given: Given, count: int) -> None:
-        self.kind, self.count = kind, count
+    def __init__(self, kind: _ModelKind, given: Given, compiled: bool) -> None:
+        self.kind, self.to_compile = kind, compiled
         names = {q.name for q in kind.model.inputs}
         starts = {n.removesuffix("_start"): v for n, v in given.items() if n.endswith("_start")}
         values = {n: v for n, v in given.items() if not n.endswith("_start") and n not in names}
@@ -216,7 +216,7 @@ class _ModelTwin:
             row[:] = value
         self.t, self.memory = t, moment.memory
         self.sorted = None if order == sorted(order) else np.argsort(order)
-        self.compiled = stepping(self.model, inputs.shape[1])
+        self.compiled = stepping(self.model, inputs.shape[1]) if self.to_compile else None
 
     def settle(self) -> None:
         values = self.stepper.output(self.t, tuple(self.state), self.command)
