@@ -246,7 +246,7 @@ def ten_times_the_steps(place: Path) -> float:
 
 
 def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
-    """Runs a second of a sweep, on one core, over those of a warm FMPy loop: the same noise, the same 15 outputs kept."""
+    """Runs a second of a sweep on one core over those of a warm FMPy loop: the same noise, 15 outputs kept by both."""
     system = build_system(ScenarioFile(place / "loop.yaml"))
     kinds = kinds_of(system)
     assert not isinstance(kinds, str), kinds

@@ -124,13 +124,13 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
 def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
     schema = schema_of(kind)
     parts = {"": schema, **schema.get("$defs", {})}

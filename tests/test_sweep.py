@@ -140,7 +140,7 @@ def test_runs_of_the_craft_with_play_delay_and_filters_of_their_own_are_those_th
 
 
 def test_a_run_of_a_sweep_is_the_run_of_its_scenario_with_its_values(tanks: Callable[..., Path]) -> None:
-    path = tanks()
+    path = tanks(VARY.replace("runs: 40", "runs: 5"))
     study = sweep(path, path.parent / "out", in_process=True, report=False)
     table, about = read_table(study.folder / TABLE)
     row = table.slice(7, 1).to_pydict()
@@ -183,9 +183,8 @@ def test_a_run_that_crashes_its_process_fails_alone(tmp_path: Path) -> None:
     (tmp_path / "tank.py").write_text(crashing)
     build(load_model(f"{tmp_path / 'tank.py'}:Tank", tmp_path).recipe(), tmp_path / "tank.fmu")
     event = "events: [{at: 1, set: {tank.inflow: 0.02}}]\n"  # which arrays do not have
-    (tmp_path / "one.yaml").write_text(
-        f"name: one\nduration: 2\nstep: 0.5\ncomponents: {{tank: {{fmu: tank.fmu}}}}\n{event}"
-    )
+    head = "name: one\nduration: 2\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
+    (tmp_path / "one.yaml").write_text(head + event)
     (tmp_path / "sweep.yaml").write_text("scenario: one.yaml\nvary: {tank.area: {values: [1, 9.0]}}\n")
     study = sweep(tmp_path / "sweep.yaml", tmp_path / "out", workers=1)
     assert study.record["failed"] == 1
