@@ -26,7 +26,8 @@ from tests.typed import typed_fmu
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
 SHIPPED = {
     "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
-    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem != "protocol"),  # of a bench
+    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep"}),
+    "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +13,11 @@ from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, make_plot, time_axis
 from cosim.report.tables import Badge
 from cosim.report.template import render
+from cosim.sweeps.outcome import Swept
 from cosim.sweeps.statistics import Sensitivity, quantiles, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.text import counted, display, joined, percent, plain
 from cosim.version import __version__
-
-if TYPE_CHECKING:
-    from cosim.sweeps.workflow import Swept
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16

@@ -6,18 +6,19 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
 from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.simulation.folder import folder_named
 from cosim.simulation.scenario import Criterion
 from cosim.sweeps.batch import kinds_of
+from cosim.sweeps.outcome import Swept, criterion_names
+from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.runs import MOST_ROWS, Made, Way, sampled_rows
 from cosim.sweeps.statistics import Share, share
@@ -32,43 +33,6 @@ EQUAL = 1e-9  # of max(1, largest value), within which they agree
 CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}  # runs a job; the same whoever makes them, so that bytes are
 SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Swept:
-    """What a sweep left.
-
-    record: content of sweep.json
-    made:   runs that were made by this call
-    """
-
-    sweep: Sweep
-    folder: Path
-    record: Mapping[str, Any]
-    made: int
-
-    @property
-    def sentences(self) -> list[str]:
-        """What it came to, a line each."""
-        r = self.record
-        lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
-        lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
-        lines.append(r["check"]["sentence"])
-        return lines
-
-
-def _how(record: Mapping[str, Any]) -> str:
-    rate = record["runs_a_second"]
-    way = "on arrays" if record["way"] == "arrays" else "through the FMUs"
-    return f", {way}" + (f", {rate:.3g} runs a second" if rate else "")
-
-
-def _interval(criterion: Mapping[str, Any]) -> str:
-    if not criterion["of"]:
-        return "no run"
-    part = 100.0 * criterion["met"] / criterion["of"]
-    low, high = (100.0 * end for end in criterion["ci95"])
-    return f"{plain(part, 3)} %, 95 % interval {plain(low, 3)} … {plain(high, 3)} %"
 
 
 def sweep(
@@ -173,7 +137,7 @@ class _Sweep:
             job = replace(self.study.job, whole=True)
             future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
             on_arrays = next(iter(who.done({future})[0])).result()
-            apart = max((_apart(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
+            apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
             if not apart <= EQUAL:
                 way, why = "fmus", f"on arrays runs are {plain(apart, 2)} apart from those through the FMUs"
         self.base.put("way", json.dumps([way, why]))
@@ -258,45 +222,15 @@ class _Sweep:
             kept = by_number[one.run]
             if "ok" in (one.status, kept.status) and one.status == kept.status:
                 shown = replace(one, signals=one.signals[np.ix_(columns, at[1])])
-                apart = max(apart, _apart(replace(kept, signals=kept.signals[:, at[0]]), shown))
+                apart = max(apart, apart_of(replace(kept, signals=kept.signals[:, at[0]]), shown))
         agree = "agree" if apart <= EQUAL else "DO NOT AGREE"
         repeated = f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}"
         sentence = f"{repeated}: at most {plain(apart, 2)} of max(1, largest value) apart; {plain(EQUAL, 1)} is allowed"
         return {"runs": len(checked), "apart": apart, "sentence": sentence}
 
 
-def _apart(one: Made, other: Made) -> float:
-    """The largest difference of a signal, of max(1, its largest value), or of a criterion's value, likewise."""
-    if one.status != "ok" or other.status != "ok":
-        return 0.0 if (one.status == "ok") == (other.status == "ok") else float("inf")
-    if one.signals.shape != other.signals.shape:
-        return float("inf")
-    parts = [*zip(one.signals, other.signals, strict=True)]
-    parts += [(np.array([a]), np.array([b])) for a, b in zip(one.values, other.values, strict=True)]
-    return max((_difference(a, b) for a, b in parts), default=0.0)
-
-
-def _difference(a: Array, b: Array) -> float:
-    if not np.array_equal(np.isfinite(a), np.isfinite(b)):
-        return float("inf")
-    a, b = a[np.isfinite(a)], b[np.isfinite(b)]
-    return float(np.max(np.abs(a - b)) / max(1.0, float(np.max(np.abs(b))))) if a.size else 0.0
-
-
 def _share(runs: Sequence[Made], k: int) -> Share:
     return share(sum(m.met[k] for m in runs), len(runs))
-
-
-def criterion_names(study: Sweep) -> list[str]:
-    """Each criterion in words, all different: columns of the table."""
-    names: list[str] = []
-    for kind, _, goal in study.scenario.goals:
-        ends = (("after", goal.after), ("until", goal.until))
-        window = "".join(f" {word} {at:g} s" for word, at in ends if at)
-        name = f"{kind.replace('_', ' ')} of {goal.of}{window}"
-        same = sum(n == name or n.startswith(f"{name} (") for n in names)
-        names.append(f"{name} ({same + 1})" if same else name)
-    return names
 
 
 def _unit(kind: str, goal: Criterion, study: Sweep) -> str:
