@@ -33,6 +33,7 @@ class Calls(ABC):
     prefix = "fmi2"
     way: Way = "co-simulation"
     exchange: Any = EXCHANGE
+    step: Any = STEP2
     readable_before_start = True  # values may be read while initializing
 
     def __init__(self, name: str, description: Any) -> None:
@@ -94,6 +95,10 @@ class Calls(ABC):
         """Name of a function in the library."""
         return f"{self.prefix}{name}"
 
+    def bare_step(self) -> Any:
+        """The library's function that makes a step."""
+        return self.bare(self.step, "DoStep")
+
     @abstractmethod
     def stepping(self) -> Step:
         """What makes a step of the instance from t over h and returns a status."""
@@ -116,7 +121,7 @@ class CoSimulation2(Calls):
         return FMU2Slave
 
     def stepping(self) -> Step:
-        step: Step = self.bare(STEP2, "DoStep")
+        step: Step = self.bare_step()
         return step
 
     def ended(self, t: float) -> float | None:
@@ -134,7 +139,7 @@ class CoSimulation2(Calls):
 class CoSimulation1(CoSimulation2):
     """FMI 1.0 co-simulation: one call initializes, and values are read only after it."""
 
-    prefix = "fmi"
+    prefix, step = "fmi", STEP1
     readable_before_start = False
 
     def load(self, folder: Path, library: Path) -> None:
@@ -167,7 +172,7 @@ class CoSimulation1(CoSimulation2):
         return f"{self.identifier}_fmi{name}"
 
     def stepping(self) -> Step:
-        step = self.bare(STEP1, "DoStep")
+        step = self.bare_step()
         return lambda component, t, h, _: int(step(component, t, h, b"\x01"))
 
     def ended(self, t: float) -> float | None:
@@ -177,7 +182,7 @@ class CoSimulation1(CoSimulation2):
 class CoSimulation3(Calls):
     """FMI 3.0 co-simulation."""
 
-    prefix, exchange = "fmi3", EXCHANGE3
+    prefix, exchange, step = "fmi3", EXCHANGE3, STEP3
 
     def _class(self) -> Any:
         from fmpy.fmi3 import FMU3Slave
@@ -194,7 +199,7 @@ class CoSimulation3(Calls):
         self.fmu.enterInitializationMode(tolerance=self.tolerance, startTime=self.start_time, stopTime=self.stop_time)
 
     def stepping(self) -> Step:
-        step = self.bare(STEP3, "DoStep")
+        step = self.bare_step()
         event, terminate, early, last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
         flags = tuple(ctypes.addressof(flag) for flag in (event, terminate, early, last))
 
@@ -202,10 +207,15 @@ class CoSimulation3(Calls):
             status = int(step(component, t, h, True, *flags))
             if terminate.value and status < DISCARD:
                 reached = last.value if early.value else t + h
-                raise EndedEarly(self.name, reached, "the FMU ended the simulation", readable=True)
+                raise ended(self.name, reached)
             return status
 
         return do_step
+
+
+def ended(name: str, reached: float) -> EndedEarly:
+    """What tells that an FMU of FMI 3.0 has ended the simulation."""
+    return EndedEarly(name, reached, "the FMU ended the simulation", readable=True)
 
 
 def _callbacks2(listen: Listen) -> Any:

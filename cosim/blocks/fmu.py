@@ -30,13 +30,14 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
+from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import EndedEarly, Row
 from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
+from cosim.blocks.stepping import ADVANCE, PUT, Plan, Slot, Why, fmu_slot, move
 from cosim.errors import FmuError, SimulationError
 from fmus.archive import unpack
 from fmus.lifetime import let_go_at_exit
@@ -230,6 +231,41 @@ class FmuBlock:
                 self._judge(self._real_setter, status)
 
         return put
+
+    # -- stepped by C -------------------------------------------------------------------------
+
+    def slot(self) -> Slot | str:
+        """Itself for C, from now on; or why not."""
+        version = {CoSimulation2: 2, CoSimulation3: 3}.get(type(self._calls), 0)
+        if self.nominal_step:
+            return f"{self.name} is made of Python, by pythonfmu"
+        if not version:
+            return f"{self.name} is of FMI {self.description.fmiVersion} {self._calls.way}"
+        if any(exchange.kind.beside for exchange in (*self._ports.fed, *self._ports.read)):
+            return f"{self.name} has values that no double holds"
+        puts = [move(self._setters[e.kind.function], e, self._row) for e in self._ports.fed]
+        gets = [move(self._getters[e.kind.function], e, self._row) for e in self._ports.read]
+        step = self._calls.bare_step()
+        return fmu_slot(version, step, self._component, puts, gets, len(self._finite), self._time)
+
+    def came_to(self, t: float) -> None:
+        """C has stepped it to `t` [s]."""
+        self._time = t
+
+    def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
+        """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
+        exchanges = self._ports.fed if plan.called == PUT or why == Why.UNFIT else self._ports.read
+        if why == Why.NOT_FINITE:
+            self._not_finite(self._row[self._out])
+        elif why == Why.UNFIT:
+            self._write(exchanges[plan.moving])
+        elif why == Why.TERMINATED:
+            raise ended(self.name, slot.reached)
+        elif plan.called == ADVANCE:
+            self._judge(self._step_name, plan.status)
+        else:
+            verb = "Set" if plan.called == PUT else "Get"
+            self._judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs while it runs."""

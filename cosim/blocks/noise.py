@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from array import array
 
 import numpy as np
 
@@ -21,7 +22,6 @@ def samples_of(rng: np.random.Generator, variance: float, bias: float, count: in
     return samples
 
 
-def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
-    """The same as a list of floats, for a loop in Python."""
-    samples: list[float] = samples_of(rng, variance, bias, count).tolist()
-    return samples
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
+    """The same for a loop over single samples."""
+    return array("d", samples_of(rng, variance, bias, count).tobytes())

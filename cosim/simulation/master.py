@@ -7,6 +7,7 @@ A component with a longer step of its own makes it at the end of that step; unti
 
 from __future__ import annotations
 
+import bisect
 import ctypes
 import itertools
 import math
@@ -16,16 +17,19 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.faults import Added, Linked
 from cosim.blocks.interface import EndedEarly
+from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.errors import SimulationError, Terminated, stopped
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, Rows
 from cosim.results import Results
+from cosim.simulation.compiled import CompiledSteps, Run, compiled
 from cosim.simulation.schedule import Stage
 from cosim.simulation.system import System
-from cosim.simulation.wiring import Transfer
+from cosim.simulation.wiring import Transfer, through
 
 Plain = tuple[tuple[int, int], ...]
-Noisy = tuple[tuple[int, int, list[float]], ...]
+Noisy = tuple[tuple[int, int, Sequence[float]], ...]
 # from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
 Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
 Copies = tuple[Plain, Noisy, Through]
@@ -65,25 +69,37 @@ def simulate(
     h: float,
     progress: Callable[[int], None] | None = None,
     rows: Rows | None = None,
+    *,
+    in_c: bool = True,
 ) -> Results:
     """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails.
 
     Fewer rows, and a note, where an FMU ends the simulation.
     rows: where they are written, shape (steps + 1, columns); in memory without
+    in_c: the loop is in C where it can be; `Results.loop` tells
     """
-    return _Run(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
+    room = rows or Rows.in_memory(steps + 1, len(system.columns))
+    return _Run(system, steps, h, progress, room, in_c=in_c).results()
 
 
 class _Run:
     """One run: its row of signals, what stands beside it, and the table of rows."""
 
     def __init__(
-        self, system: System, steps: int, h: float, progress: Callable[[int], None] | None, rows: Rows
+        self,
+        system: System,
+        steps: int,
+        h: float,
+        progress: Callable[[int], None] | None,
+        rows: Rows,
+        *,
+        in_c: bool = True,
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components = [stage.component for stage in system.stages]
         self.row = (ctypes.c_double * len(system.columns))()
         self.beside: list[Any] = [None] * len(system.beside)
+        self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.kept = rows.beside  # of what stands beside the row, one a row
         self.table, self.made, self.doing = rows.table, rows.made, rows.doing
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
@@ -91,6 +107,7 @@ class _Run:
         self.notes: list[str] = []
         self.after = self._after(progress)
         self._made: dict[str, Transferring] = {}
+        self._links: dict[str, Sequence[Linked]] = {}
         self.pulls = {s.component.name: self._copies(s.pulls) for s in system.stages}
         self.held = self._copies(system.held)
 
@@ -169,6 +186,20 @@ class _Run:
         self.done = self.made[0] = 1
 
     def _step_on(self) -> None:
+        """All steps: in C where every component can be stepped by it, else here."""
+        try:
+            in_c = self._compiled()
+        except NotCompiled as reason:
+            self._tell_loop(f"Python: {reason}")
+            self._step_in_python()
+            return
+        self._tell_loop("C")
+        try:
+            in_c.steps()
+        finally:
+            self.done = self.made[0]
+
+    def _step_in_python(self) -> None:
         """All steps. What is called in here decides the time that a run takes."""
         row, h, begin, after, memmove = self.row, self.h, self.system.start, self.after, ctypes.memmove
         here, there, size = ctypes.addressof(row), self.table.ctypes.data, ctypes.sizeof(row)
@@ -228,6 +259,27 @@ class _Run:
         self.done = self.made[0] = k + 1
 
     # -- parts --------------------------------------------------------------------------------
+
+    def _compiled(self) -> CompiledSteps:
+        """The steps in C. Raises NotCompiled."""
+        if not self.in_c:
+            raise NotCompiled("asked for")
+        events = sorted(self.system.events)
+
+        def asked(k: int) -> int:
+            """The next point from k on whose end of a step is told."""
+            found = [events[place]] if (place := bisect.bisect_left(events, k)) < len(events) else []
+            if self.progress is not None:
+                found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+            return min(found, default=NEVER)
+
+        links = self._links.__getitem__
+        known = self.system, self.components, self.steps, self.h, self.row, self.rows
+        return compiled(Run(*known, lambda t: links(t.name), self.after, asked))
+
+    def _tell_loop(self, loop: str) -> None:
+        self.loop = loop
+        self.rows.tell_loop(loop)
 
     def _values(self) -> tuple[bytes, list[Any]]:
         return bytes(self.row), list(self.beside)
@@ -290,27 +342,34 @@ class _Run:
         return tuple(plain), tuple(noisy), tuple(through)
 
     def _transferring(self, transfer: Transfer) -> Transferring:
-        seed, count = self.system.seed, self.steps + 1
+        chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
+        self._links[transfer.name] = chain
         if not transfer.plain:
             origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-            function = transfer.through(seed, self.system.start, self.h, count)
-            return 2, (origin, transfer.source, goal, transfer.target, function)
-        if (samples := transfer.samples(seed, count)) is not None:
-            return 1, (transfer.source, transfer.target, samples)
+            return 2, (origin, transfer.source, goal, transfer.target, through(chain))
+        for added in chain:
+            if isinstance(added, Added):
+                return 1, (transfer.source, transfer.target, added.samples)
         return 0, (transfer.source, transfer.target)
 
     def _so_far(self) -> Results:
         kept = self.kept if isinstance(self.kept, list) else []
-        return results_of(self.system, self.time[: self.done], self.table[: self.done], kept, self.notes)
+        time, table = self.time[: self.done], self.table[: self.done]
+        return results_of(self.system, time, table, kept, self.notes, self.loop)
 
 
 def results_of(
-    system: System, time: Array, table: Array, kept: Sequence[tuple[Any, ...]], notes: Sequence[str] = ()
+    system: System,
+    time: Array,
+    table: Array,
+    kept: Sequence[tuple[Any, ...]],
+    notes: Sequence[str] = (),
+    loop: str = "",
 ) -> Results:
     """Results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
-    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes))
+    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:
