@@ -21,6 +21,7 @@ from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
+MOST_RUNS = 20_000  # of which a band is made
 
 
 def page(swept: Swept) -> str:
@@ -43,7 +44,9 @@ def page(swept: Swept) -> str:
             "criteria": [_criterion(c) for c in record["criteria"]],
             "values": [_spread(c, np.array(table.column(c["name"]).to_pylist(), float)) for c in record["criteria"]],
             "factors": _factors(swept),
-            "plots": [_band(name, signal_of(table, name), record) for name in swept.sweep.job.signals[:MOST_BANDS]],
+            "plots": [
+                _band(name, signal_of(table, name, MOST_RUNS), record) for name in swept.sweep.job.signals[:MOST_BANDS]
+            ],
             "sensitivities": [_table(s) for s in _sensitivities(swept, table)],
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),

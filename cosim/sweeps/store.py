@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
+GROUP = 4096  # runs that are written at a time
 MADE, CHECKED = "made", "checked"
 COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
 
@@ -77,21 +79,13 @@ class Database:
         """Numbers of the runs that are kept."""
         return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
 
-    def runs(self, table: str = MADE) -> list[Made]:
-        """All of them, in order."""
-        found = []
-        for run, status, through, figures, met, signals, rows in self._base.execute(
-            f"SELECT * FROM {table} ORDER BY run"
-        ):
-            shaped = np.frombuffer(signals).reshape(rows, -1) if rows else np.empty((0, 0))
+    def runs(self, table: str = MADE) -> Iterator[Made]:
+        """All of them, in order; there may be more than memory holds."""
+        rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
+        for run, status, through, figures, met, signals, count in rows:
+            shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
             values = tuple(np.frombuffer(figures).tolist())
-            found.append(Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through))
-        return found
-
-    def clear(self) -> None:
-        """Forget the runs: they are made again another way."""
-        with self._base:
-            self._base.execute(f"DELETE FROM {MADE}")
+            yield Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
 
     def remove(self) -> None:
         """Close it and take it away."""
@@ -100,7 +94,7 @@ class Database:
 
 
 def write_table(
-    path: Path, runs: Sequence[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str],
+    path: Path, runs: Iterable[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str],
     signals: Sequence[str], about: Mapping[str, Any],
 ) -> None:  # fmt: skip
     """One row a run: its number, what varied, how it went, each criterion's value and whether it is met, each signal.
@@ -110,20 +104,42 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns: dict[str, Any] = {"run": pa.array([m.run for m in runs], pa.int64())}
-    for name, values in design.items():
-        columns[name] = pa.array([values[m.run] for m in runs])
-    columns["status"] = pa.array([m.status for m in runs])
-    columns["through"] = pa.array([m.through for m in runs])
+    types: dict[str, Any] = {"run": pa.int64()}
+    design = {name: _of_one_type(values) for name, values in design.items()}
+    types |= {name: pa.array(values).type for name, values in design.items()}
+    types |= {"status": pa.string(), "through": pa.string()}
+    for name in criteria:
+        types |= {name: pa.float64(), f"{name} met": pa.bool_()}
+    types |= {name: pa.list_(pa.float64()) for name in signals}
+    schema = pa.schema(list(types.items()), {"cosim": json.dumps(about)})
+    left = iter(runs)
+    with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
+        while part := list(itertools.islice(left, GROUP)):
+            columns = _columns(part, design, criteria, signals)
+            arrays = [pa.array(columns[name], kind) for name, kind in types.items()]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+
+def _columns(
+    runs: Sequence[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str], signals: Sequence[str]
+) -> dict[str, list[Any]]:
+    """Values of some runs, by column."""
+    found: dict[str, list[Any]] = {name: [values[m.run] for m in runs] for name, values in design.items()}
+    found |= {"run": [m.run for m in runs], "status": [m.status for m in runs], "through": [m.through for m in runs]}
     for k, name in enumerate(criteria):
-        columns[name] = pa.array([_number(m.values[k]) if m.status == "ok" else None for m in runs], pa.float64())
-        columns[f"{name} met"] = pa.array([m.met[k] if m.status == "ok" else None for m in runs], pa.bool_())
+        found[name] = [_number(m.values[k]) if m.status == "ok" else None for m in runs]
+        found[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in runs]
     for k, name in enumerate(signals):
-        lists = [m.signals[k] if m.status == "ok" else None for m in runs]
-        columns[name] = pa.array(lists, pa.list_(pa.float64()))
-    table = pa.table(columns).replace_schema_metadata({"cosim": json.dumps(about)})
-    with draft_of(path) as draft:
-        pq.write_table(table, draft, compression="zstd")
+        found[name] = [m.signals[k] if m.status == "ok" else None for m in runs]
+    return found
+
+
+def _of_one_type(values: Sequence[Any]) -> list[Any]:
+    """Values as one column holds them: numbers as they are or as floats, a mixture as text."""
+    kinds = {type(v) for v in values}
+    if len(kinds) == 1:
+        return list(values)
+    return [float(v) for v in values] if kinds == {int, float} else [json.dumps(v) for v in values]
 
 
 def _number(value: float) -> float | None:
@@ -138,7 +154,9 @@ def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 
 
-def signal_of(table: pyarrow.Table, name: str) -> Array:
-    """A signal of every run that has it, shape (runs, times)."""
+def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array:
+    """A signal of every run that has it, or of `most` of them evenly spread, shape (runs, times)."""
     column = table.column(name).drop_null()
+    if most is not None and len(column) > most:
+        column = column.take(np.linspace(0, len(column) - 1, most).astype(int))
     return np.array(column.to_pylist(), dtype=float) if len(column) else np.empty((0, 0))

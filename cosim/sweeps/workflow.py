@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from cosim.sweeps.outcome import Swept, criterion_names
 from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.runs import MOST_ROWS, Made, Way, sampled_rows
-from cosim.sweeps.statistics import Share, share
+from cosim.sweeps.statistics import share
 from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
 from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
 from cosim.text import counted, plain
@@ -31,6 +31,7 @@ RECORD, REPORT = "sweep.json", "report.html"
 REPEATED = 20  # random runs that are made through the FMUs too
 EQUAL = 1e-9  # of max(1, largest value), within which they agree
 CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}  # runs a job; the same whoever makes them, so that bytes are
+TOLD = 20  # failures
 SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
 
@@ -107,8 +108,7 @@ class _Sweep:
             if isinstance(stop, Terminated):
                 error.exit_code = Terminated.exit_code
             raise error from None
-        runs = self.base.runs()
-        record = self._record(runs, way, why)
+        record = self._record(way, why)
         names = [c["name"] for c in record["criteria"]]
         about = {
             "key": self.study.key,
@@ -116,7 +116,7 @@ class _Sweep:
             "units": record["units"],
             "signals": self.study.job.signals,
         }
-        write_table(self.folder / TABLE, runs, self.study.columns, names, self.study.job.signals, about)
+        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, self.study.job.signals, about)
         with atomic_write(self.folder / RECORD) as stream:
             json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
             stream.write("\n")
@@ -177,9 +177,19 @@ class _Sweep:
         if table == MADE:
             self.seconds = time.perf_counter() - begun
 
-    def _record(self, runs: Sequence[Made], way: Way, why: str) -> dict[str, Any]:
+    def _record(self, way: Way, why: str) -> dict[str, Any]:
         study, scenario = self.study, self.study.scenario
-        good = [m for m in runs if m.status == "ok"]
+        count = through = failed = 0
+        failures: list[dict[str, Any]] = []
+        met = np.zeros(len(scenario.goals), int)
+        for m in self.base.runs():
+            count, through = count + 1, through + (m.through == "fmus")
+            if m.status == "ok":
+                met += np.array(m.met, int)
+            else:
+                failed += 1
+                failures += [{"run": m.run, "why": m.status}] if failed <= TOLD else []
+        shares = [share(int(hits), count - failed) for hits in met]
         rows = sampled_rows(scenario.steps, study.job.samples)
         return {
             "schema_version": SCHEMA_VERSION,
@@ -188,49 +198,44 @@ class _Sweep:
             "key": study.key,
             "sweep": json.loads(study.file.model_dump_json(by_alias=True, exclude_none=True)),
             "scenario": study.resolved,
-            "runs": len(runs),
-            "failed": len(runs) - len(good),
-            "failures": [{"run": m.run, "why": m.status} for m in runs if m.status != "ok"][:20],
+            "runs": count,
+            "failed": failed,
+            "failures": failures,
             "way": way,
             "why": why,
-            "through_fmus": sum(m.through == "fmus" for m in runs),
+            "through_fmus": through,
             "runs_a_second": float(f"{self.count / self.seconds:.3g}") if self.count else None,
-            "check": self._checked(runs, way, why),
+            "check": self._checked(count, way, why),
             "times": [scenario.start_time + scenario.step * k for k in rows],
             "units": {name: study.system.units.get(name, "") for name in study.job.signals},
             "criteria": [
                 {"name": name, "max": goal.max, "unit": _unit(kind, goal, study),
                  "met": s.hits, "of": s.of, "ci95": [s.low, s.high]}
-                for k, (name, (kind, _, goal)) in enumerate(zip(criterion_names(study), scenario.goals, strict=True))
-                if (s := _share(good, k)) is not None
+                for name, (kind, _, goal), s in zip(criterion_names(study), scenario.goals, shares, strict=True)
             ],
         }  # fmt: skip
 
-    def _checked(self, runs: Sequence[Made], way: Way, why: str) -> dict[str, Any]:
+    def _checked(self, count: int, way: Way, why: str) -> dict[str, Any]:
         """How far the runs that are kept are from those repeated through the FMUs."""
         if way == "fmus":
             because = f": {why}" if why else ""
-            return {"runs": len(runs), "apart": 0.0, "sentence": f"every run was made through the FMUs{because}"}
-        checked, steps = self.base.runs(CHECKED), self.study.scenario.steps
+            return {"runs": count, "apart": 0.0, "sentence": f"every run was made through the FMUs{because}"}
+        checked, steps = {m.run: m for m in self.base.runs(CHECKED)}, self.study.scenario.steps
         columns = [self.study.system.columns.index(name) for name in self.study.job.signals]
         mine, theirs = sampled_rows(steps, self.study.job.samples), sampled_rows(steps, MOST_ROWS)
         both = sorted({*mine} & {*theirs})
         at = [mine.index(k) for k in both], [theirs.index(k) for k in both]
-        by_number = {m.run: m for m in runs}
         apart = 0.0
-        for one in checked:
-            kept = by_number[one.run]
-            if "ok" in (one.status, kept.status) and one.status == kept.status:
-                shown = replace(one, signals=one.signals[np.ix_(columns, at[1])])
-                apart = max(apart, apart_of(replace(kept, signals=kept.signals[:, at[0]]), shown))
+        for kept in (m for m in self.base.runs() if m.run in checked):
+            other = checked[kept.run]
+            if kept.status == other.status == "ok":
+                other = replace(other, signals=other.signals[np.ix_(columns, at[1])])
+                kept = replace(kept, signals=kept.signals[:, at[0]])
+            apart = max(apart, apart_of(kept, other))
         agree = "agree" if apart <= EQUAL else "DO NOT AGREE"
         repeated = f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}"
         sentence = f"{repeated}: at most {plain(apart, 2)} of max(1, largest value) apart; {plain(EQUAL, 1)} is allowed"
-        return {"runs": len(checked), "apart": apart, "sentence": sentence}
-
-
-def _share(runs: Sequence[Made], k: int) -> Share:
-    return share(sum(m.met[k] for m in runs), len(runs))
+        return {"runs": len(checked), "apart": apart if np.isfinite(apart) else None, "sentence": sentence}
 
 
 def _unit(kind: str, goal: Criterion, study: Sweep) -> str:
