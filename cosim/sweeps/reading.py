@@ -23,7 +23,7 @@ from cosim.simulation.start_values import Misfit, settable, typed
 from cosim.simulation.start_values import kind_of as kind_of_variable
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.design import MOST_RUNS, Factor, columns_of, distribution, drawn_rows, saltelli_base
-from cosim.sweeps.runs import Asked, Job
+from cosim.sweeps.runs import Asked, Job, Watched
 from cosim.sweeps.study import SweepFile, Varied
 from cosim.version import __version__
 from cosim.yaml_file import YamlFile, did_you_mean, short
@@ -109,7 +109,8 @@ def read_sweep(path: Path) -> Sweep:
         raise InputError(faults)
     signals = tuple(file.signals) or _signals(scenario.scenario, system)
     compiled = len(next(iter(columns.values()))) * scenario.scenario.steps >= WORTH_COMPILING
-    job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled)
+    watched = Watched.of(system, scenario.scenario.step)
+    job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
     made_of = resolved(resolve_scenario(scenario, designed, system))
     return Sweep(yaml, file, scenario.scenario, system, tuple(factors), columns, job, made_of)
 

@@ -17,7 +17,9 @@ from cosim.arrays import Array
 from cosim.blocks.fmu import FmuBlock
 from cosim.errors import CosimError, SimulationError
 from cosim.isolation import worker as here
-from cosim.isolation.rows import Rows
+from cosim.isolation.limits import Limits
+from cosim.isolation.rows import GET, Rows
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.results import Results
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
@@ -34,11 +36,38 @@ SYSTEMS = 16  # that a worker keeps put together
 
 
 @dataclass(frozen=True)
+class Watched:
+    """Names of the components in order, FMI's names of their calls; start and step [s], bytes of a row."""
+
+    components: tuple[str, ...] = ()
+    calls: tuple[tuple[str, ...], ...] = ()
+    start: float = 0.0
+    step: float = 0.0
+    width: int = 0
+
+    @classmethod
+    def of(cls, system: System, step: float) -> Watched:
+        """A system."""
+        blocks = [stage.component for stage in system.stages]
+        calls = tuple(tuple(fmi_calls(getattr(b, "description", None))) for b in blocks)
+        return cls(tuple(b.name for b in blocks), calls, system.start, step, 8 * len(system.columns))
+
+    def watch(self, limits: Limits | None) -> Watch:
+        """For a call that makes runs one after the other."""
+        return Watch(self.components, self.calls, self.time, limits or Limits(), self.width)
+
+    def time(self, made: int, call: int) -> float:
+        """Simulated time [s] of the run that is being made."""
+        return self.start + self.step * (max(0, made - 1) + (call == GET and made > 0))
+
+
+@dataclass(frozen=True)
 class Job:
     """What is the same for all runs: the scenario, what is set over it, signals kept and how many times of each.
 
     whole:    every signal is kept, at more times: to compare runs made in two ways
     compiled: equations on arrays are compiled, where they can be
+    watched:  what the caller of a worker must know to say what a run was doing
     """
 
     scenario: Path
@@ -47,6 +76,7 @@ class Job:
     samples: int
     whole: bool = False
     compiled: bool = True
+    watched: Watched = field(default_factory=lambda: Watched())
 
 
 @dataclass(frozen=True)
@@ -172,6 +202,7 @@ def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
     progress = getattr(here, "progress", None)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     if progress is not None:
+        progress.made[0] = 0  # of the run before
         rows = replace(rows, made=progress.made, doing=progress.doing)
         for stage in system.stages:
             here.overheard(stage.component)

@@ -167,13 +167,13 @@ class _ModelKind:
     """A model of equations, integrated as its FMU does."""
 
     def __init__(self, block: FmuBlock, model: Any, stepper: Any, namespace: Any) -> None:
+        model = model.with_values(_differing(model, block.description))
         self.block, self.model, self.stepper, self.namespace = block, model, stepper, namespace
         self.outputs = tuple(q.name for q in model.outputs)
         catalogue = {kind.name: parameters_of(kind) for kind in model.catalogue}
         self.neutral = {
             f"{name}.{p.name}": p.neutral for name, own in catalogue.items() for p in own if p.neutral is not None
         }
-        self.defaults = {v.name: v.start for v in block.description.modelVariables if v.causality == "parameter"}
 
     def input_names(self, block: FmuBlock) -> list[str]:
         """Inputs in the order in which the block has them: those that are fed come first."""
@@ -190,6 +190,23 @@ class _ModelKind:
 
     def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
         return _ModelTwin(self, given, compiled)
+
+
+def _differing(model: Any, description: Any) -> dict[str, Any]:
+    """Defaults that an FMU declares for parameters and that are not the model's own, as of a native FMU."""
+    present = {e.name: e for e in model.effects}
+    found: dict[str, Any] = {}
+    for variable in description.modelVariables:
+        declared = model.declared.get(variable.name)
+        if declared is None or variable.causality != "parameter" or variable.start is None:
+            continue
+        effect, _, name = variable.name.rpartition(".")
+        owner = present.get(effect) if effect else model
+        own = getattr(owner, name, declared.default)
+        given = variable.start == "true" if isinstance(own, bool) else float(variable.start)
+        if given != own:
+            found[variable.name] = given
+    return found
 
 
 class _ModelTwin:

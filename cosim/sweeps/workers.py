@@ -13,7 +13,6 @@ from typing import Any, Protocol
 from cosim.errors import CosimError, Fault, InputError, SimulationError
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.watch import Watch
 from cosim.sweeps.runs import Asked, Job, Made, Way, error_of, failed, made
 from cosim.yaml_file import YamlFile
 
@@ -59,7 +58,7 @@ def _called(
     if _stopping.is_set():
         raise RuntimeError("the sweep is being stopped")
     try:
-        found: list[Made] = worker.call(made, job, chunk, way, watch=Watch(limits=limits or Limits()))
+        found: list[Made] = worker.call(made, job, chunk, way, watch=job.watched.watch(limits))
         return found
     except SimulationError as error:  # it crashed, or a limit is exceeded
         if len(chunk) == 1:
