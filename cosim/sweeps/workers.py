@@ -68,6 +68,16 @@ def _called(
     return [run for one in chunk for run in _called(worker, job, [one], way, limits, goals)]
 
 
+def _end_workers(*, kill: bool) -> None:
+    """End the processes of this one."""
+    with _lock:
+        workers = list(_all)
+        _all.clear()
+        _idle.clear()
+    for worker in workers:
+        worker.end(kill=kill)
+
+
 class Local:
     """Processes of this machine."""
 
@@ -90,12 +100,7 @@ class Local:
         if kill:
             _stopping.set()  # or a thread would take the end of its process for that of a run
         self._pool.shutdown(wait=not kill, cancel_futures=True)
-        with _lock:
-            workers = list(_all)
-            _all.clear()
-            _idle.clear()
-        for worker in workers:
-            worker.end(kill=kill)
+        _end_workers(kill=kill)
 
 
 class Here:
@@ -137,7 +142,10 @@ class Dask:
 def makers(workers: int | None, dask: Any, *, in_process: bool = False) -> Iterator[Makers]:
     """Those of a dask client, of this process, or so many processes of this machine."""
     if dask is not None:
-        yield Dask(dask)
+        try:
+            yield Dask(dask)
+        finally:
+            _end_workers(kill=False)  # of a cluster within this process
         return
     if in_process:
         yield Here()
