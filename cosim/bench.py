@@ -17,6 +17,7 @@ import numpy as np
 
 from controller.gains import Settings
 from controller.loop import Loop
+from cosim.bench_native import native_figures
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.noise import gaussian, stream
 from cosim.isolation import worker
@@ -84,8 +85,8 @@ class {name}(Fmi2Slave):
 '''
 
 
-def bench() -> dict[str, float]:
-    """Every ratio, by the name the issues and the README use."""
+def bench() -> dict[str, float | str]:
+    """Every ratio, by the name the issues and the README use; why there is none, where there is none."""
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
         place = Path(folder)
         build(plant_recipe(), place / "plant.fmu")
@@ -93,7 +94,7 @@ def bench() -> dict[str, float]:
         (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H, **NOISE))
         (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H, **NOISE))
         (place / "one.yaml").write_text(SCENARIO.format(duration=H, **NOISE))
-        figures = {
+        figures: dict[str, float | str] = {
             "loop_over_plain": loop_over_plain(place / "loop.yaml"),
             "fmpy_over_ours_overhead": fmpy_over_ours(place),
             "dormant_over_base": dormant_over_base(),
@@ -104,7 +105,10 @@ def bench() -> dict[str, float]:
         if compiler() is not None:
             figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
             figures["sweep_over_fmpy"] = sweep_over_fmpy(place, compiled=True)
-    return {name: round(value, 3) for name, value in figures.items()}
+        else:
+            figures["sweep_over_fmpy"] = "no C compiler"
+        figures |= native_figures(place)
+    return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
 
 
 def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = ROUNDS) -> float:

@@ -16,15 +16,17 @@ import numpy as np
 import pytest
 import yaml
 
+from cosim.blocks.description import read_description
 from cosim.blocks.faults import disturbed
 from cosim.blocks.fmi import EXCHANGE, STEP2
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.kinds import FMI2, FMI3, Exchange
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import Recorded
 from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, link, move, transfer
 from cosim.errors import Interrupted
+from cosim.isolation.rows import Rows
 from cosim.results import Results
-from cosim.simulation.apart import simulate_here
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
@@ -48,6 +50,7 @@ class Counter:
             exchange.places = slice(first + k, first + k + 1)
         puts, gets = ([move(f, e, row)] for f, e in zip(self.functions[::2], self.exchanges, strict=True))
         self.slot = fmu_slot(2, self.functions[1], 1, puts, gets, 1, 0.0)
+        self.slot.keeping = self.slot.keeping, self  # C knows addresses alone
 
     def set(self, c: int, references: int, n: int, values: int) -> int:
         self.u = ctypes.c_double.from_address(values).value
@@ -146,10 +149,10 @@ def test_every_type_goes_to_an_fmu_and_back_as_python_takes_it(name: str) -> Non
     kind, row = FMI3[name], (ctypes.c_double * 2)()
     exchange = Exchange(kind, [SimpleNamespace(name="v", valueReference=0, shape=())])
     low, high = (kind.low, kind.high) if kind.low is not None and kind.high is not None else (-3.3e38, 0.1)
-    echo = EXCHANGE(lambda *given: 0)
+    echo, step = EXCHANGE(lambda *given: 0), STEP2(lambda *given: 0)
     put = move(echo, exchange, row)
     exchange.places = slice(1, 2)
-    slot = fmu_slot(2, STEP2(lambda *given: 0), 1, [put], [move(echo, exchange, row)], 0, 0.0)
+    slot = fmu_slot(2, step, 1, [put], [move(echo, exchange, row)], 0, 0.0)
     tried = [low, high, low - 1, high + 1, 0.5, 0, 1, -0.0, np.nan, np.inf]
     for value in tried:
         row[0], row[1] = value, -7.0
@@ -425,15 +428,35 @@ def test_the_manifest_names_the_loop_and_why_it_is_in_python(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signal")
-def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "DoStep", "slow", at=0, duration=100.0)
-    file = ScenarioFile(path)
-    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
-    signal.setitimer(signal.ITIMER_REAL, 0.1)
+@pytest.mark.parametrize("deed", ["slow", "warning"])
+def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: Path, deed: str) -> None:
+    file = ScenarioFile(deeds_scenario(tmp_path, "DoStep", deed, at=0, duration=1e6 if deed == "warning" else 100.0))
+    system, steps = build_system(file), file.scenario.steps
+    rows = Rows(
+        np.zeros((steps + 1, len(system.columns))), tell_loop=lambda _: signal.setitimer(signal.ITIMER_REAL, 0.1)
+    )
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        stepped = simulate_here(build_system(file), file.scenario.steps, file.scenario.step)
+        with pytest.raises(StoppedRun) as stopped:
+            simulate(system, steps, 0.1, rows=rows)
     finally:
         signal.signal(signal.SIGALRM, before)
-    assert isinstance(stepped.failure, Interrupted)
-    assert stepped.results.loop == "C"
-    assert 1 < len(stepped.results.time) < 200
+    assert isinstance(stopped.value.error, Interrupted)
+    assert stopped.value.results.loop == "C"
+    assert 1 < len(stopped.value.results.time) < steps
+
+
+def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = deeds_fmu(tmp_path / "one.fmu")
+    block = FmuBlock("one", path, read_description(path), {}, frozenset())
+
+    def stop(text: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(block, "_remember", stop)
+    block._listen(1, b"a word")  # called by C, out of which no exception leads
+    with pytest.raises(KeyboardInterrupt):
+        block.came_to(1.0)
+    block.came_to(1.0)

@@ -51,7 +51,7 @@ int fmi3DoStep(C c, double t, double h, _Bool no, _Bool *event, _Bool *end, _Boo
     memcpy(m->raw[1], m->raw[0], 16);
     m->size[1] = m->size[0];
     *event = 0;
-    *end = m->byte[0] >= 250; /* the end is asked for, by 251 before the step's own */
+    *end = m->byte[0] == 250 || m->byte[0] == 251; /* the end is asked for, by 251 before the step's own */
     *early = m->byte[0] == 251;
     *last = *early ? t + 0.5 * h : t + h;
     return 0;

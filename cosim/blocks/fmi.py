@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ STEP1 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_char)
 STEP2 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT)
 STEP3 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4)
 Step = Callable[[Any, float, float, int], int]
+AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # and the cells of t and h
 Listen = Callable[[int, bytes | None], None]  # status and message
 
 
@@ -91,6 +93,15 @@ class Calls(ABC):
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
+    def untyped(self, symbol: str) -> Any:
+        """A function of the library that takes C's own types, made before, and so converts none."""
+        function = ctypes.cast(getattr(self.fmu.dll, symbol), ctypes.c_void_p)
+        return ctypes.CFUNCTYPE(INT)(function.value or 0)
+
+    def at_once(self, component: Any) -> AtOnce | None:
+        """What makes a step of the instance from one cell over another, where that is a single call."""
+        return None
+
     def symbol(self, name: str) -> str:
         """Name of a function in the library."""
         return f"{self.prefix}{name}"
@@ -123,6 +134,13 @@ class CoSimulation2(Calls):
     def stepping(self) -> Step:
         step: Step = self.bare_step()
         return step
+
+    def at_once(self, component: Any) -> AtOnce | None:
+        if self.symbol("DoStep") != "fmi2DoStep" or self.way != "co-simulation":
+            return None
+        at, over = DOUBLE(), DOUBLE()
+        step = partial(self.untyped("fmi2DoStep"), ctypes.c_void_p(component), at, over, INT(1))
+        return step, at, over
 
     def ended(self, t: float) -> float | None:
         try:
@@ -201,7 +219,7 @@ class CoSimulation3(Calls):
     def stepping(self) -> Step:
         step = self.bare_step()
         event, terminate, early, last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
-        flags = tuple(ctypes.addressof(flag) for flag in (event, terminate, early, last))
+        flags = tuple(ctypes.byref(flag) for flag in (event, terminate, early, last))  # which keep what they point to
 
         def do_step(component: Any, t: float, h: float, _: int) -> int:
             status = int(step(component, t, h, True, *flags))

@@ -12,7 +12,7 @@ import os
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableSequence, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from pathlib import Path
@@ -30,15 +30,15 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
+from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
 from cosim.blocks.guard import without_wrapping
-from cosim.blocks.interface import EndedEarly, Row
+from cosim.blocks.interface import ADVANCE, GET, PUT, EndedEarly, Row, in_turn
 from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import ADVANCE, PUT, Plan, Slot, Why, fmu_slot, move
-from cosim.errors import FmuError, SimulationError
+from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot, move
+from cosim.errors import FmuError, SimulationError, Terminated
 from fmus.archive import unpack
 from fmus.lifetime import let_go_at_exit
 from fmus.sampled import sampled_by
@@ -114,6 +114,7 @@ class FmuBlock:
         self._unpacked: Path | None = None
         self._initialized = False
         self._time = 0.0
+        self._stopped: BaseException | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process makes its own of the same."""
@@ -194,43 +195,43 @@ class FmuBlock:
             self._judge(self._step_name, status)
         self._time = t + h
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        put = self._bare_put() if self._ports.fed else None
-        if self._get_arguments is None or self._other_gets:
-            return put, self.advance, self.get
-        # the same as `advance` and `get`, with everything looked up beforehand
-        do_step, get_real, instance = self._do_step, self._get_real, self._component
-        arguments, row, out, isfinite = self._get_arguments, self._row, self._out, math.isfinite
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        step = self._calls.at_once(self._component)
+        fed = bool(self._ports.fed)
+        straight = self._put_arguments is not None and not self._other_puts
+        if step is None or (fed and not straight) or self._get_arguments is None or self._other_gets:
+            return in_turn(self, doing, first, puts=fed)
+        return self._bare_stepping(step, doing, first)
 
-        def advance(t: float, h: float) -> None:
-            status = do_step(instance, t, h, 1)
-            if status:
+    def _bare_stepping(self, step: AtOnce, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """As `in_turn` of values that go straight between FMU and row: all looked up, every argument made before."""
+        calls, instance = self._calls, ctypes.c_void_p(self._component)
+        get = partial(calls.untyped(self._real_getter), instance, *self._ports.straight(self._get_arguments))
+        put = None
+        if self._put_arguments is not None:
+            put = partial(calls.untyped(self._real_setter), instance, *self._ports.straight(self._put_arguments))
+        do_step, at, over = step
+        outputs, isfinite = memoryview(self._row).cast("B").cast("d")[self._out], math.isfinite
+        putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
+
+        def once(t: float, h: float) -> None:
+            if put is not None:
+                doing[0] = putting
+                if status := put():
+                    self._judge(self._real_setter, status)
+            doing[0] = advancing
+            at.value, over.value = t, h
+            if status := do_step():
                 self._time = t
                 self._judge(self._step_name, status)
             self._time = t + h
-
-        def get() -> None:
-            status = get_real(instance, *arguments)
-            if status:
+            doing[0] = getting
+            if status := get():
                 self._judge(self._real_getter, status)
-            values = row[out]
-            if not isfinite(sum(values)):
-                self._not_finite(values)
+            if not isfinite(sum(outputs)):
+                self._not_finite(outputs.tolist())
 
-        return put, advance, get
-
-    def _bare_put(self) -> Callable[[], None]:
-        """As `put`, with everything looked up beforehand where all inputs go straight from the row."""
-        arguments, set_real, instance = self._put_arguments, self._set_real, self._component
-        if self._watched is not None or self._other_puts or arguments is None:
-            return self.put
-
-        def put() -> None:
-            status = set_real(instance, *arguments)
-            if status:
-                self._judge(self._real_setter, status)
-
-        return put
+        return once
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -249,8 +250,11 @@ class FmuBlock:
         return fmu_slot(version, step, self._component, puts, gets, len(self._finite), self._time)
 
     def came_to(self, t: float) -> None:
-        """C has stepped it to `t` [s]."""
+        """C has stepped it to `t` [s]; raises what stopped this process while the FMU spoke."""
         self._time = t
+        if self._stopped is not None:
+            stopped, self._stopped = self._stopped, None
+            raise stopped
 
     def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
         """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
@@ -493,8 +497,11 @@ class FmuBlock:
 
     def _listen(self, status: int, message: bytes | None) -> None:
         """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
-        if status >= WARNING or self._logging:
-            self._remember((message or b"").decode("utf-8", "replace"))
+        try:
+            if status >= WARNING or self._logging:
+                self._remember((message or b"").decode("utf-8", "replace"))
+        except (KeyboardInterrupt, Terminated) as stop:  # no exception passes through C
+            self._stopped = stop
 
     def _remember(self, text: str) -> None:
         text = text[:LONGEST_MESSAGE]

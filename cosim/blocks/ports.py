@@ -52,6 +52,12 @@ class Ports:
         straight = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
         return straight, tuple(e for e in exchanges if e is not doubles)
 
+    def straight(self, arguments: Any) -> tuple[Any, ...]:
+        """These arguments as C has them, so that no call makes them again."""
+        references, count, where, *scalars = arguments
+        first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(where)
+        return *first, *(ctypes.c_size_t(n) for n in scalars)
+
     def real_outputs(self) -> tuple[slice, tuple[str, ...]]:
         """Places and names of the outputs that must be finite: what is recorded beside them need not be."""
         doubles = _doubles(self.read)

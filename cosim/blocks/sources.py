@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import ctypes
-from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, MutableSequence, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.blocks.interface import Row, Signal
+from cosim.blocks.interface import Row, Signal, in_turn
 from cosim.blocks.profile import ROUNDING, Profile, profile_function
 from cosim.blocks.stepping import Slot
 from cosim.table import read_columns
@@ -65,8 +65,8 @@ class Source:
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        return None, self.advance, self.get
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=False)
 
     def close(self) -> None:
         pass

@@ -26,7 +26,6 @@ from cosim.blocks.kinds import Exchange
 from fmus.native.compiler import compiler, loaded
 
 SOURCE = Path(__file__).with_name("stepping.c")
-PUT, ADVANCE, GET = range(3)  # what was called, as `Plan.called` has it
 NEVER = -1
 TYPES: dict[Any, int] = {
     ctypes.c_double: 0, ctypes.c_float: 1, ctypes.c_int8: 2, ctypes.c_uint8: 3, ctypes.c_int16: 4,
