@@ -1,7 +1,7 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize` and `compare` are the verbs
-of the command line as functions, `read` reads what they left; each is imported when it is first asked for.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize`, `compare` and `sweep` are
+the verbs of the command line as functions, `read` reads what they left; each is imported when it is first asked for.
 docs/python.md shows them.
 """
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cosim.linearization.workflow import linearize
     from cosim.models.fmus import build
     from cosim.simulation.export import export_ssp
+    from cosim.sweeps.workflow import sweep
 
 __all__ = [
     "build",
@@ -33,6 +34,7 @@ __all__ = [
     "replay",
     "run",
     "simulate",
+    "sweep",
 ]
 
 _PLACES = {
@@ -49,6 +51,7 @@ _PLACES = {
     "replay": "cosim.api",
     "run": "cosim.api",
     "simulate": "cosim.api",
+    "sweep": "cosim.sweeps.workflow",
 }
 
 

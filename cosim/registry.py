@@ -77,6 +77,8 @@ MODELS = {
     "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
 }
 BASE_NAME = next(iter(MODELS))
+# modelName of an FMU that is no model of equations → what does the same for many runs at once (cosim/sweeps/twins.py)
+TWINS = {"HovercraftController": "controller.many:Controllers"}
 PAGES = (
     Page(
         frozenset({"x_world", "y_world", "psi"}),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.interface import Row, Signal
+from cosim.blocks.interface import Row, Signal, in_turn
 from cosim.blocks.noise import stream
 
 COUNT = "fix"  # the output that counts
@@ -97,8 +97,12 @@ class Fixes:
             self._held = self._coming.popleft()[1]
             self._count += 1
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        return None, self.advance, self.get
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=False)
+
+    def slot(self) -> str:
+        """Why C does not step it."""
+        return f"{self.name} measures now and then"
 
     def close(self) -> None:
         pass

@@ -83,7 +83,7 @@ class FmuBlock:
         solver: Solver | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
-        self.start_values = start
+        self.start_values, self.connected = start, connected
         self._made_of = (
             partial(
                 type(self),
@@ -112,6 +112,7 @@ class FmuBlock:
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
+        self._unpacked: Path | None = None
         self._initialized = False
         self._time = 0.0
         self._stopped: BaseException | None = None
@@ -119,6 +120,13 @@ class FmuBlock:
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process makes its own of the same."""
         return self._made_of
+
+    def started_from(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
+        """Another instance, with these start values; `unpacked`: where the FMU lies already, which stays as it is."""
+        make, (name, path, description, _, connected) = self._made_of
+        block = make(name, path, description, start, connected)
+        block._unpacked = unpacked
+        return block
 
     def _optional(self, description: Any, given: frozenset[str]) -> frozenset[str]:
         """Inputs without a source or a value that the FMU says need none; only FMUs of ours say so."""
@@ -305,7 +313,7 @@ class FmuBlock:
 
     def close(self) -> None:
         self._unload()
-        if self._folder is not None:
+        if self._folder is not None and self._folder != self._unpacked:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
@@ -316,6 +324,9 @@ class FmuBlock:
     # -- life ---------------------------------------------------------------------------------
 
     def _unpack(self) -> None:
+        if self._unpacked is not None:
+            self._folder = self._unpacked
+            return
         self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
             unpack(self.path, self._folder)

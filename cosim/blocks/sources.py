@@ -40,7 +40,7 @@ class Source:
         self.exact_inputs: tuple[Signal, ...] = ()
         self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
-        self._functions = tuple(function for _, function in signals.values())
+        self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
@@ -59,7 +59,7 @@ class Source:
         pass
 
     def get(self) -> None:
-        for k, function in enumerate(self._functions, self._first):
+        for k, function in enumerate(self.functions, self._first):
             self._row[k] = function(self._t)
 
     def advance(self, t: float, h: float) -> None:
@@ -79,7 +79,7 @@ class Source:
 
     def over(self, times: Array) -> Array:
         """Its signals at many times, a row for each."""
-        columns = [function.over(times) for function in self._functions]
+        columns = [function.over(times) for function in self.functions]
         return np.ascontiguousarray(np.transpose(columns)) if columns else np.zeros((len(times), 0))
 
     def came_to(self, t: float) -> None:

@@ -6,7 +6,7 @@ Whoever needs the equations in another language (the filter of a refinement, an 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -36,7 +36,7 @@ class Shaping:
 
 @dataclass(frozen=True)
 class Body:
-    """The equations of a model as expressions: every effect of the catalogue awake, or none.
+    """The equations of a model as expressions: every effect of the catalogue awake, some, or none.
 
     derivative: state → expression of its derivative
     outputs:    output → expression
@@ -49,11 +49,13 @@ class Body:
     parameters: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, model: Model, *, effects: bool = True) -> Body:
-        """The body of a model, its Booleans as they are. Raises guard.OfNumbersOnly."""
+    def of(
+        cls, model: Model, *, effects: bool | Collection[str] = True, flags: Mapping[str, bool] | None = None
+    ) -> Body:
+        """The body of a model, its Booleans as they are or as `flags` says. Raises guard.OfNumbersOnly."""
         import sympy
 
-        s = symbolic(model, effects=effects)
+        s = symbolic(model, flags, effects)
         with guarded(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
             rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)

@@ -123,6 +123,40 @@ class C(Language):
         return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
 
 
+class Lanes(C):
+    """C99 for many at once: every number but time is a row, one for each lane `i` of W; branches compute both sides."""
+
+    store = "out[{}][i] = {};"
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """As above; nothing is skipped, for lanes differ in what is dormant."""
+        rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
+        plain = type(super().printer(rows))
+
+        class Printer(plain):  # type: ignore[misc, valid-type]
+            def _print_Piecewise(self, e: Any) -> str:
+                *branches, last = e.args
+                if last[1] != True:  # noqa: E712 - sympy's own
+                    raise Unprintable("a branch without an otherwise")
+                text = str(self._print(last[0]))
+                for value, condition in reversed(branches):
+                    text = f"chosen({self._print(condition)}, {self._print(value)}, {text})"
+                return text
+
+            def _print_And(self, e: Any) -> str:
+                return " & ".join(f"({self._print(a)})" for a in e.args)
+
+            def _print_Or(self, e: Any) -> str:
+                return " | ".join(f"({self._print(a)})" for a in e.args)
+
+        return Printer()
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
+        kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
+        declared = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
+        return f"INLINE void {name}({declared})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
+
+
 class Python(Language):
     """Python with the functions of `math`."""
 
