@@ -86,17 +86,20 @@ class Charts:
         places = [np.asarray(t.x) for t in panel.traces]
         if panel.band is not None and panel.band.x is not None:
             places.append(panel.band.x)
-        x = np.concatenate(places)
-        order = np.argsort(x, kind="stable")
-        series = Series(x[order], x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True)
+        # points of several curves at one place share a row; of one curve each has its own
+        times = [np.arange(p.size) - np.searchsorted(p, p) for p in places]
+        pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
+        rows, at = np.unique(pairs, axis=0, return_inverse=True)
+        x, at = rows[:, 0], at.ravel()
+        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True)
         self.blocks.append(series)
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
         def spread(values: Array, number: int) -> Array:
             """Values at their places among those of all."""
             column = np.full(x.size, np.nan)
-            column[begins[number] : begins[number + 1]] = values
-            return column[order]
+            column[at[begins[number] : begins[number + 1]]] = values
+            return column
 
         keys = [
             series.trace(t, spread(t.values, k), None if t.upper is None else spread(t.upper, k))

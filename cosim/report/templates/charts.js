@@ -42,8 +42,11 @@ document.addEventListener("rows", (event) => {
   // -- drawing -----------------------------------------------------------------------------------
   // Rows of the view, and one beyond each end, so that curves go through to the edge.
   function rowsInView() {
-    const [low] = locate(view.from), [high, share] = locate(view.to);
-    return [low, Math.min(count - 1, high + (share > 0 ? 1 : 0))];
+    let [low] = locate(view.from), [high, share] = locate(view.to);
+    high = Math.min(count - 1, high + (share > 0 ? 1 : 0));
+    while (low > 0 && time[low - 1] === time[low]) low--;
+    while (high < count - 1 && time[high + 1] === time[high]) high++;
+    return [low, high];
   }
 
   // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
@@ -328,7 +331,7 @@ document.addEventListener("rows", (event) => {
     for (let row = low; row <= high; row++) {
       const cell = (series, v) => (Number.isNaN(v[row]) ? "" : series.text(v[row]));
       const cells = lines.flatMap(({ series }) => [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)));
-      rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
+      if (!data.sparse || cells.some(Boolean)) rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
     }
     return rows.join("\n") + "\n";
   }
