@@ -224,14 +224,17 @@ def refine(
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
-    with stages() as progress:
+    with stages(numbered) as progress:
         result = refine_study(study, out, progress, report=report, in_process=in_process)
     for warning in result.study.warnings:
         typer.echo(f"warning: {warning}", err=True)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
+    if report:
+        say(f"report: {out / 'report.html'}")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
         from cosim.experiment.ranges import inputs_to_limit
 
