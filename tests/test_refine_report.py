@@ -47,6 +47,7 @@ from cosim.text import display, written
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log
+from tests.seen import faults
 
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
@@ -208,6 +209,13 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
     assert "<b>&" not in text
     assert "Study &lt;b&gt;&amp;amp; co" in text
     assert "Cart &lt;of mine&gt;" in text
+
+
+def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
+    cart: Refinement, tmp_path: Path
+) -> None:
+    page(cart, tmp_path)
+    assert faults(tmp_path / "report.html") == []
 
 
 def test_what_is_to_be_typed_stands_as_code(cart: Refinement, tmp_path: Path) -> None:

@@ -4,10 +4,25 @@
   "use strict";
   const found = JSON.parse(document.getElementById("run-data").textContent);
   const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1);
-  if (!packed.length || typeof DecompressionStream === "undefined") return;
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
+  scrollable();
+  if (!packed.length || typeof DecompressionStream === "undefined") return;
   const play = one("#play"), scrub = one("#scrub"), speed = one("#speed"), clock = one("#clock");
+  // A table or a command that is wider than the page is scrolled by keys too.
+  function scrollable() {
+    for (const box of all(".scroll:not([tabindex]), pre")) {
+      const fit = () => {
+        const wide = box.scrollWidth > box.clientWidth + 1;
+        for (const [name, value] of [["tabindex", "0"], ["role", "region"], ["aria-label", one("caption", box)?.textContent.trim() || (box.matches("pre") ? "Command" : "Table")]]) {
+          if (wide) box.setAttribute(name, value); else box.removeAttribute(name);
+        }
+      };
+      new ResizeObserver(fit).observe(box);
+      fit();
+    }
+  }
+
   // Fixed decimals with a true minus sign, and no minus before zero.
   const fixed = (value, digits) => {
     const text = value.toFixed(digits);
