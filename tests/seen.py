@@ -29,7 +29,7 @@ CONTRAST = """() => {
 
 
 def faults(path: Path, *, dark: bool = False) -> list[str]:
-    """What axe finds serious in a page, in the dark too where asked, with all that is folded away opened; skips without a browser.
+    """What axe finds serious in a page with all opened, in the dark too where asked; skips without a browser.
 
     A curve of less than 3 : 1 to the paper is a fault too.
     """
