@@ -49,11 +49,45 @@ document.addEventListener("rows", (event) => {
     return [low, high];
   }
 
+  // Rows of the least and the largest value of every TILE rows, −1 where there is none: a look at a long run need not
+  // go through its rows.
+  const TILE = 16;
+  function tilesOf(series) {
+    if (series.tiles) return series.tiles;
+    const { v } = series, size = Math.ceil(count / TILE), least = new Int32Array(size).fill(-1), most = new Int32Array(size).fill(-1);
+    for (let row = 0; row < count; row++) {
+      const value = v[row], tile = row >> 4;
+      if (Number.isNaN(value)) continue;
+      if (least[tile] < 0 || value < v[least[tile]]) least[tile] = row;
+      if (most[tile] < 0 || value > v[most[tile]]) most[tile] = row;
+    }
+    return series.tiles = { least, most };
+  }
+
+  // Rows of the least and the largest value from `begin` up to `end`; by tiles where both lie between two.
+  function extremes(series, begin, end) {
+    const { v } = series;
+    let least = -1, most = -1;
+    const see = (low, high) => {
+      if (low >= 0 && (least < 0 || v[low] < v[least])) least = low;
+      if (high >= 0 && (most < 0 || v[high] > v[most])) most = high;
+    };
+    if (begin % TILE === 0 && end - begin >= TILE) {
+      const tiles = tilesOf(series), last = Math.floor(end / TILE);
+      for (let tile = begin / TILE; tile < last; tile++) see(tiles.least[tile], tiles.most[tile]);
+      begin = last * TILE;
+    }
+    for (let row = begin; row < end; row++) if (!Number.isNaN(v[row])) see(row, row);
+    return [least, most];
+  }
+
   // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
   function path(series, [low, high], x, y, columns, cap = 18) {
     if (data.sparse) [low, high] = [0, count - 1]; // few rows; a line has its next point further out
     if (series.way > HELD) return marks(series, [low, high], x, y, cap);
-    const { v, anew } = series, held = series.way === HELD, parts = [], bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
+    const { v, anew } = series, held = series.way === HELD, parts = [];
+    let bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
+    if (bucket >= TILE) { low -= low % TILE; bucket -= bucket % TILE; }
     let pen = false, coming = breaks.findIndex((row) => row > low);
     const put = (row) => {
       const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
@@ -62,13 +96,8 @@ document.addEventListener("rows", (event) => {
     };
     for (let begin = low; begin <= high; begin += bucket) {
       const end = Math.min(high + 1, begin + bucket);
-      let least = -1, most = -1, gap = false;
       while (anew && coming >= 0 && breaks[coming] <= begin) { pen = false; coming = coming + 1 < breaks.length ? coming + 1 : -1; }
-      for (let row = begin; row < end; row++) {
-        if (Number.isNaN(v[row])) { gap = true; continue; }
-        if (least < 0 || v[row] < v[least]) least = row;
-        if (most < 0 || v[row] > v[most]) most = row;
-      }
+      const [least, most] = extremes(series, begin, end);
       if (least < 0) { pen &&= Boolean(data.sparse); continue; }
       for (const row of least === most ? [least] : least < most ? [least, most] : [most, least]) put(row);
     }
@@ -131,9 +160,17 @@ document.addEventListener("rows", (event) => {
     range(rows) {
       let low = Infinity, high = -Infinity;
       const see = (v) => { for (let k = rows[0]; k <= rows[1]; k++) { if (v[k] < low) low = v[k]; if (v[k] > high) high = v[k]; } };
+      // whole tiles by their extremes, the rows before the first one by themselves
+      const seeAll = (series) => {
+        const first = Math.min(rows[1] + 1, Math.ceil(rows[0] / TILE) * TILE), { v } = series;
+        for (const [begin, end] of [[rows[0], first], [first, rows[1] + 1]]) {
+          const [least, most] = extremes(series, begin, end);
+          if (least >= 0) [low, high] = [Math.min(low, v[least]), Math.max(high, v[most])];
+        }
+      };
       for (const { on, series } of this.lines) {
         if (!on) continue;
-        see(series.v);
+        seeAll(series);
         if (series.upper) see(series.upper);
         if (series.way === STEMS) [low, high] = [Math.min(0, low), Math.max(0, high)];
       }

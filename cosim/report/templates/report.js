@@ -7,7 +7,10 @@
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
   scrollable();
-  if (!packed.length || typeof DecompressionStream === "undefined") return;
+  if (!packed.length || typeof DecompressionStream === "undefined") {
+    document.documentElement.dataset.ready = "still"; // nothing to move in
+    return;
+  }
   const play = one("#play"), scrub = one("#scrub"), speed = one("#speed"), clock = one("#clock");
   // A table or a command that is wider than the page is scrolled by keys too.
   function scrollable() {
@@ -89,6 +92,11 @@
     constructor(data, alone) {
       const { t } = data, count = t.length, [name, unit] = data.over;
       this.data = data; this.time = t; this.nearest = count - 1;
+      if (!alone) { // begin where something can be read
+        const every = Object.values(data.series), read = (row) => data.sparse || every.every(({ v }) => !Number.isNaN(v[row]));
+        while (this.nearest > 0 && !read(this.nearest)) this.nearest--;
+        if (!read(this.nearest)) this.nearest = count - 1;
+      }
       const [first, last] = this.ends = data.ends ?? [t[0], t[count - 1]];
       this.view = { from: first, to: last };
       this.figures = all("[data-chart]").filter((figure) => one("[data-line]", figure)?.dataset.line in data.series);
@@ -223,6 +231,6 @@
     } }));
     if (!ours) axis.to(axis.nearest, false);
   }
-  show(asked == null ? last : asked, axes.length < 2);
+  show(asked == null ? time[main.nearest] : asked, axes.length < 2);
   document.documentElement.dataset.ready = "yes";
 })();
