@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cosim.checks import check_files
-from cosim.cli import stages
+from cosim.cli import app, stages
 from cosim.errors import InputError
 from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
@@ -150,3 +151,15 @@ def test_every_stage_that_a_refine_tells_has_its_number() -> None:
     listed = {words for stage in ORDER for words in stage}
     assert told <= listed
     assert all(any(f'"{words}"' in text for text in sources) for words in listed)
+
+
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_a_log_of_another_model_is_told_how_to_name_it(tmp_path: Path, verb: str) -> None:
+    log = tmp_path / "mine.csv"
+    log.write_text("time,inflow,level\n" + "".join(f"{k},{k % 3},1.0\n" for k in range(30)))
+    run = CliRunner().invoke(app, [verb, str(log)])
+    assert isinstance(run.exception, InputError)
+    (fault,) = run.exception.faults
+    assert "mine.csv:1:1: holds none of the columns of the model" in str(fault)
+    assert "--model FILE:CLASS" in str(fault)
+    assert "--plant FMU" in str(fault)
