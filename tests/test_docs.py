@@ -197,6 +197,24 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
     assert len(done.stdout) < 1500  # a result shows itself in a few lines
 
 
+def test_the_site_is_searched_for_links_that_lead_nowhere_and_for_what_it_would_load(tmp_path: Path) -> None:
+    spec = importlib.util.spec_from_file_location("site_of_a_test", ROOT / "docs" / "site.py")
+    assert spec is not None
+    assert spec.loader is not None
+    site = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(site)
+    (tmp_path / "a.html").write_text(
+        '<p id="here"></p><a href="b.html#there">1</a><a href="#here">2</a><a href="https://example.org">3</a>'
+        '<a href="b.html#gone">4</a><a href="c.html">5</a><script src="https://example.org/x.js"></script>'
+    )
+    (tmp_path / "b.html").write_text('<h1 id="there"></h1><link rel="icon" href="data:,">')
+    assert site.faults(tmp_path) == [
+        "a.html: b.html#gone: no such place in b.html",
+        "a.html: c.html leads nowhere",
+        "a.html loads https://example.org/x.js",
+    ]
+
+
 def test_every_page_of_the_site_is_in_its_index() -> None:
     index = (ROOT / "docs" / "index.md").read_text()
     listed = [line for block in re.findall(r"```{toctree}\n(.*?)```", index, re.DOTALL) for line in block.splitlines()]

@@ -211,6 +211,13 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
     assert "Cart &lt;of mine&gt;" in text
 
 
+def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: Path) -> None:
+    text = page(cart, tmp_path)
+    assert text.count("<figure") == text.count("data-chart") == text.count("data-box>") > 5
+    drawn = re.findall(r'data-line="(\w+)"', text)
+    assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
+
+
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
     cart: Refinement, tmp_path: Path
 ) -> None:
