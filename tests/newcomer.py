@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def main() -> int:
-    """`cosim init` and `cosim run` in an empty folder; a line of JSON: exporters, connections, seconds, what was made."""
+    """`cosim init` and `cosim run` in an empty folder; a line of JSON: exporters, connections, seconds, pages."""
     fmus = [str(Path(name).resolve()) for name in sys.argv[1:]]
     cosim, seconds = [sys.executable, "-m", "cosim.cli"], {}
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}

@@ -212,8 +212,8 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
 
 
 def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: Path) -> None:
-    text = page(cart, tmp_path)
-    assert text.count("<figure") == text.count("data-chart") == text.count("data-box>") > 5
+    text = page(cart, tmp_path).partition("<script")[0]
+    assert text.count("<figure") == text.count(" data-chart ") == text.count(" data-box>") > 5
     drawn = re.findall(r'data-line="(\w+)"', text)
     assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
 
