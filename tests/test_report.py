@@ -29,6 +29,7 @@ from cosim.simulation.report.craft.roles import find_crafts
 from cosim.simulation.report.craft.topview import pose, reference_track, true_track
 from cosim.simulation.report.page import connection_panels, signal_panels
 from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.rows import connections
 from tests.seen import faults
 
 ROOT = Path(__file__).parent.parent
@@ -238,7 +239,7 @@ def test_what_was_sent_and_what_arrived_stand_in_one_chart(tmp_path: Path) -> No
     results = Results(results.time, results.columns, results.values, {"tank.level": "m", "pump.measured": "m"})
     text = page(tmp_path, results, {"scenario": {"connections": links}})
     run = Run(results, {"scenario": {"connections": links}})
-    noisy, same = connection_panels(run).values()
+    noisy, same = connection_panels(run, connections(run)).values()
     assert [t.label for t in noisy.traces] == ["pump.measured, σ\u00a0=\u00a00.100\u00a0m", "tank.level"]
     assert [t.label for t in same.traces] == ["pump.speed"]  # one line, where both are the same
     assert "<h2>Connections</h2>" in text
@@ -428,6 +429,14 @@ def test_of_very_many_signals_the_first_are_drawn_and_the_rest_is_said(tmp_path:
     assert "The first 1000 of 1003 signals; results.csv has all." in text
     assert "a.y999" in text
     assert "a.y1000" not in text
+
+
+def test_of_very_many_connections_the_first_are_listed_and_the_rest_is_said(tmp_path: Path) -> None:
+    links = [{"from": f"a.y{k}", "to": f"b.u{k}"} for k in range(1003)]
+    text = page(tmp_path, Results(np.arange(2.0), (), np.empty((2, 0))), {"scenario": {"connections": links}})
+    assert "<td>a.y999</td>" in text
+    assert "<td>a.y1000</td>" not in text
+    assert "And 3 more: all of them are in manifest.json." in text
 
 
 def test_missed_criteria_are_named_with_their_margin(tmp_path: Path) -> None:

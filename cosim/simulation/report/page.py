@@ -19,8 +19,17 @@ from cosim.report.svg import extent
 from cosim.report.tables import Row
 from cosim.report.template import render
 from cosim.results import Results
-from cosim.simulation.report.recorded import Run, mapping, number, texts
-from cosim.simulation.report.rows import badges, connections, fault_text, faults_on, provenance, spelled, starts
+from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.rows import (
+    Connection,
+    badges,
+    connections,
+    fault_text,
+    faults_on,
+    provenance,
+    spelled,
+    starts,
+)
 from cosim.simulation.report.subject import Subject, subject_of
 from cosim.simulation.report.system import graph_of_run
 from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
@@ -31,6 +40,7 @@ MOST_TILES = 4
 MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
 MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
 MOST_DRAWN = 1000  # signals that a page shows
+MOST_LISTED = 1000  # connections in its table
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
@@ -56,7 +66,8 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
     """Everything the template names."""
     judged = criteria(run)
     shown = subject.shown if subject else frozenset[str]()
-    links = connection_panels(run, shown) if run.time.size else {}
+    connected = connections(run)
+    links = connection_panels(run, connected, shown) if run.time.size else {}
     others = signal_panels(run, shown.union(*links)) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
@@ -75,7 +86,8 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "data": to_json(drawing.series, subject.data if subject else {}),
         "diagram": _diagram(run),
         "provenance": provenance(run),
-        "connections": connections(run),
+        "connections": connected[:MOST_LISTED],
+        "unlisted": max(0, len(connected) - MOST_LISTED),
         "starts": starts(run),
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
@@ -87,8 +99,10 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
 
 def _diagram(run: Run) -> str:
     """Components and connections as a picture; "" where nothing is connected, or more than anyone could follow."""
+    if len(mappings(run.scenario.get("connections"))) > MOST_WIRES:
+        return ""
     graph = graph_of_run(run)
-    return graph.svg(alone=False) if graph is not None and 0 < len(graph.links) <= MOST_WIRES else ""
+    return graph.svg(alone=False) if graph is not None and graph.links else ""
 
 
 def _goals(judged: Sequence[Criterion]) -> list[Row]:
@@ -108,10 +122,12 @@ def _speed(run: Run) -> list[Row]:
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
 
 
-def connection_panels(run: Run, shown: frozenset[str] = frozenset()) -> dict[tuple[str, str], Panel]:
+def connection_panels(
+    run: Run, connected: Sequence[Connection], shown: frozenset[str] = frozenset()
+) -> dict[tuple[str, str], Panel]:
     """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
     panels: dict[tuple[str, str], Panel] = {}
-    for link in connections(run):
+    for link in connected:
         ends = (link.source, link.target)
         recorded = all(end in run.results and end not in shown for end in ends)
         if not recorded or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MOST_CONNECTIONS:

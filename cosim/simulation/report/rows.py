@@ -86,8 +86,10 @@ def _acting(run: Run, link: Mapping[str, Any]) -> list[str]:
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
     """Faults injected into the connections to these inputs."""
-    arrays = {name.partition("[")[0] for name in inputs}
     faults = mappings(run.scenario.get("faults"))
+    if not faults:
+        return []
+    arrays = {name.partition("[")[0] for name in inputs}
     return [fault for fault in faults if fault.get("on") in {*inputs, *arrays}]
 
 
