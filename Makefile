@@ -4,8 +4,9 @@ BIN := .venv/bin
 RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
+DOCUMENTING := .venv/.documenting
 
-.PHONY: run test refine bench blind crash fuzz seed check clean fmus
+.PHONY: run test refine bench blind crash fuzz seed check docs clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -24,6 +25,10 @@ $(TESTING): $(RUNTIME)
 
 $(CHECKING): $(TESTING)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,check]'
+	@touch $@
+
+$(DOCUMENTING): $(RUNTIME)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
 fmus: $(RUNTIME)
@@ -62,5 +67,9 @@ check: $(CHECKING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# the site, docs/_site: reports for the gallery, pages, every link tried; LINKS=--external those to other sites too
+docs: $(DOCUMENTING)
+	$(BIN)/python docs/site.py $(LINKS)
+
 clean:
-	rm -rf build results .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+	rm -rf build results docs/_made docs/_site docs/_site.doctrees .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
