@@ -6,6 +6,7 @@ from pathlib import Path
 
 from cosim.identification.craft import CraftOutcome
 from cosim.identification.report import number, plot_of
+from cosim.report.drawing import Charts
 from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.text import counted
@@ -17,7 +18,7 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 
 def page(outcome: CraftOutcome) -> str:
     """One self-contained page."""
-    craft = outcome.craft
+    craft, charts = outcome.craft, Charts()
     rows = [
         {
             "name": e.name, "value": number(e.value, e.unit, 0.5 * (e.high - e.low)), "origin": e.origin,
@@ -33,9 +34,10 @@ def page(outcome: CraftOutcome) -> str:
             "badges": [Badge(craft.loaded.model.title), Badge(counted(len(craft.rest) + len(craft.runs), "log"))],
             "parts": [
                 {"name": r.test, "title": TITLES[r.test], "notes": r.notes,
-                 "plots": [(plot_of(f), f.x_label) for f in r.figures]}
+                 "plots": [(plot_of(f, charts), f.x_label) for f in r.figures]}
                 for r in outcome.results
             ],
             "repeat": f"cosim identify {craft.yaml.path}",
+            "data": charts.data(),  # after all that is drawn
         },
     )  # fmt: skip
