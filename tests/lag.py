@@ -93,26 +93,28 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @cache
-def library() -> Path:
+def library(forgets: bool = False) -> Path:
     """The library, compiled for this machine; the test is skipped where that cannot be."""
     command = compiler()
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     folder = Path(tempfile.mkdtemp(prefix="lag-"))
-    (folder / "lag.c").write_text(SOURCE)
+    taken = "{ memcpy(c, s, sizeof(M)); return 0; }"
+    assert taken in SOURCE
+    (folder / "lag.c").write_text(SOURCE.replace(taken, "{ return 0; }") if forgets else SOURCE)
     flags = ["-O1", "-w", "-shared", "-fPIC", "-ffp-contract=off"]
     subprocess.run([*command, *flags, "-o", str(folder / "lag.so"), str(folder / "lag.c")], check=True)
     return folder / "lag.so"
 
 
-def lag_fmu(path: Path, units: tuple[str, str] = ("", "")) -> Path:
-    """The FMU; `units` of u and y."""
+def lag_fmu(path: Path, units: tuple[str, str] = ("", ""), *, forgets: bool = False) -> Path:
+    """The FMU; `units` of u and y; forgets: a state given back is not taken."""
     text = DESCRIPTION
     for mark, unit in zip(("UNIT_IN", "UNIT_OUT"), units, strict=True):
         text = text.replace(f' unit="{mark}"', f' unit="{unit}"' if unit else "")
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.write(library(), "binaries/linux64/lag.so")
+        archive.write(library(forgets), "binaries/linux64/lag.so")
     return path
 
 

@@ -21,7 +21,7 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.simulation.workflow import run
 from tests.lag import lag_fmu
-from tests.typed import typed_fmu
+from tests.typed import numbers_fmu, typed_fmu
 
 
 def scenario(folder: Path, components: dict[str, Any], connections: Sequence[Any] = (), **more: Any) -> Path:
@@ -87,6 +87,9 @@ def test_sixty_four_bits_arrays_text_and_binary_data_of_fmi_3_are_exact(tmp_path
         ({"byte": 1.5}, "it is a whole number"),
         ({"a": [1, 2]}, "it is a list of 4 values"),
         ({"raw": "xyz"}, "hexadecimal"),
+        ({"f": 1e39}, "it lies in [-3.40282e+38, 3.40282e+38]"),
+        ({"a[3,1]": 1}, 'no variable "a[3,1]"'),
+        ({"a": [1, 2, 3], "a[1,1]": 1}, "it is a list of 4 values"),
     ],
 )
 def test_a_value_outside_its_type_is_a_fault(tmp_path: Path, start: dict[str, Any], words: str) -> None:
@@ -104,6 +107,28 @@ def test_a_value_that_comes_out_of_range_stops_the_run_and_is_never_wrapped(tmp_
     components = {"r": {"block": "reference", "signals": signals}, "a": {"fmu": str(typed_fmu(tmp_path, 3))}}
     with pytest.raises(StoppedRun, match=r"a\.byte at t = 0\.5 s: the input 256 is outside 0 … 255 of its type"):
         results_of(scenario(tmp_path, components, (("r.n", "a.byte"),)))
+
+
+@pytest.mark.parametrize("in_c", [False, True])
+def test_numbers_of_32_bits_become_no_infinity_unseen(tmp_path: Path, in_c: bool) -> None:
+    """Neither an input that is too large for the type, nor an output whose square is."""
+    fmu = str(numbers_fmu(tmp_path))
+    for value, words in (
+        (1e39, r"a\.f at t = 0\.5 s: the input 1e\+39 is outside"),
+        (1e20, r"a\.square at t = 0\.6 s: the value is inf"),
+    ):
+        signals = {"f": {"start": 2, "changes": [{"at": 0.5, "to": value}]}}
+        components = {"r": {"block": "reference", "signals": signals}, "a": {"fmu": fmu}}
+        file = ScenarioFile(scenario(tmp_path, components, (("r.f", "a.f"),)))
+        with pytest.raises(StoppedRun, match=words) as stopped:
+            simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+        assert set(stopped.value.results["a.square"].tolist()) == {4}
+
+
+def test_single_elements_of_an_array_have_start_values(tmp_path: Path) -> None:
+    a = {"fmu": str(typed_fmu(tmp_path, 3)), "start": {"a[2,1]": 9, "a[1,2]": 7}}
+    results = results_of(scenario(tmp_path, {"a": a}))
+    assert [results[f"a.twice[{k}]"][-1] for k in ("1,1", "1,2", "2,1", "2,2")] == [2, 14, 18, 8]
 
 
 def test_types_that_lose_values_are_not_connected(tmp_path: Path) -> None:
@@ -148,8 +173,10 @@ def test_an_initialization_that_contracts_slowly_settles(tmp_path: Path) -> None
     wires = ({"from": "a.r_out", "to": "b.r_in"}, {"from": "b.r_out", "to": "a.r_in", "noise": {"bias": 1}})
     path = scenario(tmp_path, components, wires, algorithm="jacobi")
     assert results_of(path)["a.r_out"][0] == pytest.approx(9, abs=1e-10)  # 1e-12 a sweep, over 1 − 0.9
+    slow = scenario(tmp_path, components | {"a": {"fmu": fmu, "start": {"gain": 0.98}}}, wires, algorithm="jacobi")
+    assert results_of(slow)["a.r_out"][0] == pytest.approx(49, abs=1e-8)  # some 1400 sweeps
     path = scenario(tmp_path, components | {"a": {"fmu": fmu, "start": {"gain": 1.1}}}, wires, algorithm="jacobi")
-    with pytest.raises(StoppedRun, match=r"an algebraic loop without a fixed point|the value is inf"):
+    with pytest.raises(StoppedRun, match=r"an algebraic loop that exchanging values does not settle"):
         results_of(path)
 
 
@@ -225,6 +252,11 @@ def test_a_component_with_a_longer_step_makes_it_at_its_end(tmp_path: Path) -> N
     assert results["fast.r_out"] == pytest.approx(sampled)
     components["slow"]["step"] = 0.25
     assert "use a whole multiple" in faults_of(scenario(tmp_path, components, wires))[0]
+    components["slow"]["step"] = 2.0
+    assert any("it would never step" in told for told in faults_of(scenario(tmp_path, components, wires)))
+    components["slow"]["step"] = 0.3
+    warnings = system_of(scenario(tmp_path, components, wires)).warnings
+    assert any("its last 0.1 s of the run make no whole step" in w for w in warnings)
 
 
 def test_events_change_parameters_and_free_inputs(tmp_path: Path) -> None:
@@ -237,6 +269,35 @@ def test_events_change_parameters_and_free_inputs(tmp_path: Path) -> None:
     for wrong, words in (({"a.warn_at": 1}, "tunable"), ({"a.h": 1}, "tunable"), ({"b.x": 1}, "no FMU")):
         path = scenario(tmp_path, components, events=[{"at": 0.5, "set": wrong}])
         assert any(words in fault for fault in faults_of(path))
+
+
+def test_of_events_at_one_point_the_later_has_the_last_word(tmp_path: Path) -> None:
+    components = {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"r_in": 0}}}
+    events: list[dict[str, Any]] = [{"at": 0.5, "set": {"a.r_in": 1}}, {"at": 0.45, "set": {"a.r_in": 3}}]
+    results = results_of(scenario(tmp_path, components, events=events))
+    assert results["a.r_in"][5:].tolist() == [1] * 6
+    both = [*events, {"at": 0.5, "set": {"a.r_in": 2}}]
+    assert "two values at 0.5 s: 1.0 and 2.0; keep one" in faults_of(scenario(tmp_path, components, events=both))
+    assert not any("not connected" in w and "a.r_in" in w for w in system_of(scenario(tmp_path, components)).warnings)
+
+
+def test_faults_that_let_values_pass_act_on_text_too(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    components, wires = {"a": {**fmu, "start": {"s_in": "one"}}, "b": fmu}, (("a.s_out", "b.s_in"),)
+    events = [{"at": 0.3, "set": {"a.s_in": "two"}}]
+    for kind, more, last in (("freeze", {"from": 0.2}, "one"), ("delay", {"delay": 0.2}, "two")):
+        fault = {"on": "b.s_in", "kind": kind, **more}
+        results = results_of(scenario(tmp_path, components, wires, events=events, faults=[fault]))
+        assert (results.exact["b.s_out"][4], results.exact["b.s_out"][-1]) == ("one", last)
+    path = scenario(tmp_path, components, wires, faults=[{"on": "b.s_in", "kind": "bias", "value": 1}])
+    assert "a.s_out to b.s_in: no bias fault on String" in faults_of(path)
+
+
+def test_a_delay_that_is_no_whole_number_of_steps_is_told(tmp_path: Path) -> None:
+    fmu = {"fmu": str(typed_fmu(tmp_path))}
+    fault = {"on": "b.r_in", "kind": "delay", "delay": 0.25}
+    system = system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.r_out", "b.r_in"),), faults=[fault]))
+    assert any("a delay of 0.25 s on b.r_in is no whole number of steps: it is 0.2 s" in w for w in system.warnings)
 
 
 @pytest.mark.parametrize(
@@ -380,6 +441,12 @@ def test_a_step_that_is_taken_back_and_made_in_halves_tells_its_own_error(tmp_pa
     assert error.steps["a.y"] == pytest.approx(most, rel=1e-9)
     assert "of a single step, taken back and made again in halves: a.y" in error.sentence
     assert run(path, tmp_path / "out", report=False).results["a.y"][-1] == pytest.approx(state[0], rel=1e-12)
+
+
+def test_an_fmu_that_only_says_that_it_comes_back_is_told(tmp_path: Path) -> None:
+    lag = {"fmu": str(lag_fmu(tmp_path / "lag.fmu", forgets=True)), "start": {"bias": 1.0}}
+    error = coupling_error(scenario(tmp_path, {"a": lag, "b": lag}, (("a.y", "b.u"),)))
+    assert "a at t = 0 s: it does not come back to the state that it gave away" in error.without
 
 
 def test_where_no_step_can_be_taken_back_the_reason_is_said(tmp_path: Path) -> None:

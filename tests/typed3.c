@@ -5,7 +5,7 @@
 
 typedef void *C;
 typedef uint32_t VR;
-typedef struct { double array[2][4]; int64_t whole[2]; uint8_t byte[2]; char text[2][200]; uint8_t raw[2][16]; size_t size[2]; } M;
+typedef struct { double array[2][4]; int64_t whole[2]; uint8_t byte[2]; char text[2][200]; uint8_t raw[2][16]; size_t size[2]; float single; } M;
 
 const char *fmi3GetVersion(void) { return "3.0"; }
 C fmi3InstantiateCoSimulation(void) { return calloc(1, sizeof(M)); }
@@ -25,6 +25,13 @@ int fmi3SetFloat64(C c, const VR *v, size_t n, const double *x, size_t k) {
     for (size_t i = 0; i < n; i++) memcpy(m->array[v[i] - 1], x + i * size, size * 8);
     return 0;
 }
+int fmi3GetFloat32(C c, const VR *v, size_t n, float *x, size_t k) {
+    const float f = ((M *)c)->single;
+    (void)k;
+    while (n--) x[n] = v[n] == 11 ? f : f * f;
+    return 0;
+}
+int fmi3SetFloat32(C c, const VR *v, size_t n, const float *x, size_t k) { (void)v; (void)k; while (n--) ((M *)c)->single = x[n]; return 0; }
 int fmi3GetInt64(C c, const VR *v, size_t n, int64_t *x, size_t k) { (void)k; while (n--) x[n] = ((M *)c)->whole[v[n] - 3]; return 0; }
 int fmi3SetInt64(C c, const VR *v, size_t n, const int64_t *x, size_t k) { (void)k; while (n--) ((M *)c)->whole[v[n] - 3] = x[n]; return 0; }
 int fmi3GetUInt8(C c, const VR *v, size_t n, uint8_t *x, size_t k) { (void)k; while (n--) x[n] = ((M *)c)->byte[v[n] - 5]; return 0; }
@@ -58,9 +65,9 @@ int fmi3DoStep(C c, double t, double h, _Bool no, _Bool *event, _Bool *end, _Boo
 }
 #define NONE(name) int name(void) { return 3; }
 NONE(fmi3InstantiateModelExchange) NONE(fmi3InstantiateScheduledExecution)
-NONE(fmi3GetFloat32) NONE(fmi3GetInt8) NONE(fmi3GetInt16) NONE(fmi3GetUInt16) NONE(fmi3GetInt32) NONE(fmi3GetUInt32)
+NONE(fmi3GetInt8) NONE(fmi3GetInt16) NONE(fmi3GetUInt16) NONE(fmi3GetInt32) NONE(fmi3GetUInt32)
 NONE(fmi3GetUInt64) NONE(fmi3GetBoolean) NONE(fmi3GetClock)
-NONE(fmi3SetFloat32) NONE(fmi3SetInt8) NONE(fmi3SetInt16) NONE(fmi3SetUInt16) NONE(fmi3SetInt32) NONE(fmi3SetUInt32)
+NONE(fmi3SetInt8) NONE(fmi3SetInt16) NONE(fmi3SetUInt16) NONE(fmi3SetInt32) NONE(fmi3SetUInt32)
 NONE(fmi3SetUInt64) NONE(fmi3SetBoolean) NONE(fmi3SetClock)
 NONE(fmi3GetNumberOfVariableDependencies) NONE(fmi3GetVariableDependencies) NONE(fmi3GetFMUState) NONE(fmi3SetFMUState)
 NONE(fmi3FreeFMUState) NONE(fmi3SerializedFMUStateSize) NONE(fmi3SerializeFMUState) NONE(fmi3DeserializeFMUState)

@@ -157,6 +157,11 @@ def points(begin: float | None, end: float | None, start: float, step: float, co
     return first, last
 
 
+def whole(time: float, step: float) -> int:
+    """The whole number of steps, one at least, that is nearest to a time [s]."""
+    return max(1, round(steps_in(time, step)))
+
+
 def steps_in(time: float, step: float) -> float:
     """Steps in a time; very many where they are beyond a double."""
     return min(max(time / step, -MOST), MOST)

@@ -193,6 +193,7 @@ class FmuBlock:
         if self._other_gets:
             for exchange in self._other_gets:
                 self._read_in(exchange)
+                self._check_finite(exchange)
 
     def advance(self, t: float, h: float) -> None:
         status = self._do_step(self._component, t, h, 1)
@@ -251,9 +252,9 @@ class FmuBlock:
         if any(exchange.kind.beside for exchange in (*self._ports.fed, *self._ports.read)):
             return f"{self.name} has values that no double holds"
         puts = [move(self._setters[e.kind.function], e, self._row) for e in self._ports.fed]
-        gets = [move(self._getters[e.kind.function], e, self._row) for e in self._ports.read]
+        gets = [move(self._getters[e.kind.function], e, self._row, len(self._finite_of(e))) for e in self._ports.read]
         step = self._calls.bare_step()
-        return fmu_slot(version, step, self._component, puts, gets, len(self._finite), self._time)
+        return fmu_slot(version, step, self._component, puts, gets, self._time)
 
     def came_to(self, t: float) -> None:
         """C has stepped it to `t` [s]; raises what stopped this process while the FMU spoke."""
@@ -266,7 +267,7 @@ class FmuBlock:
         """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
         exchanges = self._ports.fed if plan.called == PUT or why == Why.UNFIT else self._ports.read
         if why == Why.NOT_FINITE:
-            self._not_finite(self._row[self._out])
+            self._check_finite(self._ports.read[plan.moving])
         elif why == Why.UNFIT:
             self._write(exchanges[plan.moving])
         elif why == Why.TERMINATED:
@@ -286,15 +287,11 @@ class FmuBlock:
 
     @property
     def rolls_back(self) -> bool:
-        """It gives its state away, takes it back, and makes steps of any length; its connected inputs are all Real."""
+        """It gives its state away, takes it back, and makes steps of any length."""
         about = self._made_of[1][2].coSimulation
         states = getattr(about, "canGetAndSetFMUstate", False) or getattr(about, "canGetAndSetFMUState", False)
         anyhow = about is not None and about.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
-        return bool(states and anyhow and isinstance(self._calls, CoSimulation2 | CoSimulation3) and self._plain)
-
-    @property
-    def _plain(self) -> bool:
-        return all(not signal.whole and signal.kind != "String" for signal in self.inputs)
+        return bool(states and anyhow and isinstance(self._calls, CoSimulation2 | CoSimulation3))
 
     def saved(self) -> Any:
         """Its state, to be taken back once."""
@@ -494,8 +491,17 @@ class FmuBlock:
                 shown.append(str(value or "") if text else float(value or 0.0))
             self._target(exchange)[exchange.places] = shown
 
-    def _not_finite(self, values: Sequence[float]) -> None:
-        for name, value in zip(self._finite, values, strict=True):
+    def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
+        """Those of its scalars that must be finite, which come first: outputs of 64 and of 32 bits."""
+        return self._ports.outputs_of(exchange) if exchange.kind.ctype in (ctypes.c_double, ctypes.c_float) else ()
+
+    def _check_finite(self, exchange: Exchange) -> None:
+        if names := self._finite_of(exchange):
+            first = exchange.places.start
+            self._not_finite(self._row[first : first + len(names)], names)
+
+    def _not_finite(self, values: Sequence[float], names: Sequence[str] | None = None) -> None:
+        for name, value in zip(self._finite if names is None else names, values, strict=True):
             if not math.isfinite(value):
                 raise SimulationError(f"{self.name}.{name}", self._time, f"the value is {value}")
 

@@ -19,6 +19,7 @@ class Kind:
     function:  its functions are fmi2Get… and fmi2Set… of this
     low, high: the whole numbers that it holds; None of one that holds others
     beside:    values that no double holds exactly, so they stand beside the row of doubles
+    largest:   of one that holds no whole numbers, the largest amount
     """
 
     function: str
@@ -26,12 +27,15 @@ class Kind:
     low: int | None = None
     high: int | None = None
     beside: bool = False
+    largest: float = math.inf
 
     def encoded(self, value: Any) -> Any:
         """A value as C takes it; ValueError where it is outside the type."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
         if self.low is None or self.high is None:
+            if self.largest < math.inf and abs(value) > self.largest:
+                raise ValueError(f"{value:g} is outside ±{self.largest:.7g}")
             return value
         whole = int(value) if math.isfinite(value) else None
         if whole is None or whole != value:
@@ -59,7 +63,7 @@ FMI2 = {
 FMI1 = {**FMI2, "Boolean": Kind("Boolean", ctypes.c_ubyte, 0, 1)}
 FMI3 = {
     "Float64": Kind("Float64", ctypes.c_double),
-    "Float32": Kind("Float32", ctypes.c_float),
+    "Float32": Kind("Float32", ctypes.c_float, largest=(2 - 2**-23) * 2.0**127),
     **{f"Int{bits}": _integer(f"Int{bits}", bits, True) for bits in (8, 16, 32, 64)},
     **{f"UInt{bits}": _integer(f"UInt{bits}", bits, False) for bits in (8, 16, 32, 64)},
     "Enumeration": Kind("Int64", ctypes.c_int64, -EXACT_IN_A_DOUBLE, EXACT_IN_A_DOUBLE),

@@ -71,8 +71,12 @@ class Ports:
         doubles = _doubles(self.read)
         if doubles is None:
             return slice(0, 0), ()
-        names = tuple(name for name in doubles.names if name in self._outputs)
+        names = self.outputs_of(doubles)
         return slice(doubles.places.start, doubles.places.start + len(names)), names
+
+    def outputs_of(self, exchange: Exchange) -> tuple[str, ...]:
+        """Those among its scalars that are outputs, which come first."""
+        return tuple(name for name in exchange.names if name in self._outputs)
 
     def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
         """One for each type, that of the row's doubles first."""

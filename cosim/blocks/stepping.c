@@ -44,6 +44,7 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     size_t count, scalars;
     void *values;
     double *row, low, high;
+    size_t finite;         /* so many of the first values got must be finite */
     int32_t type;
 } Move;
 
@@ -55,7 +56,6 @@ typedef struct {           /* an FMU, or (`version` 0) values that were prepared
     double length;         /* of its own step; 0: from communication point to communication point */
     const Transfer *pull;
     const Move *put, *get;
-    size_t finite;         /* so many of the first values got must be finite */
     const double *prepared;
     double *row;
     size_t scalars;
@@ -131,9 +131,12 @@ static bool transferred(const Transfer *transfers, int64_t count, int64_t k)
 static bool encoded(const Move *m)
 {
     if (m->type == DOUBLES) return true;
-    if (m->type != FLOAT32)
-        for (size_t n = 0; n < m->scalars; n++)
-            if (!(m->row[n] >= m->low && m->row[n] <= m->high && m->row[n] == floor(m->row[n]))) return false;
+    for (size_t n = 0; n < m->scalars; n++)
+        if (m->type == FLOAT32) {
+            if (fabs(m->row[n]) > m->high) return false;
+        } else if (!(m->row[n] >= m->low && m->row[n] <= m->high && m->row[n] == floor(m->row[n]))) {
+            return false;
+        }
     switch (m->type) {
     case FLOAT32: ENCODED(float);
     case INT8: ENCODED(int8_t);
@@ -236,7 +239,7 @@ static int stepped(Plan *p, Slot *s, int64_t k)
             if (status != 0) return judge(p, GET, status); /* fall through */
     case GOT:
             decoded(&s->get[p->move]);
-            if (s->get[p->move].type == DOUBLES && !all_finite(s->get[p->move].row, s->finite)) return NOT_FINITE;
+            if (!all_finite(s->get[p->move].row, s->get[p->move].finite)) return NOT_FINITE;
             p->move++;
             p->phase = GETS;
         }

@@ -81,7 +81,7 @@ class Transfer(ctypes.Structure):
 
 
 class Move(ctypes.Structure):
-    """Variables of one type, moved in one call; `row` is their place there."""
+    """Variables of one type, moved in one call; `row` is their place there; got, the first `finite` must be so."""
 
     _fields_ = (
         ("function", c_void_p),
@@ -92,6 +92,7 @@ class Move(ctypes.Structure):
         ("row", c_void_p),
         ("low", c_double),
         ("high", c_double),
+        ("finite", c_size_t),
         ("type", c_int32),
     )
 
@@ -114,7 +115,6 @@ class Slot(ctypes.Structure):
         ("pull", c_void_p),
         ("put", c_void_p),
         ("get", c_void_p),
-        ("finite", c_size_t),
         ("prepared", c_void_p),
         ("row", c_void_p),
         ("scalars", c_size_t),
@@ -184,25 +184,24 @@ def library() -> Any:
     return run
 
 
-def move(function: Any, exchange: Exchange, row: Row) -> Move:
-    """One of FMI's functions that get and set, for these variables."""
+def move(function: Any, exchange: Exchange, row: Row, finite: int = 0) -> Move:
+    """One of FMI's functions that get and set, for these variables, of which the first `finite` must be so."""
     direct = exchange.kind.ctype is ctypes.c_double
     place = ctypes.addressof(row) + 8 * exchange.places.start
     values = place if direct else ctypes.addressof(exchange.buffer)
     low, high = exchange.kind.low, exchange.kind.high
     pointer = ctypes.cast(function, c_void_p)
-    bounds = (0.0, 0.0) if low is None or high is None else (float(low), float(high))
+    largest = exchange.kind.largest
+    bounds = (-largest, largest) if low is None or high is None else (float(low), float(high))
     references = ctypes.addressof(exchange.vrs)
     kind = TYPES[exchange.kind.ctype]
-    return Move(pointer, references, len(exchange.vrs), exchange.count, values, place, *bounds, kind)
+    return Move(pointer, references, len(exchange.vrs), exchange.count, values, place, *bounds, finite, kind)
 
 
-def fmu_slot(
-    version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], finite: int, time: float
-) -> Slot:
-    """An FMU that is at `time` [s]; `finite` of the first values got must be so."""
+def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], time: float) -> Slot:
+    """An FMU that is at `time` [s]."""
     put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
-    slot = Slot(version, ctypes.cast(step, c_void_p), instance, every=1, time=time, finite=finite)
+    slot = Slot(version, ctypes.cast(step, c_void_p), instance, every=1, time=time)
     slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
     slot.keeping = put, get
     return slot

@@ -17,7 +17,7 @@ from cosim.registry import BASE_NAME, MODELS
 from cosim.simulation.diagnosis import Diagnosis, Place
 from cosim.simulation.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.start_values import Misfit, kind_of, settable, typed
+from cosim.simulation.start_values import Misfit, kind_of, settable, typed, with_elements
 from cosim.yaml_file import did_you_mean
 
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
@@ -95,6 +95,7 @@ def _fmu(
     description = read(path)
     given = {**designed, **component.start}
     variables = {v.name: v for v in description.modelVariables} if given else {}
+    given = with_elements(given, variables)
     typed_values = {
         variable: _start(name, description, variables, variable, value, diagnosis) for variable, value in given.items()
     }

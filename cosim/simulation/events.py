@@ -17,12 +17,17 @@ Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point â†
 
 
 def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
-    """Events by the communication point at which they act: the first that is not before their time."""
+    """Events by the communication point at which they act: the first that is not before their time.
+
+    Of several that act at one point, the later in time has the last word.
+    """
     scenario = file.scenario
     found: dict[int, dict[str, dict[str, Any]]] = {}
     connected = {c.target for c in scenario.connections}
     variables = {name: {v.name: v for v in block.description.modelVariables} for name, block in blocks.items()}
-    for k, event in zip(file.places["events"], scenario.events, strict=True):
+    given_at: dict[tuple[float, str], Any] = {}
+    events = zip(file.places["events"], scenario.events, strict=True)
+    for k, event in sorted(events, key=lambda placed: placed[1].at):
         point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
@@ -33,6 +38,9 @@ def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagn
             value = _value(blocks, variables, connected, target, given)
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
+            elif given_at.setdefault((event.at, target), value) != value:
+                both = f"{given_at[event.at, target]!r} and {value!r}"
+                diagnosis.note(("events", k, "set", target), f"two values at {event.at:g} s: {both}; keep one")
             else:
                 found.setdefault(point, {}).setdefault(name, {})[variable] = value
     return found

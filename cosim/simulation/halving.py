@@ -12,7 +12,9 @@ from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
-from cosim.simulation.master import _Run, _transfer
+from cosim.errors import SimulationError
+from cosim.isolation.rows import CALLS, GET, OTHER
+from cosim.simulation.master import _close, _Run, _transfer
 from cosim.simulation.system import System
 
 
@@ -42,15 +44,16 @@ class Halved(_Run):
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
-                before, row = [p.saved() for p in parts], bytes(self.row)
+                before, row = self._saved(parts), bytes(self.row)
                 self._once(calls, copies, held, k, t, end)
-                whole, after, values = bytes(self.row), [p.saved() for p in parts], list(self.row)
-                _back(parts, before)
+                whole, after, values = bytes(self.row), self._saved(parts), list(self.row)
+                self._back(parts, before)
                 ctypes.memmove(self.row, row, len(row))
+                self._check_back(parts, row, t)
                 for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
                     self._once(calls, copies, held, k, since, until)
                 self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
-                _back(parts, after)
+                self._back(parts, after)
                 ctypes.memmove(self.row, whole, len(whole))
                 self.done = self.made[0] = k + 1
         finally:
@@ -63,8 +66,26 @@ class Halved(_Run):
             step(t, end - t)
         _transfer(self.row, held, k)
 
+    def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
+        """The state of each."""
+        states = []
+        for part in parts:
+            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            states.append(part.saved())
+        return states
 
-def _back(parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
-    """Give each FMU a state back, and free it."""
-    for part, state in zip(parts, states, strict=True):
-        part.take_back(state)
+    def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
+        """Give each FMU a state back, and free it."""
+        for part, state in zip(parts, states, strict=True):
+            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            part.take_back(state)
+
+    def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
+        """Outputs are what they were: SimulationError of an FMU that only says that it takes its state back."""
+        for part in parts:
+            before = list(self.row)
+            self.doing[0] = CALLS * self.components.index(part) + GET
+            part.get()
+            if not _close(before, self.row):
+                raise SimulationError(part.name, t, "it does not come back to the state that it gave away")
+        ctypes.memmove(self.row, row, len(row))

@@ -40,8 +40,10 @@ Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
 Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
 Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
 EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
-MOST_SWEEPS = 1000  # after which initial values that still change are called an error
+MOST_SWEEPS = 1000  # after which initial values that still change are an error where they do not change less and less
+LAST_SWEEP = 50_000  # and where they do
 SETTLED = 1e-12  # relative change of a sweep
+SHRINKS = 0.9  # of the change, over MOST_SWEEPS, of values that come to rest
 PROGRESS_EVERY = 50
 LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
 
@@ -150,15 +152,21 @@ class _Run:
             self._sweep()
 
     def _settle(self) -> None:
-        for sweep in range(MOST_SWEEPS):
+        earlier = math.inf
+        for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
             self._sweep()
-            if self._values() == before or (sweep >= EXACT_SWEEPS and _close(row, self.row)):
+            if self._values() == before or (sweep > EXACT_SWEEPS and _close(row, self.row)):
                 return
+            if sweep % MOST_SWEEPS == 0:
+                change = max((abs(a - b) for a, b in zip(self.row, row, strict=True)), default=0.0)
+                if not change < SHRINKS * earlier:
+                    break
+                earlier = change
         raise SimulationError(
             "initialization",
             self.system.start,
-            f"values still change after {MOST_SWEEPS} exchanges: an algebraic loop without a fixed point",
+            f"values still change after {sweep} exchanges: an algebraic loop that exchanging values does not settle",
         )
 
     def _sweep(self) -> None:

@@ -71,7 +71,15 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
         cure = f"use a whole multiple, {max(1, round(count)) * scenario.step:g} s for one"
         message = f"step is {step:g} s, that of the scenario {scenario.step:g} s; {cure}"
         diagnosis.note(("components", name, "step"), message)
-    return max(1, round(count))
+        return max(1, round(count))
+    every = round(count)
+    if every > scenario.steps:
+        message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
+        diagnosis.note(("components", name, "step"), message)
+    elif left := scenario.steps % every:
+        still = f"its last {left * scenario.step:g} s of the run make no whole step: it stands still there"
+        diagnosis.warnings.append(f"{name}: step is {step:g} s; {still}")
+    return every
 
 
 def _edge(connection: Connection) -> Edge:

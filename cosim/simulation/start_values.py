@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from cosim.blocks.description import unit_of
-from cosim.blocks.kinds import Kind, kinds_of
+from cosim.blocks.kinds import Kind, element_names, kinds_of
 from cosim.yaml_file import did_you_mean
 
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d.]\S*)\s*")
-
+# a number and its unit, which may begin with a digit (1/min) where a blank comes before it
+QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*(?=[^\s\d.])|\s+)(\S+)\s*")
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
@@ -40,6 +41,36 @@ def kind_of(variable: Any) -> str:
         "structuralParameter": "a structural parameter, which keeps its value here",
     }
     return known.get(variable.causality, variable.variability or "not settable")
+
+
+def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of elements, `A[1,2]: 3`, put into the list of their array: what is given for that, else its own start."""
+    found = dict(given)
+    for name, value in given.items():
+        array = variables.get(name.rpartition("[")[0])
+        if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
+            continue
+        values = found.get(array.name, array.start)
+        values = values.split() if isinstance(values, str) else values
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:
+            values = [_number(v) for v in values] * (len(names) // len(values))
+        elif values is None or isinstance(values, (int, float)):
+            values = [values or 0.0] * len(names)
+        else:
+            continue  # what is given for the whole does not fit, which is told
+        del found[name]
+        found[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
+    return found
+
+
+def _number(text: Any) -> Any:
+    """A start value as XML has it, as a number where it is one."""
+    if not isinstance(text, str):
+        return text
+    try:
+        return int(text) if text.lstrip("+-").isdigit() else float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text, text)
 
 
 def typed(description: Any, variable: Any, given: Any) -> Any:
@@ -86,7 +117,7 @@ def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
         next((float(v) for v in (getattr(variable, end), getattr(declared, end, None)) if v is not None), None)
         for end in ("min", "max")
     )
-    lowest, highest = (-math.inf, math.inf) if kind.low is None or kind.high is None else (kind.low, kind.high)
+    lowest, highest = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
     return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, steps_in
+from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, whole
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
@@ -21,6 +21,7 @@ from cosim.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
+PASSING = {"freeze", "dropout", "delay"}  # faults that let values through as they are, whatever their type
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Transfer:
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
-            delay = 0 if fault.delay is None else max(1, round(steps_in(fault.delay, step)))
+            delay = 0 if fault.delay is None else whole(fault.delay, step)
             given = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
         if self.items is not None:
@@ -173,9 +174,12 @@ def _transfers(
         origin, name = (f"{owner}.{end.name}" for owner, end in zip(owners, (source, target), strict=True))
         (from_beside, at), (to_beside, to) = layout.place[origin], layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
-        if (noise or faults or conversion != (1.0, 0.0)) and (from_beside or to_beside):
-            diagnosis.note(("connections", k), f"{ends}: no noise, fault or factor on {source.kind or target.kind}")
-            return ()
+        if from_beside or to_beside:
+            counts = [f.kind for f in faults if f.kind not in PASSING]
+            if noise or conversion != (1.0, 0.0) or counts:
+                what = f"{' or '.join(counts)} fault" if counts else "noise or factor"
+                diagnosis.note(("connections", k), f"{ends}: no {what} on {source.kind or target.kind}")
+                return ()
         factor, offset = conversion or (1.0, 0.0)
         sides = from_beside, to_beside
         found.append(Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin))
@@ -271,6 +275,10 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
         needed = needs.get(fault.kind)
         if needed is not None and getattr(fault, needed) is None:
             diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
+        made = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
+        if fault.delay is not None and abs(made - fault.delay) > 1e-9 * made:
+            rounded = f"no whole number of steps: it is {made:g} s"
+            diagnosis.warnings.append(f"a delay of {fault.delay:g} s on {fault.on} is {rounded}")
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
@@ -290,6 +298,7 @@ def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
     """A warning for each component with inputs that nothing feeds and the scenario gives no value."""
     fed = {c.target for c in file.scenario.connections}
+    fed |= {target for event in file.scenario.events for target in event.set}
     for name, component in components.items():
         declared = file.scenario.components[name]
         given = declared.start if isinstance(declared, FmuComponent) else {}
