@@ -316,7 +316,7 @@ def test_build_makes_the_fmus_of_a_model_file(tmp_path: Path) -> None:
     model.write_text("parameters: {izz: 0.015, coulomb_friction.force: 0.05}\n")
     done = command.invoke(app, ["build", "--model", str(model), "--out", str(tmp_path / "built")])
     assert done.exit_code == 0, done.output
-    assert sorted(p.name for p in (tmp_path / "built").iterdir()) == ["controller.fmu", "plant.fmu"]
+    assert {"controller.fmu", "plant.fmu"} <= {p.name for p in (tmp_path / "built").iterdir()}
     starts = {v.name: v.start for v in read_model_description(str(tmp_path / "built" / "plant.fmu")).modelVariables}
     assert (float(starts["izz"]), float(starts["coulomb_friction.force"])) == (0.015, 0.05)
     model.write_text("parameters: {izz: -1, coulomb_fiction.force: 0.05}\n")

@@ -269,7 +269,7 @@ def test_a_log_of_another_model_is_checked_as_such(tmp_path: Path) -> None:
     log = write_log(tmp_path / "a.csv", {"time": times(12.0), "torque": np.sin(times(12.0)), "rate": times(12.0)})
     told = check_files([log], f"{tmp_path / 'table.py'}:Table")
     assert any("torque moves" in line for line in told)
-    with pytest.raises(InputError, match='input "duty_left" is missing'):
+    with pytest.raises(InputError, match="holds none of the columns of the model: duty_right, duty_left"):
         check_files([log])
 
 

@@ -148,7 +148,7 @@ def test_the_power_train_is_a_model_that_build_takes_with_intervals_and_origins(
     for name, known in content["identified"].items():
         assert known["ci95"][0] < content["parameters"][name] < known["ci95"][1]
         assert "repetitions" in known["origin"]
-    assert {p.name for p in build(tmp_path, str(out / "powertrain.yaml"))} == {"plant.fmu", "controller.fmu"}
+    assert {"plant.fmu", "controller.fmu"} <= {p.name for p in build(tmp_path, str(out / "powertrain.yaml"))}
 
 
 def test_the_nominal_duty_follows_the_new_thrust_line(found: tuple[Path, Any]) -> None:

@@ -455,9 +455,7 @@ def bessel(x: Number) -> Number:
 def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_path: Path) -> None:
     text = TANK.replace("return self.rate * level", "return level / self.rate")
     (tmp_path / "tank.py").write_text(text, encoding="utf-8")
-    place = text[
-        : text.index("    def loss(self, m: Namespace, level: Number) -> Number:\n        return level")
-    ].count("\n")
+    place = text[: text.rindex("    def loss", 0, text.index("return level / self.rate"))].count("\n")
     with pytest.raises(InputError) as error:
         build_native(tmp_path / "out", f"{tmp_path}/tank.py:Tank")
     assert str(error.value).startswith(

@@ -126,7 +126,8 @@ def _kind(option: Option) -> Any:
     number: Any = Complex if option.complex else Positive if option.positive else NotNegative
     if option.length is None:
         return Optional[number]  # noqa: UP045
-    return Annotated[list[number], Field(min_length=option.length, max_length=option.length)]
+    several: Any = Annotated[list[number], Field(min_length=option.length, max_length=option.length)]
+    return Optional[several] if option.laws else several  # noqa: UP045
 
 
 def _designed(
