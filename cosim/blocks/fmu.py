@@ -30,7 +30,7 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3
+from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import EndedEarly, Row
 from cosim.blocks.kinds import Exchange, element_names
@@ -158,6 +158,8 @@ class FmuBlock:
         self._initialized = True
         self._get_arguments, self._other_gets = self._reading
         self._do_step = self._calls.stepping()
+        if isinstance(self._calls, ModelExchange2):
+            self._do_step = partial(self._exchanged, self._calls, self._do_step)
 
     def put(self) -> None:
         if self._watched is not None:
@@ -464,6 +466,16 @@ class FmuBlock:
             yield
         except FMICallException as error:
             self._judge(error.function, error.status)
+
+    def _exchanged(self, calls: ModelExchange2, step: Step, *arguments: Any) -> int:
+        """A step of model exchange, which is many calls: told is the one that failed, at its time."""
+        with self._failing():
+            try:
+                return step(*arguments)
+            except Exception:
+                self._time = calls.time
+                raise
+        return 0
 
     def _judge(self, function: str, status: int) -> None:
         """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed."""
