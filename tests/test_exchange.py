@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 
 from cosim.blocks import model_exchange
+from cosim.errors import SimulationError
 from cosim.isolation import worker
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import ADVANCE
+from cosim.residuals.workflow import replay
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+from cosim.simulation.workflow import run
 from tests.decay import DEEDS, decay_fmu
 
 
@@ -58,7 +63,9 @@ def test_a_decay_is_the_same_whenever_it_starts(tmp_path: Path, solver: str, sta
 
 
 def test_a_step_that_no_double_tells_apart_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StoppedRun, match=r"a step of 9.54e-07 s is too short at this time: doubles are 2.4e-07 s apart"):
+    with pytest.raises(
+        StoppedRun, match=r"a step of 9.54e-07 s is too short at this time: doubles are 2.4e-07 s apart"
+    ):
         decayed(tmp_path, "nothing", start_time=1.6e9, step=1e-6, duration=1e-5)
 
 
@@ -72,6 +79,33 @@ def test_an_event_that_is_due_at_the_start_is_handled_there(tmp_path: Path) -> N
     events = decayed(tmp_path, "due at once")["a.events"]
     # two updates at 0 s, one at 0.15 s, and one where y crosses 0.8
     assert events.tolist() == [2, 2, 3, *[4] * 8]
+
+
+def test_a_log_is_replayed_through_an_fmu_for_model_exchange_alone(tmp_path: Path) -> None:
+    time = 0.05 * np.arange(81)
+    rows = (f"{t:.2f},{0.5},{0.5 + 1.5 * np.exp(-t):.17g}" for t in time)
+    (tmp_path / "log.csv").write_text("\n".join(["time,u,y", *rows, ""]))
+    fmu = decay_fmu(tmp_path / "decay.fmu")
+    replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
+    missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
+    assert missed == pytest.approx(np.zeros(81), abs=1e-4)  # the solver's tolerance is 1e-5 a step
+
+
+def test_an_error_that_nobody_foresaw_is_told_with_its_call_and_the_rows_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decay_fmu(tmp_path / "decay.fmu")
+    path = tmp_path / "decay.yaml"
+    path.write_text("{name: d, duration: 1, step: 0.1, components: {a: {fmu: decay.fmu}}}")
+
+    def answered(worker: Worker, *arguments: Any, **more: Any) -> None:
+        worker.progress.made[0], worker.progress.doing[0] = 3, ADVANCE
+        raise NotSent("call", 3)
+
+    monkeypatch.setattr(Worker, "call", answered)
+    with pytest.raises(SimulationError, match=r"a at t = 0\.2 s: fmi2DoStep: NotSent: call: 3 \(--in-process"):
+        run(path, tmp_path / "out", report=False)
+    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + 3
 
 
 class NotSent(Exception):

@@ -137,6 +137,14 @@ def test_an_fmu_changes_neither_folder_nor_environment_of_the_caller(tmp_path: P
     assert "DEED" not in os.environ
 
 
+def test_a_process_that_an_fmu_starts_in_a_session_of_its_own_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DEED_AWAY", str(tmp_path / "pid"))
+    assert len(run(deeds_scenario(tmp_path, "DoStep", "away", 3), tmp_path / "out", report=False).results.time) == 11
+    os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)  # it holds the worker's streams open for a minute
+
+
 def test_a_library_that_is_missing_is_told_as_in_process(tmp_path: Path) -> None:
     import zipfile
 

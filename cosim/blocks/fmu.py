@@ -371,7 +371,8 @@ class FmuBlock:
         function = exchange.kind.function
         if exchange.buffer is None:
             with self._failing():
-                self._target(exchange)[exchange.places] = self._fmu.getBinary(exchange.vrs, exchange.count)
+                values = self._fmu.getBinary(exchange.vrs, exchange.count)
+                self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: of no bytes, from NULL
             return
         status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
