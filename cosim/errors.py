@@ -85,6 +85,10 @@ class Interrupted(SimulationError):
     exit_code = 130
 
 
+class Signalled(SimulationError):
+    """Ended by a signal from outside."""
+
+
 class Terminated(BaseException):
     """Asked to end by a signal; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
 
@@ -100,7 +104,7 @@ def stopped(stop: BaseException, now: float, what: str = "the run") -> Simulatio
         return stop
     if isinstance(stop, KeyboardInterrupt):
         return Interrupted(what, now, "interrupted from the keyboard")
-    return SimulationError(what, now, str(stop))
+    return Signalled(what, now, str(stop))
 
 
 class CriterionMissed(CosimError):
