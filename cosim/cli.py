@@ -176,6 +176,10 @@ def check(
         raise FmuError(str(ended)) from None
     except (Interrupted, KeyboardInterrupt):
         raise typer.Exit(STOPPED) from None
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
     for line in lines:
         say(line)
     say(f"no fault in {', '.join(map(str, files))}")
@@ -342,7 +346,7 @@ def entry() -> None:
         sys.exit(4)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         where = f"{error.filename}: " if error.filename else ""
-        echo(f"error: {where}{error.strerror or error}", err=True)
+        echo(f"error: {where}{'the disk is full' if is_full(error) else error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
         gc.set_threshold(*collecting)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import signal
@@ -14,11 +13,12 @@ from pathlib import Path
 from typing import TextIO
 
 from cosim.errors import Fault, InputError
-from fmus.files import draft_of
+from fmus.files import draft_of, is_full
+
+__all__ = ["FilePath", "atomic_write", "check_writable", "is_full", "scratch_folder", "uninterrupted"]
 
 FilePath = str | os.PathLike[str]
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, a quota, a limit of the shell
 
 
 @contextmanager
@@ -26,11 +26,6 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
-
-
-def is_full(error: object) -> bool:
-    """Whether an error says that there is no room left to write."""
-    return isinstance(error, OSError) and error.errno in FULL
 
 
 @contextmanager

@@ -37,8 +37,9 @@ from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
-from cosim.errors import FmuError, SimulationError
+from cosim.errors import DiskFull, FmuError, SimulationError
 from fmus.archive import unpack
+from fmus.files import is_full
 from fmus.lifetime import let_go_at_exit
 from fmus.sampled import sampled_by
 
@@ -148,6 +149,7 @@ class FmuBlock:
         self._out, self._finite = ports.real_outputs()
 
     def open(self, start: float, stop: float) -> None:
+        self._time = start
         self._unpack()
         self._load()
         self._begin(start, stop)
@@ -272,10 +274,15 @@ class FmuBlock:
     # -- life ---------------------------------------------------------------------------------
 
     def _unpack(self) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
+            self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
             unpack(self.path, self._folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+            if is_full(error):
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
+                raise DiskFull(self.name, self._time, full) from None
             raise FmuError(f"{self.path} does not load: {error}") from None
 
     def _load(self) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import CosimError, DiskFull, FmuError, SimulationError, Terminated, stopped
+from cosim.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -89,10 +89,6 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
         made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing))
     except StoppedRun as run:
         made, failure = run.results, run.error
-    except FmuError as error:
-        if not is_full(error.__context__):
-            raise
-        return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
     except OSError as error:
         if not is_full(error):
             raise
