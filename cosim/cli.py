@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from cosim.errors import CosimError, Fault, FmuError, InputError, Interrupted, Signalled, SimulationError, Terminated
-from cosim.files import is_full
+from cosim.files import check_text, is_full
 from cosim.garbage import collect_seldom
 from cosim.program import STOPPED, as_program
 from cosim.verbs import register
@@ -332,6 +332,7 @@ def entry() -> None:
         if handler != signal.SIG_IGN:  # nohup
             signal.signal(number, _terminated)
     try:
+        check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
     except CosimError as error:
         echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
@@ -352,6 +353,14 @@ def entry() -> None:
         gc.set_threshold(*collecting)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
+
+
+def _here() -> list[str]:
+    """The folder of the process, where there still is one."""
+    try:
+        return [os.getcwd()]
+    except OSError:
+        return []
 
 
 def _terminated(number: int, frame: object) -> None:

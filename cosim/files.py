@@ -15,7 +15,7 @@ from typing import TextIO
 from cosim.errors import Fault, InputError
 from fmus.files import draft_of, is_full
 
-__all__ = ["FilePath", "atomic_write", "check_writable", "is_full", "scratch_folder", "uninterrupted"]
+__all__ = ["FilePath", "atomic_write", "check_text", "check_writable", "is_full", "scratch_folder", "uninterrupted"]
 
 FilePath = str | os.PathLike[str]
 STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -26,6 +26,23 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
+
+
+def check_text(names: Iterable[str]) -> None:
+    """InputError where a name is no text, as of a folder from a machine of another encoding: no file can tell it."""
+    faults = []
+    for name in names:
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            try:
+                os.fsencode(name).decode()
+                cure = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
+            except UnicodeDecodeError:
+                cure = "is not UTF-8 text; give the file or folder another name"
+            faults.append(Fault(Path(name), 0, 0, cure))
+    if faults:
+        raise InputError(faults)
 
 
 @contextmanager

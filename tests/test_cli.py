@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.checks import check_files
-from cosim.cli import app, stages
+from cosim.cli import app, entry, stages
 from cosim.errors import InputError, Interrupted
 from cosim.refinement.study import read_study
 from cosim.simulation.apart import Stepped
@@ -122,6 +122,25 @@ def test_a_stage_that_has_counted_to_its_end_shows_no_full_bar(
         (task,) = bars[0].tasks
         assert (task.total is not None) is counted  # without one the bar only moves
         assert not task.finished
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [(b"o_\xfc", "is not UTF-8 text"), ("o_ü".encode(), "in the locale of this shell; set PYTHONUTF8=1")],
+)
+def test_a_name_that_is_no_text_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: bytes, cure: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = name.decode("ascii", "surrogateescape")  # as Python reads it where the locale is C
+    monkeypatch.setattr(sys, "argv", ["cosim", "check", given, str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        entry()
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert cure in told
+    assert told.count("\n") == 1
 
 
 # -- streams and signals ---------------------------------------------------------------------------
