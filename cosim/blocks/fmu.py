@@ -161,7 +161,7 @@ class FmuBlock:
         self._get_arguments, self._other_gets = self._reading
         self._do_step = self._calls.stepping()
         if isinstance(self._calls, ModelExchange2):
-            self._do_step = partial(self._exchanged, self._calls, self._do_step)
+            self._do_step = self._judged(self._calls, self._do_step)
 
     def put(self) -> None:
         if self._watched is not None:
@@ -475,15 +475,19 @@ class FmuBlock:
         except FMICallException as error:
             self._judge(error.function, error.status)
 
-    def _exchanged(self, calls: ModelExchange2, step: Step, *arguments: Any) -> int:
+    def _judged(self, calls: ModelExchange2, step: Step) -> Step:
         """A step of model exchange, which is many calls: told is the one that failed, at its time."""
-        with self._failing():
+        from fmpy.fmi1 import FMICallException
+
+        def judged(component: Any, t: float, h: float, flag: int) -> int:
             try:
-                return step(*arguments)
-            except Exception:
+                return step(component, t, h, flag)
+            except FMICallException as error:
                 self._time = calls.time
-                raise
-        return 0
+                self._judge(error.function, error.status)
+                return 0
+
+        return judged
 
     def _judge(self, function: str, status: int) -> None:
         """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed."""

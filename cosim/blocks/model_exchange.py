@@ -85,7 +85,8 @@ class ModelExchange2(Calls):
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
         """To the communication point, over as many events as come."""
-        end, spacing = t + h, math.ulp(max(abs(t), abs(t + h)))
+        end = t + h
+        spacing = math.ulp(max(abs(t), abs(end)))
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
             told = f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
