@@ -4,8 +4,9 @@ BIN := .venv/bin
 RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
+DOCUMENTING := .venv/.documenting
 
-.PHONY: run test refine bench blind crash fuzz seed check clean fmus
+.PHONY: run test refine bench blind crash fuzz seed check docs clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -24,6 +25,10 @@ $(TESTING): $(RUNTIME)
 
 $(CHECKING): $(TESTING)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,check]'
+	@touch $@
+
+$(DOCUMENTING): $(RUNTIME)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
 fmus: $(RUNTIME)
@@ -48,9 +53,10 @@ crash: $(TESTING)
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
-# how often the intervals of `cosim identify` hold the truth, over SEEDS
+# how often the intervals of `cosim identify` hold the truth, over SEEDS; the controllers, over 20
 seed: $(TESTING)
 	$(BIN)/python -m tests.seed $(SEEDS)
+	$(BIN)/python -m tests.controllers 20
 
 bench: $(RUNTIME)
 	@$(BIN)/cosim bench
@@ -61,5 +67,9 @@ check: $(CHECKING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# the site, docs/_site: reports for the gallery, pages, every link tried; LINKS=--external those to other sites too
+docs: $(DOCUMENTING)
+	$(BIN)/python docs/site.py $(LINKS)
+
 clean:
-	rm -rf build results .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+	rm -rf build results docs/_made docs/_site docs/_site.doctrees .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

@@ -35,6 +35,13 @@ class ModelNumbers(Protocol):
     def yaw_damping(self) -> float: ...
 
 
+class Timed(ModelNumbers, Protocol):
+    """The numbers of the design model, and how old a fix is when it arrives [s]."""
+
+    @property
+    def fix_latency(self) -> float: ...
+
+
 def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
     """A (5, 5) and B (5, 2) of eqs 5.33/5.34, with a yaw damping d that the thesis has at 0.
 
@@ -63,6 +70,13 @@ def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
     H[0, 2] = H[1, 3] = H[2, 4] = 1.0
     if estimator == "consistent":
         H[2, 1] = -p.friction / p.mass
+    return H
+
+
+def fix_matrix(p: Timed) -> Matrix:
+    """H (1, 5) of a fix, the position along the craft's axis T seconds ago: x(t − T) = x − T·ẋ, to first order."""
+    H = _zeros(p, 1, 5)
+    H[0, 0], H[0, 1] = 1.0, -p.fix_latency
     return H
 
 

@@ -82,6 +82,8 @@ class Settings(Parametric):
         SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
     )
     measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
+    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
 
     estimator: str = "appendix_f"
 
@@ -117,3 +119,8 @@ class Settings(Parametric):
     def measurement_variances(self) -> tuple[float, ...]:
         """Diagonal of W, eq 5.46, shape (3,)."""
         return self.measurement_variance_psi, self.measurement_variance_psi_dot, self.measurement_variance_ax
+
+    @property
+    def fix_variances(self) -> tuple[float, ...]:
+        """Diagonal of the noise of a fix, shape (1,)."""
+        return (self.measurement_variance_x,)

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from controller.design_model import fix_matrix
 from controller.gains import Settings
 from controller.kalman import kalman_filter
-from controller.lqr import feedback
+from controller.laws import Law, Seen, StateFeedback
 
 
 class Loop:
@@ -18,23 +19,55 @@ class Loop:
 
         x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
         K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
-        u = sat(−K_lqr·(x̂ − x_ref), ±tilt_max),   x_ref = (x_ref, 0, psi_ref, 0, 0)  (6.1)
+        u = law(x̂, references), by default sat(−K·(x̂ − (x_ref, 0, psi_ref, 0, 0)), ±tilt_max)   (6.1)
 
-    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. At the start there is no update: u₀ = sat(−K·(x̂₀ − x_ref)),
-    P = 0. x is not observable with these sensors: the filter must be told where it starts.
+    Where a fix of the position has come since the last sample, a second update with it before the feedback:
+        z = x_meas,   H = (1, −T, 0, 0, 0), T its age
+
+    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. At the start there is no update, P = 0.
+    Without fixes x is not observable: the filter must be told where it starts.
     """
 
-    def __init__(self, settings: Settings, x_hat: Sequence[float], x_ref: float, psi_ref: float) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        x_hat: Sequence[float],
+        x_ref: float,
+        psi_ref: float,
+        fix: float = 0.0,
+        *,
+        y_ref: float = 0.0,
+        law: Law | None = None,
+    ) -> None:
         self.settings = settings
-        self.gain = settings.gain_matrix
+        self.law = StateFeedback(settings) if law is None else law
         self.filter = kalman_filter(settings, np.array(x_hat, dtype=float))
-        self.command = self._feedback(x_ref, psi_ref)
+        self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag(settings.fix_variances)
+        self.fix = fix
+        self.command = self.law.command(self.estimate, Seen(x_ref, psi_ref, y_ref, fix=fix))
 
-    def step(self, measured: Sequence[float], x_ref: float, psi_ref: float) -> tuple[float, ...]:
-        """Tilt commands [rad] from the measurements (ψ, ψ̇, a_x) and references of one sample."""
+    def step(
+        self,
+        measured: Sequence[float],
+        x_ref: float,
+        psi_ref: float,
+        fix: float = 0.0,
+        x_meas: float = 0.0,
+        *,
+        y_meas: float = 0.0,
+        y_ref: float = 0.0,
+    ) -> tuple[float, ...]:
+        """Tilt commands [rad] from the measurements (ψ, ψ̇, a_x) and references of one sample.
+
+        fix: the number of the latest fix, 0 before the first; where it has changed, x_meas and y_meas [m] are it
+        """
         self.filter.predict(u=np.array(self.command))
         self.filter.update(np.array(measured))
-        self.command = self._feedback(x_ref, psi_ref)
+        if fix != self.fix:
+            self.fix = fix
+            self.filter.update(np.array([x_meas]), self.fix_noise, self.fix_matrix)
+        seen = Seen(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
+        self.command = self.law.command(self.estimate, seen)
         return self.command
 
     @property
@@ -50,14 +83,13 @@ class Loop:
         return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2]))
 
     def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, as plain numbers: x̂, P, last command."""
-        return {"x": self.estimate, "P": self.filter.P.tolist(), "command": list(self.command)}
+        """All that decides the future, as plain numbers: x̂, P, last command, last fix, what the law remembers."""
+        last = {"command": list(self.command), "fix": self.fix, "law": self.law.snapshot()}
+        return {"x": self.estimate, "P": self.filter.P.tolist(), **last}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go back to a snapshot, bit for bit."""
         self.filter.x = np.array(snapshot["x"])
         self.filter.P = np.array(snapshot["P"])
-        self.command = tuple(snapshot["command"])
-
-    def _feedback(self, x_ref: float, psi_ref: float) -> tuple[float, ...]:
-        return feedback(self.gain, self.estimate, (x_ref, 0.0, psi_ref, 0.0, 0.0), self.settings.tilt_max)
+        self.command, self.fix = tuple(snapshot["command"]), snapshot["fix"]
+        self.law.restore(snapshot["law"])

@@ -45,6 +45,25 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
     }
 
 
+def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
+    """Numbers of roll and of the motors that the predictive law needs too, from a hovering craft with its effects.
+
+    Of the linearisation: k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, means of both sides.
+    """
+    linear = linearize(craft)
+    at = {name: k for k, name in enumerate(linear.states)}
+    roll = linear.A[at["phi_dot"]]
+    lift = 0.5 * (roll[at["thrust_right"]] - roll[at["thrust_left"]])
+    duty = [linear.B[at[f"thrust_{side}"], linear.inputs.index(f"duty_{side}")] for side in ("right", "left")]
+    return {
+        "ixx": craft.ixx,
+        "ground_gain": float(lift * craft.ixx / craft.arm),
+        "thrust_per_duty": float(craft.lag * sum(duty) / 2.0),
+        "roll_stiffness": float(-roll[at["phi"]] * craft.ixx),
+        "roll_damping": float(-roll[at["phi_dot"]] * craft.ixx),
+    }
+
+
 def _damping(craft: Hovercraft, state: str, rate: float) -> float:
     """Deceleration per rate [1/s] at ±rate, a constant push left out: (f(−v) − f(v))/2v."""
     derivative = craft.equations(SCALAR).derivative
@@ -85,3 +104,31 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
     if max(np.real(poles)) > -STABLE:
         raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
     return np.asarray(K, dtype=float)
+
+
+def integral_gain(
+    p: ModelNumbers,
+    Q: Sequence[float] = Q_THESIS,
+    R: Sequence[float] = R_THESIS,
+    Q_integral: Sequence[float] = (0.3, 0.05),
+) -> tuple[Matrix, Matrix]:
+    """K (2, 5) and K_i (2, 2) of the LQR with the integrals of x and ψ as further states, weights on their diagonal.
+
+    Raises ValueError where no stabilising gain exists or the weights are not of a regulator.
+    """
+    if len(Q) != 5 or len(R) != 2 or len(Q_integral) != 2 or min(Q) < 0 or min(*R, *Q_integral) <= 0:
+        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral two > 0")
+    import control
+
+    A, B = design_model(p)
+    measured = np.eye(5)[[0, 2]]
+    try:
+        K, _, poles = control.lqr(
+            control.ss(A, B, np.eye(5), 0), np.diag([*Q, *Q_integral]), np.diag(R), integral_action=measured
+        )
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"no stabilising gain for these weights: {error}") from error
+    if max(np.real(poles)) > -STABLE:
+        raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
+    gain = np.asarray(K, dtype=float)
+    return gain[:, :5], gain[:, 5:]

@@ -30,6 +30,7 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
+from cosim.sweeps.reading import read_sweep
 from cosim.yaml_file import YamlFile
 from plant.model import Model
 from plant.traits import Traits
@@ -84,9 +85,11 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case kinds.MODEL:
             read_model(path)
         case kinds.PROTOCOL:
-            from cosim.identification.protocol import read_protocol  # of the craft's bench: others do without
+            from cosim.identification.given import check_protocol  # of the craft's bench: others do without
 
-            read_protocol(path)
+            check_protocol(path)
+        case kinds.SWEEP:
+            read_sweep(path)
         case kinds.STUDY:
             return [f"warning: {text}" for text in read_study(path).warnings]
         case None if root.keys() & {"model", "candidates"} and "step" not in root:

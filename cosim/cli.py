@@ -19,7 +19,7 @@ from cosim.program import STOPPED, as_program
 from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
 from cosim.verbs.streams import echo, open_streams
-from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, stages, warn
+from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, show, stages, warn
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -205,6 +205,7 @@ def replay(
     limits: Annotated[
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
     ] = "",
+    open_: Open = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
@@ -220,6 +221,8 @@ def replay(
             echo(finding.line, err=True)
     say(verdict(comparison))
     say(f"residual: {out / 'residual.csv'}" + (f", report: {out / 'report.html'}" if report else ""))
+    if report and open_:
+        show(out / "report.html")
 
 
 @app.command()
@@ -228,19 +231,25 @@ def refine(
     out: Out = Path("refined"),
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     in_process: InProcess = False,
+    open_: Open = False,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
-    with stages() as progress:
+    with stages(numbered) as progress:
         result = refine_study(study, out, progress, report=report, in_process=in_process)
     for warning in result.study.warnings:
         warn(warning)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
+    if report:
+        say(f"report: {out / 'report.html'}")
+    if report and open_:
+        show(out / "report.html")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
         from cosim.experiment.ranges import inputs_to_limit
 
@@ -291,7 +300,8 @@ def excite(
 @app.command()
 def identify(
     protocol: Annotated[
-        Path, typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings.")
+        Path,
+        typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
     ],
     out: Out = Path("identified"),
     seed: Annotated[
@@ -299,14 +309,14 @@ def identify(
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
 ) -> None:
-    """Identify a power-train on a testing bench: powertrain.yaml, identify.json and report.html."""
+    """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
     from cosim.identification.workflow import identify as identify_bench
 
     with stages() as progress:
         outcome = identify_bench(protocol, out, progress, report=report, seed=seed)
     for line in outcome.sentences:
         say(line)
-    say(f"power-train: {out / 'powertrain.yaml'}, built by: cosim build --model {out / 'powertrain.yaml'}")
+    say(outcome.closing(out))
 
 
 @app.command()

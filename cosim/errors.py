@@ -89,6 +89,18 @@ class Signalled(SimulationError):
     """Ended by a signal from outside."""
 
 
+class SweepStopped(CosimError):
+    """A sweep ended before its last run, from the keyboard or by a signal; what was made is kept."""
+
+    exit_code = 130
+
+
+class SweepFailed(CosimError):
+    """No run of a sweep came to its end."""
+
+    exit_code = 4
+
+
 class Terminated(BaseException):
     """Asked to end by a signal; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
 

@@ -9,6 +9,7 @@ from typing import Any
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import YamlFile
 
+SWEEP = "a sweep"
 LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, PROTOCOL = (
     "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
     "a model's Python file", "a protocol of a testing bench",
@@ -20,7 +21,8 @@ READ_BY = {
     SSP: "`cosim run {file}` runs it",
     SCENARIO: "`cosim run {file}` runs it",
     MANIFEST: "`cosim run {file}` repeats its run",
-    PROTOCOL: "`cosim identify {file}` identifies its power-train",
+    PROTOCOL: "`cosim identify {file}` identifies from it",
+    SWEEP: "`cosim sweep {file}` runs it",
     STUDY: "`cosim refine {file}` refines its model",
     MODEL: "`cosim build --model {file}` builds its FMU, a study names it as model:",
     ANSWER: "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
@@ -50,10 +52,12 @@ def kind_by_keys(root: Any) -> str | None:
         return ANSWER
     if keys >= {"scenario", "schema_version"}:
         return MANIFEST
-    if keys >= {"cells", "tests"}:
+    if keys >= {"cells", "tests"} or (keys & {"rest", "distance"} and "logs" not in keys):
         return PROTOCOL
     if "components" in keys or "connections" in keys:
         return SCENARIO
+    if "vary" in keys:
+        return SWEEP
     if "logs" in keys:
         return STUDY
     return MODEL if keys & {"parameters", "sensors"} else None

@@ -34,6 +34,8 @@ class Known:
     native:  name → what makes a native FMU beside its own
     rig:     what plays its experiments
     design:  the designer of its controller, behind `design:` of a scenario
+    cases:   its estimators and truths to hold them against; estimators: of (case, runs, steps, random numbers), the
+             normalised errors and innovations of one
     """
 
     model: str
@@ -43,8 +45,15 @@ class Known:
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
+    cases: str = ""
+    estimators: str = ""
 
 
+LAWS = {  # the craft's controller under another law, with the same ports
+    "controller-pole.fmu": "fmus.recipes:poles_recipe",
+    "controller-lqi.fmu": "fmus.recipes:integral_recipe",
+    "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
+}
 BASE = "base"  # the first of these
 MODELS = {
     "hovercraft": Known(
@@ -54,15 +63,22 @@ MODELS = {
             "plant.fmu": "fmus.recipes:plant_recipe",
             "controller.fmu": "fmus.recipes:controller_recipe",
             "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
+            **LAWS,
+            "filter.fmu": "fmus.estimator_recipes:filter_recipe",
+            "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
         },
-        beside={"controller.fmu": "fmus.recipes:controller_recipe"},
+        beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
         native={"controller": "fmus.controller_native:controller_native"},
         rig="cosim.experiment.closed_loop:ClosedLoop",
         design="controller.designer:DESIGNER",
+        cases="controller.monte_carlo:CASES",
+        estimators="controller.monte_carlo:squares_of",
     ),
     "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
 }
 BASE_NAME = next(iter(MODELS))
+# modelName of an FMU that is no model of equations → what does the same for many runs at once (cosim/sweeps/twins.py)
+TWINS = {"HovercraftController": "controller.many:Controllers"}
 PAGES = (
     Page(
         frozenset({"x_world", "y_world", "psi"}),

@@ -35,6 +35,7 @@ class Results:
     exact:   name → one a row of what no double holds exactly: text, 64-bit integers, binary data
     whole:   columns that hold whole numbers: integers, Booleans, enumerations
     notes:   what is to be known of the run
+    loop:    which loop stepped it: "C", or "Python: " and why; "" where that is not known
     """
 
     time: Array
@@ -44,6 +45,7 @@ class Results:
     exact: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     whole: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    loop: str = ""
 
     def __getitem__(self, name: str) -> Array:
         return self.values[:, self._places[name]]

@@ -8,12 +8,12 @@ from typing import Any
 from pydantic import BaseModel
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-TITLES = {"scenario": "cosim scenario", "study": "cosim study", "model": "cosim model file"}
+TITLES = {"scenario": "cosim scenario", "study": "cosim study", "model": "cosim model file", "sweep": "cosim sweep"}
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """JSON schema of a `scenario`, `study` or `model`, each key with what it means."""
+    """JSON schema of a `scenario`, `study`, `model` or `sweep`, each key with what it means."""
     schema = _model(kind).model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):
         _described(part)
@@ -28,6 +28,10 @@ def _model(kind: str) -> type[BaseModel]:
         from cosim.simulation.scenario import Scenario
 
         return Scenario
+    if kind == "sweep":
+        from cosim.sweeps.study import SweepFile
+
+        return SweepFile
     if kind == "study":
         from cosim.refinement.study import StudyFile
 

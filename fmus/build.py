@@ -44,6 +44,7 @@ class Recipe:
     modules: tuple[str, ...] = ()  # of `fmus` that the slave's module needs
     own: tuple[Path, str] | None = None  # file and class of a model of one's own
     without: tuple[str, ...] = ()  # of the packages, what is not needed when it runs
+    printed: tuple[tuple[str, str], ...] = ()  # modules that are made when it is built: path, text
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -154,6 +155,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
     yield "__init__.py", b""
     if recipe.own:
         yield f"{OWN}.py", recipe.own[0].read_bytes()
+    yield from ((path, text.encode()) for path, text in recipe.printed)
     for name in sorted({*RUNTIME, recipe.slave[0], *recipe.modules}):
         yield f"fmus/{name}.py", (ROOT / "fmus" / f"{name}.py").read_bytes()
     for package in recipe.packages:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from controller.gains import Settings
+from controller.laws import Law, StateFeedback
 from controller.loop import Loop
 from fmus.ports import Port, Value, parameter_port
 from fmus.slave import Slave
@@ -24,6 +25,11 @@ def controller_ports(settings: Settings) -> tuple[Port, ...]:
         Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
         Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
         Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
+        Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
+        Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right; the five states know none", optional=True),
+        Port(
+            "fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True
+        ),
         Port("duty_right", "output", duty, "%", "duty command of the right motor"),
         Port("duty_left", "output", duty, "%", "duty command of the left motor"),
         Port("tilt_right", "output", 0.0, "rad", "tilt command of the right propeller, saturated"),
@@ -44,8 +50,8 @@ def controller_ports(settings: Settings) -> tuple[Port, ...]:
     )
 
 
-# What each output depends on at a sample. The axes do not couple; the covariance depends on no input.
-FORWARD, TURN = ("ax",), ("psi", "psi_dot")
+# What each output depends on at a sample. The axes do not couple; of the inputs only a fix changes the covariance.
+FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
 DEPENDENCIES: dict[str, tuple[str, ...]] = {
     "duty_right": (),
     "duty_left": (),
@@ -56,7 +62,7 @@ DEPENDENCIES: dict[str, tuple[str, ...]] = {
     "a_hat": FORWARD,
     "psi_hat": TURN,
     "psi_dot_hat": TURN,
-    "x_sigma": (),
+    "x_sigma": ("fix",),
     "psi_sigma": (),
 }
 # And in initialization mode, where the filter makes no update and P = 0.
@@ -85,16 +91,22 @@ class HovercraftController(Slave):
     Needs numpy, scipy and filterpy in the Python that hosts it. The filter starts at `*_hat_start`.
     """
 
-    ports = controller_ports(Settings())
+    settings: ClassVar[Settings] = Settings()  # its defaults
+    ports = controller_ports(settings)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """The control law, from its parameters and what else the host has set."""
+        return StateFeedback(settings)
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Filter at `*_hat_start`, P = 0, no update: u₀ = sat(−K·(x̂₀ − x_ref))."""
-        names = {p.name for p in parameters_of(Settings)} | {"estimator"}
+        """Filter at `*_hat_start`, P = 0, no update before the first command."""
+        names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
         values: dict[str, Any] = {name: v for name, v in given.items() if name in names}
-        settings = replace(Settings(), **values)
+        settings = replace(self.settings, **values)
         x_hat = [float(given.get(f"{name}_start", 0.0)) for name in ESTIMATE]
-        _, _, _, x_ref, psi_ref = self.inputs
-        self.loop = Loop(settings, x_hat, x_ref, psi_ref)
+        _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs
+        law = self.law(settings, given)
+        self.loop = Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=law)
         self._publish()
 
     def advance(self, t: float, h: float) -> None:
@@ -102,12 +114,13 @@ class HovercraftController(Slave):
         sample = self.loop.settings.sample_time
         if abs(h - sample) > 1e-6 * sample:
             raise ValueError(f"step of {h} s; the controller is sampled at {sample} s (parameter sample_time)")
-        psi, psi_dot, ax, x_ref, psi_ref = self.inputs
-        self.loop.step((psi, psi_dot, ax), x_ref, psi_ref)
+        # y_ref only where the law knows y
+        psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
+        self.loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
         self._publish()
 
     def snapshot(self) -> Any:
-        """Estimate, covariance, last command."""
+        """Estimate, covariance, last command, last fix."""
         return self.loop.snapshot()
 
     def restore(self, snapshot: Any) -> None:
@@ -115,5 +128,5 @@ class HovercraftController(Slave):
         self.loop.restore(snapshot)
 
     def _publish(self) -> None:
-        duty = self.loop.settings.duty_nominal
-        self.set_outputs([duty, duty, *self.loop.command, *self.loop.estimate, *self.loop.sigma])
+        loop = self.loop
+        self.set_outputs([*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()])

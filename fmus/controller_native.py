@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from controller.design_model import design_model, measurement_matrix
+from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from fmus.controller_fmu import ESTIMATE
@@ -16,11 +16,18 @@ from fmus.native.printing import LANGUAGE, Sources, quoted, variable_tables
 from fmus.recipes import controller_recipe
 from plant.quantities import parameters_of
 
-STATES, COMMANDS, MEASURED = len(ESTIMATE), 2, 3
+STATES, COMMANDS, MEASURED, FIXED = len(ESTIMATE), 2, 3, 1
 NAMES = """
 static void measured(const Instance *m, double *z)
 {
     z[0] = m->values[%(psi)d], z[1] = m->values[%(psi_dot)d], z[2] = m->values[%(ax)d];
+}
+
+/* The latest fix, and its number. */
+static double fixed(const Instance *m, double *z)
+{
+    z[0] = m->values[%(x_meas)d];
+    return m->values[%(fix)d];
 }
 
 /* Where it is to be: at rest at the distance and the heading of the references. */
@@ -46,12 +53,13 @@ DESIGN = """
 #define NX %(states)d
 #define NU %(commands)d
 #define NZ %(measured)d
+#define NF %(fixed)d
 #define EXP_SIZE (NX + NU)
 #define SAMPLE_NAME "sample_time"
 
-/* What the parameters say: the model that predicts, what is measured of it, noise, gain, limit, sample time. */
+/* What the parameters say: the model that predicts, what is measured of it, noise, gain, limit, sample time, fixes. */
 typedef struct {
-    double F[NX][NX], G[NX][NU], H[NZ][NX], V[NX], W[NZ], L[NU][NX], limit, sample;
+    double F[NX][NX], G[NX][NU], H[NZ][NX], V[NX], W[NZ], L[NU][NX], limit, sample, fix_H[NF][NX], fix_W[NF];
 } Design;
 
 static void hold(double dt, double A[NX][NX], double B[NX][NU], double F[NX][NX], double G[NX][NU]);
@@ -74,12 +82,13 @@ def controller_native() -> Native:
         "KINKS": 0,
         "RANGES": 0,
         "EFFECTS": 0,
-        # x̂, P, u, then F, G, H, V, W, L, limit and sample time
-        "OWN": (STATES + STATES**2 + COMMANDS)
-        + (STATES * (STATES + COMMANDS + MEASURED + 1 + COMMANDS) + MEASURED + 2),
+        # x̂, P, u, last fix, then F, G, H, V, W, L, limit and sample time, H and W of a fix
+        "OWN": (STATES + STATES**2 + COMMANDS + 1)
+        + (STATES * (STATES + COMMANDS + MEASURED + 1 + COMMANDS) + MEASURED + 2)
+        + FIXED * (STATES + 1),
         "EXCHANGE": 0,
     }
-    counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED}
+    counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED, "fixed": FIXED}
     body = "".join((tables, DESIGN % counts, NAMES % place, _design(place)))
     return Native(
         "HovercraftController",
@@ -107,6 +116,8 @@ def _design(place: dict[str, int]) -> str:
     lines += _matrix("d->L", settings.gain_matrix, places)
     lines += _vector("d->V", settings.process_variances, places)
     lines += _vector("d->W", settings.measurement_variances, places)
+    lines += _matrix("d->fix_H", fix_matrix(settings), places)
+    lines += _vector("d->fix_W", settings.fix_variances, places)
     lines += [f"d->limit = p[{place['tilt_max']}];", f"d->sample = p[{place['sample_time']}];", "return 0;"]
     return "\nstatic int design(Instance *m, Design *d)\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 from fmus.annotation import annotation
 from fmus.ports import Port
-from fmus.sampled import sampled
+from fmus.sampled import AUTHOR, sampled
 from fmus.units import DISPLAY, unit_definitions
 from plant.traits import Traits
 
-AUTHOR, LICENCE = "The cosim authors", "MIT"
+LICENCE = "MIT"
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class Description:
     """What a model description says beside the variables' names and start values.
 
     sampled: parameter that states the only communication step it takes [s], "" of one that takes any
+    law:     the control law that start values are designed for, "" for the designer's first; of what is sampled
     """
 
     description: str
@@ -33,6 +34,12 @@ class Description:
     variable_step: bool
     traits: Traits | None = None
     sampled: str = ""
+    law: str = ""
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Inputs that may stay unconnected."""
+        return tuple(port.name for port in self.ports if port.optional)
 
 
 # FMI's structured names, those in quotes apart: names joined by dots, perhaps with indices, or the derivative of one
@@ -69,7 +76,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
     )
     more = [] if about.traits is None else [annotation(about.traits)]
-    more += [sampled(about.sampled)] if about.sampled else []
+    more += [sampled(about.sampled, about.optional, about.law)] if about.sampled else []
     for element in (experiment, *more):
         root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):

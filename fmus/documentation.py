@@ -6,8 +6,9 @@ import inspect
 from html import escape
 from pathlib import Path
 
-from fmus.description import AUTHOR, LICENCE, Description
+from fmus.description import LICENCE, Description
 from fmus.ports import Port
+from fmus.sampled import AUTHOR
 from plant.model import Model
 
 GUID_PLACEHOLDER = "{guid}"

@@ -16,7 +16,10 @@ Causality = Literal["input", "output", "parameter"]
 
 @dataclass(frozen=True)
 class Port:
-    """One FMI variable. Its place in the tuple of ports is its value reference."""
+    """One FMI variable. Its place in the tuple of ports is its value reference.
+
+    optional: an input that may stay unconnected; where it does, it is neither recorded nor told
+    """
 
     name: str
     causality: Causality
@@ -24,6 +27,7 @@ class Port:
     unit: str = ""
     doc: str = ""
     bounds: tuple[float, float] = (-INFINITY, INFINITY)
+    optional: bool = False
 
     @property
     def kind(self) -> Kind:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fmus.build import Recipe, about_model, ordered
 from fmus.description import Description
@@ -15,6 +16,9 @@ HEAVY = {
     "actuator_second_order.natural_frequency": 16.0,
     "actuator_second_order.damping_ratio": 0.5,
 }
+
+DESIGNING = ("controller/synthesis.py", "controller/designer.py", "controller/placement.py")  # offline
+Dependencies = Mapping[str, Sequence[str]]
 
 
 def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -38,26 +42,63 @@ def heavy_recipe() -> Recipe:
 
 def controller_recipe() -> Recipe:
     """The controller."""
-    from controller.gains import Settings
+    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController
+
+    text = "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation"
+    return _controller(HovercraftController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES))
+
+
+def poles_recipe() -> Recipe:
+    """The controller by pole placement."""
+    from controller.variants import POLES
+    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES
+    from fmus.controller_laws import HovercraftPolesController
+
+    text = "Flight controller of the hovercraft: Kalman filter and poles placed, with tilt saturation"
+    return _controller(HovercraftPolesController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES), POLES)
+
+
+def integral_recipe() -> Recipe:
+    """The controller with integrals."""
+    from controller.laws import IntegralFeedback
+    from controller.variants import INTEGRAL
+    from fmus.controller_laws import HovercraftIntegralController, integral_dependencies
+
+    text = "Flight controller of the hovercraft: Kalman filter and LQR with integrals of position and heading"
+    return _controller(HovercraftIntegralController, text, integral_dependencies(), INTEGRAL, IntegralFeedback)
+
+
+def predictive_recipe() -> Recipe:
+    """The predictive controller."""
+    from controller.predictive import PredictiveLaw
+    from controller.variants import PREDICTIVE
+    from fmus.controller_laws import HovercraftPredictiveController, predictive_dependencies
+
+    text = "Flight controller of the hovercraft: Kalman filter and model predictive control with limits"
+    return _controller(HovercraftPredictiveController, text, predictive_dependencies(), PREDICTIVE, PredictiveLaw)
+
+
+def _controller(
+    slave: Any, about: str, dependencies: tuple[Dependencies, Dependencies], law: str = "", *more: object
+) -> Recipe:
+    """A controller: its slave, what depends on what at a sample and at the start, its law and what documents that."""
     from controller.kalman import discrete_model
     from controller.loop import Loop
-    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
 
-    settings = Settings()
-    about = Description(
-        "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation",
-        controller_ports(settings),
-        DEPENDENCIES,
-        INITIAL_DEPENDENCIES,
-        step=settings.sample_time,
+    description = Description(
+        about,
+        slave.ports,
+        *dependencies,
+        step=slave.settings.sample_time,
         stop=10.0,
         variable_step=False,
         sampled="sample_time",
+        law=law,
     )
-    text = documented(Loop, discrete_model, HovercraftController)
-    designing = ("controller/synthesis.py", "controller/designer.py")
-    slave = ("controller_fmu", "HovercraftController")
-    return Recipe(slave, ("plant", "controller"), about, text, without=designing)
+    module = slave.__module__.rpartition(".")[2]
+    needed = () if module == "controller_fmu" else ("controller_fmu",)
+    text = documented(Loop, discrete_model, *more, slave)
+    return Recipe((module, slave.__name__), ("plant", "controller"), description, text, (), needed, without=DESIGNING)
 
 
 def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:

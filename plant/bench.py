@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from plant.model import Equations, Model, Number, Values
+from plant.delay import Delay
+from plant.model import Effect, Equations, Model, Number, Values, overrides
 from plant.namespaces import SCALAR, Namespace
 from plant.powertrain import (
     assembly_moment,
     ground_effect,
     lag,
+    second_order,
     servo_angle,
+    servo_error,
     servo_rate,
     thrust_out_of_ground,
 )
@@ -48,6 +51,43 @@ OUTPUTS = (
     Quantity("tilt_actual", "rad", "tilt angle"),
     Quantity("thrust_actual", "N", "thrust, with ground effect"),
 )
+OWN = len(STATES)  # where the effects' own states begin
+
+
+class BenchEffect(Effect):
+    """A term of the bench."""
+
+    def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
+        """Rate of the tilt [rad/s] in place of `rate`, and derivatives of the effect's own states."""
+        return rate, ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchDelay(Delay, BenchEffect):
+    """All commands arrive T later, as `actuator_delay` of the craft."""
+
+    name = "actuator_delay"
+    memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchSecondOrder(BenchEffect):
+    """The overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
+
+    name = "actuator_second_order"
+    equation = "α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band"
+    states = (Quantity("tilt_rate", "rad/s", "rate of the tilt"),)
+    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and heavy looks like slow and light
+
+    natural_frequency: float = parameter(
+        0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
+    )
+    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
+
+    def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
+        """The state in place of the lag's rate."""
+        w, (own,) = self.natural_frequency, states
+        return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +98,11 @@ class Bench(Model):
     base_states, inputs, outputs = STATES, INPUTS, OUTPUTS
     substep = 0.01  # [s]
     horizon = math.inf
+    catalogue = (BenchDelay, BenchSecondOrder)
+    sensor_variance = {"force_z": 1e-4, "force_x": 4e-4}  # noqa: RUF012 - a ClassVar of the base; §3.4, App. B.1
+    measured = ("force_z", "force_x")
+    forced = ("thrust", "tilt")
+    calibrated = ("lag", "thrust_factor")
 
     thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
     thrust_slope: float = parameter(359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20")
@@ -105,7 +150,8 @@ class Bench(Model):
 
         F_z = T·Γ(z)·cos α + load, F_x = T·Γ(z)·sin α + load (4.7, 4.8), M = m_PA·g·l·sin α + load (4.10)
         v   = clip(v₀ + s·F + q·F² + c·F³ + noise, 0, range), in whole steps of the converter
-        τ·Ṫ = T_OGE(δ) − T (4.9), α̇: `servo_rate`, T_f·v̇_f = v − v_f where there is a low pass
+        τ·Ṫ = T_OGE(δ) − T (4.9), T_f·v̇_f = v − v_f where there is a low pass
+        α̇: `servo_rate`, or what effects make of it
         """
 
         def forces(state: Values, command: Values) -> tuple[Number, Number, Number]:
@@ -115,6 +161,20 @@ class Bench(Model):
             x, z = thrust_vector(m, total, tilt)
             moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
             return z + load_z, x + load_x, moment + load_m
+
+        terms = overrides(self.awake, "tilt_rate", BenchEffect)  # the only ones with states of their own
+
+        def tilting(state: Values, target: Number) -> tuple[Number, Values]:
+            """Rate of the tilt, and derivatives of the effects' own states."""
+            rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
+            error = servo_error(m, target, state[1], self.servo_dead_band)
+            added: Values = ()
+            for term in terms:
+                first = OWN + len(added)
+                rate, more = term.tilt_rate(m, rate, error, state[first : first + len(term.states)])
+                rate = m.clip(rate, -self.servo_speed, self.servo_speed)
+                added += more
+            return rate, added
 
         def converted(state: Values, command: Values) -> Values:
             step = self.converter_range / self.converter_levels
@@ -137,16 +197,18 @@ class Bench(Model):
             target = servo_angle(servo_duty, self.servo_neutral, self.servo_slope)
             slow = m.maximum(self.filter_time, FASTEST_FILTER)
             volts = converted(state, command)
+            tilt, own = tilting(state, target)
             return (
                 lag(steady, state[0], self.lag),
-                servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed),
-                *(lag(v, f, slow) for v, f in zip(volts, state[2:], strict=True)),
+                tilt,
+                *(lag(v, f, slow) for v, f in zip(volts, state[2:OWN], strict=True)),
+                *own,
             )
 
         def output(t: Number, state: Values, command: Values) -> Values:
             z, x, moment = forces(state, command)
             volts = converted(state, command)
-            read = (m.where(self.filter_time > 0.0, f, v) for v, f in zip(volts, state[2:], strict=True))
+            read = (m.where(self.filter_time > 0.0, f, v) for v, f in zip(volts, state[2:OWN], strict=True))
             gain = ground_effect(m, command[2], self.propeller_radius, self.ground_effect_exponent)
             return (*read, z, x, moment, state[1], state[0] * gain)
 

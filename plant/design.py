@@ -17,6 +17,8 @@ class Option:
     length:   of a list of numbers; None: one number
     positive: numbers are above 0; else 0 too
     choices:  names to choose from, in place of numbers
+    complex:  numbers may be complex and of any sign; `-4+1j` is text then
+    laws:     control laws that it is about, and that take its default; without one, all
     """
 
     doc: str
@@ -24,6 +26,16 @@ class Option:
     length: int | None = None
     positive: bool = True
     choices: tuple[str, ...] = ()
+    complex: bool = False
+    laws: tuple[str, ...] = ()
+
+
+class BadOption(ValueError):
+    """One option is at fault, by its name."""
+
+    def __init__(self, option: str, message: str) -> None:
+        super().__init__(message)
+        self.option = option
 
 
 class Designer(Protocol):
@@ -38,8 +50,14 @@ class Designer(Protocol):
         Raises ValueError where it designs for no such model.
         """
 
-    def values(self, options: Mapping[str, Any], model: Model | None) -> dict[str, float]:
-        """Designed start values by variable; ValueError where there is no such design."""
+    def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
+        """Designed start values by variable, for an FMU with this control law ("": the designer's first).
+
+        Raises BadOption where one option is at fault, ValueError where there is no such design.
+        """
+
+    def conflicts(self, values: Mapping[str, Any], law: str) -> list[str]:
+        """Why a controller with these start values, each within its bounds, could not be."""
 
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start values that the options say themselves; they win."""

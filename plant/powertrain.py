@@ -24,6 +24,11 @@ def lag(target: Number, value: Number, time_constant: Number) -> Number:
     return (target - value) / time_constant
 
 
+def second_order(target: Number, value: Number, rate: Number, frequency: Number, damping: Number) -> Number:
+    """Second rate of an answer that overshoots, as §4.5.4 saw it: ẍ = ωₙ²·(x_target − x) − 2ζωₙ·ẋ."""
+    return frequency * frequency * (target - value) - 2.0 * damping * frequency * rate
+
+
 def servo_angle(duty: Number, neutral: Number, slope: Number) -> Number:
     """Angle [rad] that a servo is told, eq 3.1: α = 0.3927·(d − 7.5); d in % of its frame, slope in rad/%."""
     return slope * (duty - neutral)
@@ -36,9 +41,13 @@ def servo_rate(
 
     It stops where the error comes into the dead band of total width w [rad]: short of the target, from either side.
     """
-    half = 0.5 * dead_band
-    error = target - angle
-    return m.clip(lag(error - m.clip(error, -half, half), 0.0, time_constant), -fastest, fastest)
+    return m.clip(lag(servo_error(m, target, angle, dead_band), 0.0, time_constant), -fastest, fastest)
+
+
+def servo_error(m: Namespace, target: Number, angle: Number, dead_band: Number) -> Number:
+    """What a servo acts on, App. B.2: e − clip(e, ±w/2), e = α_target − α."""
+    half, error = 0.5 * dead_band, target - angle
+    return error - m.clip(error, -half, half)
 
 
 def assembly_moment(m: Namespace, tilt: Number, mass: Number, gravity: Number, arm: Number) -> Number:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def main() -> int:
-    """`cosim init` and `cosim run` in an empty folder; a line of JSON with seconds and what was made."""
+    """`cosim init` and `cosim run` in an empty folder; a line of JSON: exporters, connections, seconds, pages."""
     fmus = [str(Path(name).resolve()) for name in sys.argv[1:]]
     cosim, seconds = [sys.executable, "-m", "cosim.cli"], {}
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
@@ -27,8 +27,12 @@ def main() -> int:
                 print(done.stderr, file=sys.stderr)
                 return done.returncode
             made = json.loads(done.stdout)
-        page = Path(folder) / "results" / "report.html"
-        print(json.dumps({"seconds": seconds, "rows": made["rows"], "report": page.stat().st_size}))
+        page = (Path(folder) / "results" / "report.html").stat().st_size
+        drafted = (Path(folder) / "scenario.yaml").read_text(encoding="utf-8")
+    seconds["all"] = round(sum(seconds.values()), 2)
+    about = [line.partition("# ")[2] for line in drafted.splitlines() if line.startswith("  ") and ", FMI " in line]
+    links = [line.strip("- ") for line in drafted.splitlines() if line.startswith("  - {from")]
+    print(json.dumps({"fmus": about, "connections": links, "seconds": seconds, "rows": made["rows"], "report": page}))
     return 0
 
 

@@ -1,10 +1,15 @@
-"""The slow rows of docs/seed.md: `python -m tests.seed [SEEDS]` prints how often intervals hold the truth."""
+"""The slow rows of docs/seed.md: `python -m tests.seed [SEEDS]` prints how often intervals hold the truth.
+
+Then the whole way of examples/bench/overshoot: logs of the bench, refined, the craft flown before and after.
+"""
 
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 
+import cosim
 from cosim.identification.coverage import coverage, table
 
 PROTOCOL = Path(__file__).resolve().parent.parent / "examples" / "bench" / "protocol.yaml"
@@ -17,7 +22,20 @@ def main(seeds: int) -> int:
     print(table(rows, seeds))
     outside = [r.name for r in rows if not LEAST <= r.share <= (MOST if seeds >= 100 else 1.0)]
     print(f"outside {LEAST:.0%} … {MOST:.0%}: {', '.join(outside) or 'none'}")
-    return int(bool(outside))
+    return int(bool(outside) or overshoot())
+
+
+def overshoot() -> bool:
+    """Print what the example finds and flies; whether it found something else."""
+    from examples.bench.overshoot.fly import fly
+    from examples.bench.overshoot.make_logs import make_logs
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        found = cosim.refine(make_logs(folder), folder / "refined", report=False)
+        print(found.record["sentence"])
+        print("\n".join(fly(folder)))
+    return [e["name"] for e in found.record["effects"]] != ["actuator_second_order"]
 
 
 if __name__ == "__main__":

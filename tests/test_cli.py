@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,8 +16,10 @@ from typer.testing import CliRunner
 from cosim.checks import check_files
 from cosim.cli import app, entry, stages
 from cosim.errors import InputError, Interrupted
+from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
 from cosim.simulation.apart import Stepped
+from cosim.verbs.terminal import Manner
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import times, write_log
@@ -199,3 +202,44 @@ def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
     path = str(deeds_scenario(tmp_path, "none", "none"))
     answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
     assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)
+
+
+def test_a_stage_is_numbered_and_its_number_never_falls(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("cosim.verbs.terminal.MANNER", Manner(verbose=True))
+    told = [
+        "reading the logs",
+        "weighing what was found",
+        "replacing each part",
+        "replacing each part: candidate 1 of 2",
+    ]
+    with stages(numbered) as report:
+        assert report is not None
+        for words in told:
+            report(words, 0.5 if "candidate" in words else 0.0)
+    lines = [line.split("s  ")[1] for line in capsys.readouterr().err.splitlines()]
+    n = len(ORDER)
+    assert lines == [f"stage {k} of {n}: {words}" for k, words in zip((1, 4, 4), told, strict=False)]
+
+
+def test_every_stage_that_a_refine_tells_has_its_number() -> None:
+    files = (ROOT / "cosim" / "refinement").glob("*.py")
+    sources = [p.read_text() for p in files if p.name != "stages.py"]
+    told = {words for text in sources for words in re.findall(r'progress\("([^"]+)"', text)}
+    told |= {words for text in sources for words in re.findall(r'_each\("([^"]+)"', text)}
+    listed = {words for stage in ORDER for words in stage}
+    assert told <= listed
+    assert all(any(f'"{words}"' in text for text in sources) for words in listed)
+
+
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_a_log_of_another_model_is_told_how_to_name_it(tmp_path: Path, verb: str) -> None:
+    log = tmp_path / "mine.csv"
+    log.write_text("time,inflow,level\n" + "".join(f"{k},{k % 3},1.0\n" for k in range(30)))
+    run = CliRunner().invoke(app, [verb, str(log)])
+    assert isinstance(run.exception, InputError)
+    (fault,) = run.exception.faults
+    assert "mine.csv:1:1: holds none of the columns of the model" in str(fault)
+    assert "--model FILE:CLASS" in str(fault)
+    assert "--plant FMU" in str(fault)

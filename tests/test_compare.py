@@ -13,6 +13,7 @@ from cosim.comparison.differences import Compared, compared
 from cosim.comparison.ran import Ran
 from cosim.errors import InputError
 from cosim.results import Results, read_results
+from tests.seen import faults
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
@@ -101,6 +102,12 @@ def two_runs(folder: Path) -> tuple[Path, Path]:
             folder / name,
         )
     return folder / "a", folder / "b"
+
+
+def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_comparison(tmp_path: Path) -> None:
+    a, b = two_runs(tmp_path)
+    told("compare", a, b, "--out", tmp_path / "c")
+    assert faults(tmp_path / "c" / "report.html") == []
 
 
 def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from fmus.recipes import plant_recipe
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
 from plant.quantities import parameters_of
+from tests.test_first_steps import told
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -141,6 +142,87 @@ def test_the_document_of_the_model_lists_every_effect_as_declared() -> None:
         assert kind.equation.replace("|", "\\|") in row
         for p in parameters_of(kind):
             assert f"`{p.name}` [{p.unit}] {p.default:g}" in row
+
+
+def typed(document: str) -> list[str]:
+    """The commands of a document, in order."""
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+    return [line for block in blocks for line in block.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        ("my_fmus.md", "1 of 1 criteria missed"),
+        ("my_log.md", "The model lacks leak (rate = 0.012 ±"),
+    ],
+)
+def test_the_commands_of_a_tutorial_run_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, document: str, says: str
+) -> None:
+    ignored = shutil.ignore_patterns("*.csv")
+    shutil.copytree(ROOT / "examples" / "tanks", tmp_path / "examples" / "tanks", ignore=ignored)
+    monkeypatch.chdir(tmp_path)
+    others = {"python": [], "pythonfmu": ["-c", "from pythonfmu.__main__ import cli_main; cli_main()"]}
+    answers = []
+    for line in typed(document):
+        name, *arguments = shlex.split(line, comments=True)
+        if name == "cosim":
+            code = re.search(r"# exit code (\d+)", line)
+            short = (
+                ["--no-report"] if arguments[0] in {"run", "replay", "refine", "compare"} else []
+            )  # `make docs` draws
+            answers.append(told(*arguments, *short, code=int(code[1]) if code else 0))
+        else:
+            command = [sys.executable, "-W", "ignore", *others[name], *arguments]
+            subprocess.run(command, capture_output=True, check=True, timeout=120)
+    assert any(says in answer for answer in answers)
+    shown = re.findall(r"```yaml\n(connections:.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+    assert all(block in (tmp_path / "tanks.yaml").read_text() for block in shown)
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    pytest.importorskip("nbclient", reason="no nbclient")
+    pytest.importorskip("ipykernel", reason="no ipykernel")
+    for name in ("tank.py", "level_control.py", "tanks.ipynb"):
+        shutil.copy(ROOT / "examples" / "tanks" / name, tmp_path)
+    code = (
+        "import nbformat, nbclient\n"
+        "nb = nbclient.NotebookClient(nbformat.read('tanks.ipynb', 4), timeout=60, kernel_name='python3').execute()\n"
+        "print([o.get('data', {}).get('text/plain', '') for c in nb.cells for o in c.get('outputs', [])][-1])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYDEVD_DISABLE_FILE_VALIDATION": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "4 of 5 signals are beyond the tolerance" in done.stdout
+    assert len(done.stdout) < 1500  # a result shows itself in a few lines
+
+
+def test_the_site_is_searched_for_links_that_lead_nowhere_and_for_what_it_would_load(tmp_path: Path) -> None:
+    spec = importlib.util.spec_from_file_location("site_of_a_test", ROOT / "docs" / "site.py")
+    assert spec is not None
+    assert spec.loader is not None
+    site = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(site)
+    (tmp_path / "a.html").write_text(
+        '<p id="here"></p><a href="b.html#there">1</a><a href="#here">2</a><a href="https://example.org">3</a>'
+        '<a href="b.html#gone">4</a><a href="c.html">5</a><script src="https://example.org/x.js"></script>'
+    )
+    (tmp_path / "b.html").write_text('<h1 id="there"></h1><link rel="icon" href="data:,">')
+    assert site.faults(tmp_path) == [
+        "a.html: b.html#gone: no such place in b.html",
+        "a.html: c.html leads nowhere",
+        "a.html loads https://example.org/x.js",
+    ]
+
+
+def test_every_page_of_the_site_is_in_its_index() -> None:
+    index = (ROOT / "docs" / "index.md").read_text()
+    listed = [line for block in re.findall(r"```{toctree}\n(.*?)```", index, re.DOTALL) for line in block.splitlines()]
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert pages == {line for line in listed if line and not line.startswith(":")}
 
 
 def test_links_between_documents_lead_somewhere() -> None:

@@ -90,7 +90,10 @@ VARIABLES = {
         "parameter": {name: unit for name, (unit, _) in PLANT_PARAMETERS.items()},
     },
     "controller_fmu": {
-        "input": {"psi": "rad", "psi_dot": "rad/s", "ax": "m/s2", "x_ref": "m", "psi_ref": "rad"},
+        "input": {
+            "psi": "rad", "psi_dot": "rad/s", "ax": "m/s2", "x_ref": "m", "psi_ref": "rad",
+            "x_meas": "m", "y_meas": "m", "fix": "1",
+        },
         "output": {**COMMANDS, **ESTIMATE, "x_sigma": "m", "psi_sigma": "rad"},
         "parameter": {
             **GAINS,
@@ -133,9 +136,9 @@ def test_variables_are_those_other_tools_rely_on(fmu: Path, which: str) -> None:
     assert found["output"] == want["output"]
     if which == "controller_fmu":  # "noise variances, model numbers" are free to be named, and only those
         extra = {n for n in found["parameter"] if "variance" in n} | {
-            "mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping", "sample_time"
+            "mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping", "sample_time", "fix_latency"
         }  # fmt: skip
-        assert len(extra) == 8 + 8  # V and W of eqs 5.46 and 5.47 have eight entries
+        assert len(extra) == 8 + 1 + 9  # V and W of eqs 5.46 and 5.47 have eight entries, a fix has one
         found["parameter"] = {n: unit for n, unit in found["parameter"].items() if n not in extra}
     assert found["parameter"] == want["parameter"]
 
@@ -259,7 +262,7 @@ def perturbed(value: Any) -> Any:
 # Nothing is zero, symmetric or saturated here, so that whatever an output depends on shows.
 GENERIC_CONTROLLER = {"x_hat_start": 0.3, "vx_hat_start": 0.2, "psi_hat_start": 0.1, "psi_dot_hat_start": -0.15,
                       "a_hat_start": 0.4, "x_ref": 0.45, "psi_ref": 0.2}  # fmt: skip
-MEASURED = {"psi": 0.12, "psi_dot": -0.1, "ax": 0.5, "x_ref": 0.5, "psi_ref": 0.25}
+MEASURED = {"psi": 0.12, "psi_dot": -0.1, "ax": 0.5, "x_ref": 0.5, "psi_ref": 0.25, "x_meas": 0.3, "y_meas": 0.1}
 
 
 def sample_dependencies(fmu: Path, estimator: str) -> dict[str, set[str]]:
@@ -267,14 +270,16 @@ def sample_dependencies(fmu: Path, estimator: str) -> dict[str, set[str]]:
     with Instance(fmu) as controller:
         controller.initialize({**GENERIC_CONTROLLER, "estimator": estimator})
         for k in range(3):
-            controller.step(0.02 * k, 0.02, MEASURED)
+            controller.step(0.02 * k, 0.02, {**MEASURED, "fix": 1.0})
         state = controller.serialized()
-        base = controller.step(0.06, 0.02, MEASURED)
+        fixed = {**MEASURED, "fix": 2.0}  # a new one
+        base = controller.step(0.06, 0.02, fixed)
         found: dict[str, set[str]] = {output: set() for output in base}
-        for name, value in MEASURED.items():
+        for name, value in fixed.items():
             controller.restore(state)
+            other = 1.0 if name == "fix" else perturbed(value)  # no new fix
             # the axes do not couple; between them the filter's matrix products leave rounding, 1e-16 or so
-            for output in changed(base, controller.step(0.06, 0.02, {**MEASURED, name: perturbed(value)}), 1e-14):
+            for output in changed(base, controller.step(0.06, 0.02, {**fixed, name: other}), 1e-14):
                 found[output].add(name)
     return found
 

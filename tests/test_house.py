@@ -20,9 +20,11 @@ VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
 CRAFT = (
     "plant/bench.py", "fmus/bench_fmu.py", "cosim/identification/",
     "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
-    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/recipes.py", "fmus/controller_native.py",
+    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/controller_laws.py", "fmus/recipes.py",
+    "fmus/controller_native.py",
     "cosim/simulation/report/craft/",
-    "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/registry.py",
+    "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/bench_native.", "cosim/registry.py",
+    "fmus/estimator_fmu.py", "fmus/estimator_recipes.py",
 )  # fmt: skip
 NAMES = re.compile(r"duty_|tilt|\bpsi|_psi|x_world|Hovercraft")
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.design_model import design_model, measurement_matrix
+from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
@@ -221,3 +222,63 @@ def test_filter_takes_its_model_from_the_settings() -> None:
     # exp(Δt·A) to second order: Δt³·|A|³/6 = 2e-3 of the fastest entry, (Δt/τ)²/2 = 0.026 kept
     assert pytest.approx(np.eye(5) + DT * A + DT**2 / 2 * A @ A, abs=2.1e-3) == F
     assert pytest.approx(DT * B + DT**2 / 2 * A @ B, abs=DT**3 / 6 * np.max(np.abs(A @ A @ B)) * 1.01) == G
+
+
+# -- fixes of the position ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("estimator", "without", "with_fixes"), [*((e, 3, 5) for e in ESTIMATORS[:2]), (ESTIMATORS[2], 4, 5)]
+)
+def test_a_fix_makes_the_system_observable(estimator: str, without: int, with_fixes: int) -> None:
+    settings = Settings(estimator="lagged")  # appendix F's own F has no inverse
+    A, _ = design_model(settings)
+    H = measurement_matrix(settings, estimator)
+    for seen, rank in ((H, without), (np.vstack([H, fix_matrix(settings)]), with_fixes)):
+        assert np.linalg.matrix_rank(control.obsv(A, seen), tol=1e-9) == rank  # entries lie between 1e-1 and 1e4
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_a_fix_is_a_second_update_of_the_same_filter(estimator: str) -> None:
+    settings = Settings(estimator=estimator, fix_latency=0.06, measurement_variance_x=4e-4)
+    loop, hand = Loop(settings, (0.1, 0.2, 0.0, 0.0, 0.0), 0.0, 0.0), ByHand(estimator, (0.1, 0.2, 0.0, 0.0, 0.0))
+    H, rng = np.array([[1.0, -0.06, 0.0, 0.0, 0.0]]), np.random.default_rng(9)
+    for k in range(1, 101):
+        z, x_meas = rng.normal(0.0, 0.1, 3), rng.normal(0.5, 0.1)
+        hand.step(loop.command, z)
+        if k % 5 == 0:
+            gain = np.linalg.solve(H @ hand.P @ H.T + 4e-4, H @ hand.P).T
+            hand.x, hand.P = hand.x + gain @ (x_meas - H @ hand.x), (np.eye(5) - gain @ H) @ hand.P
+        loop.step(z, 0.0, 0.0, float(k // 5), x_meas)
+        # two forms of the covariance update, as above
+        assert loop.estimate == pytest.approx(hand.x, rel=1e-9, abs=1e-11)
+    assert loop.sigma[0] == pytest.approx(math.sqrt(hand.P[0, 0]), rel=1e-9)
+
+
+def test_without_a_new_fix_nothing_of_its_value_is_used() -> None:
+    with_value, without = (Loop(Settings(), (0.0,) * 5, 0.0, 0.0) for _ in range(2))
+    for k in range(50):
+        with_value.step((0.0, 0.0, 0.1), 0.0, 0.0, 0.0, 7.0 + k)
+        without.step((0.0, 0.0, 0.1), 0.0, 0.0)
+    assert (with_value.estimate, with_value.sigma) == (without.estimate, without.sigma)
+
+
+def test_fixes_bound_the_uncertainty_and_heal_a_wrong_start() -> None:
+    loop, rng = Loop(Settings(), (0.0,) * 5, 0.0, 0.0), np.random.default_rng(4)
+    sigma = []
+    for k in range(3000):
+        loop.step((0.0, 0.0, 0.0), 1.0, 0.0, float(k // 5), 1.0 + rng.normal(0.0, 0.01))
+        sigma.append(loop.sigma[0])
+    assert max(sigma[1500:]) == pytest.approx(max(sigma[1000:1500]), rel=1e-6)  # it has settled
+    assert max(sigma[1500:]) < 0.05
+    assert loop.estimate[0] == pytest.approx(1.0, abs=5 * sigma[-1])  # five standard deviations of what it believes in
+
+
+def test_a_restored_loop_knows_the_last_fix() -> None:
+    loop = Loop(Settings(), (0.0,) * 5, 0.0, 0.0)
+    loop.step((0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 0.3)
+    other = Loop(Settings(), (0.0,) * 5, 0.0, 0.0)
+    other.restore(loop.snapshot())
+    again = [one.step((0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 0.4) for one in (loop, other)]
+    assert again[0] == again[1]
+    assert loop.estimate == other.estimate

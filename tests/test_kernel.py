@@ -34,6 +34,8 @@ from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.model import Equations, Model
 from plant.namespaces import Namespace
+from plant.symbolic.dormant import skippable
+from plant.symbolic.functions import Body
 from plant.symbolic.languages import C, Python
 from tests.conftest import ROOT
 from tests.logs import IMU, fly, log_of, measured, times
@@ -349,3 +351,37 @@ def test_what_numba_keeps_may_be_cut(generated: Generated, table: Model, cache: 
     for file in chosen:
         cut(file)
     assert finite(JitKernel(generated), table)
+
+
+def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters() -> None:
+    import sympy
+
+    x, a, b, c, d = sympy.symbols("x a b c d", real=True)
+    s0, s1, s2, s3 = (sympy.Symbol(f"s{k}", real=True) for k in range(4))
+    lines = [
+        (s0, sympy.tanh(x)),  # of two terms, each in a sum with the other
+        (s1, sympy.exp(x)),  # through another line, of one
+        (s2, (a - 1) * s1 + b),
+        (s3, sympy.cos(x)),  # 1/cos: what 0 makes of it is not plain
+        (None, a * s0 - s0 + b * s0**2 + s2),
+        (None, c / s3 + d * sympy.sin(x) + c * x**3 + b * x**2 + sympy.log(x)),
+    ]
+    found = skippable(lines, [{a: 1.0}, {b: 0.0}, {c: 0.0}, {d: 0.0}])
+    assert found == {sympy.tanh(x): {a: 1.0, b: 0.0}, sympy.exp(x): {a: 1.0}, sympy.sin(x): {d: 0.0}, x**3: {c: 0.0}}
+    assert skippable(lines, []) == {}
+
+
+@NEEDS_C
+def test_what_a_filter_skips_of_dormant_terms_changes_no_bit(seen: Data, monkeypatch: pytest.MonkeyPatch) -> None:
+    skipping = generate(Hovercraft(), IMU, C())
+    monkeypatch.setattr(Body, "terms", [])
+    plain = generate(Hovercraft(), IMU, C())
+    assert skipping.source.count("tanh(") == plain.source.count("tanh(") > 0
+    assert "? tanh(" in skipping.source
+    assert "? tanh(" not in plain.source
+    kernels = [CompiledKernel(g) for g in (skipping, plain)]
+    all_awake = {n: v for n, v in AWAKE.items() if not n.startswith(("unnamed", "local"))}
+    for awake in ({}, {"coulomb_friction.force": 0.05}, all_awake):
+        one, other = (filtered(k, seen, parameters(Hovercraft(), k.layout, **awake)) for k in kernels)
+        for name, values in vars(one).items():
+            np.testing.assert_array_equal(values, getattr(other, name), err_msg=f"{awake} {name}")

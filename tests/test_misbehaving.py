@@ -291,6 +291,29 @@ def test_what_a_killed_process_left_is_taken_away_by_the_next(tmp_path: Path) ->
     assert not used.path.exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="folders are locked another way there")
+def test_a_folder_that_is_being_made_is_not_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    lock, came = fcntl.flock, []
+
+    def between(stream: int, how: int) -> None:
+        """Another command looks for leftovers between making the file and locking it."""
+        if not came:
+            came.append(stream)
+            sweep(tmp_path, "work-")
+        lock(stream, how)
+
+    monkeypatch.setattr(fcntl, "flock", between)
+    made = scratch("work-", tmp_path)
+    assert came
+    assert made.path.is_dir()
+    sweep(tmp_path, "work-")
+    assert made.path.is_dir()
+    made.remove()
+    assert not made.path.exists()
+
+
 # -- a full disk ----------------------------------------------------------------------------------
 
 

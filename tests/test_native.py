@@ -151,12 +151,13 @@ SETTINGS: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=str)
 def test_the_native_controller_is_filterpy_and_lqr(settings: dict[str, Any], native_fmus: Path) -> None:
-    rows = np.cumsum(np.random.default_rng(1).normal(size=(500, 5)) * 0.02, axis=0)
+    rows = np.cumsum(np.random.default_rng(1).normal(size=(500, 8)) * 0.02, axis=0)
     own = Settings(**settings)
     loop = Loop(own, [0.3, 0.0, 0.1, 0.0, 0.0], 0.0, 0.0)
     exact = []
-    for psi, psi_dot, ax, x_ref, psi_ref in rows:
-        loop.step((psi, psi_dot, ax), x_ref, psi_ref)
+    rows[:, 7] = np.arange(500) // 5  # fixes at 10 Hz
+    for psi, psi_dot, ax, x_ref, psi_ref, x_meas, _, fix in rows:
+        loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas)
         exact.append([own.duty_nominal] * 2 + [*loop.command, *loop.estimate, *loop.sigma])
     values = settings | {"x_hat_start": 0.3, "psi_hat_start": 0.1}
     listed = [tuple(row) for row in rows.tolist()]
@@ -165,10 +166,24 @@ def test_the_native_controller_is_filterpy_and_lqr(settings: dict[str, Any], nat
 
 
 def test_the_native_controller_is_the_fmu_in_python(native_fmus: Path, controller_fmu: Path) -> None:
-    rows = [tuple(row) for row in (0.1 * np.random.default_rng(2).normal(size=(200, 5))).tolist()]
+    rows = [tuple(row) for row in (0.1 * np.random.default_rng(2).normal(size=(200, 8))).tolist()]
     values = {"x_hat_start": 0.5, "estimator": "consistent"}
     native = by_fmu(native_fmus / "controller-native.fmu", rows, values, STEP)
     assert difference(by_fmu(controller_fmu, rows, values, STEP), native) < 1e-12
+
+
+@pytest.mark.parametrize("estimator", ["appendix_f", "consistent"])
+def test_the_native_controller_uses_fixes_as_the_one_in_python(
+    estimator: str, native_fmus: Path, controller_fmu: Path
+) -> None:
+    rng = np.random.default_rng(3)
+    fixes = [(*(0.1 * rng.normal(size=7)).tolist(), k // 5 + 0.0) for k in range(200)]  # 10 Hz
+    values = {"estimator": estimator, "fix_latency": 0.08, "measurement_variance_x": 0.01}
+    native, python = (
+        by_fmu(fmu, fixes, values, STEP) for fmu in (native_fmus / "controller-native.fmu", controller_fmu)
+    )
+    assert difference(python, native) < 1e-12
+    assert difference(python, by_fmu(controller_fmu, [(*row[:7], 0.0) for row in fixes], values, STEP)) > 1e-2
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from cosim.errors import InputError
+from cosim.kernel.backend import kernel
 from cosim.models.file import load_model
 from cosim.models.fmus import build
 from cosim.models.native import build_native
@@ -175,3 +176,26 @@ def test_names_that_are_not_structured_are_said_to_be_flat(tmp_path: Path) -> No
 def test_what_is_printed_says_what_the_python_says(name: str) -> None:
     model: Model = load_model(str(PLANTS / name), Path()).model if name else Hovercraft()
     check(model, Printer(model, model_ports(model)))
+
+
+@pytest.mark.parametrize(
+    ("at", "line", "place"),
+    [
+        ("#last", "left = m.where(self.order == 1.0, left, 2 * left)", "self.order =="),
+        ("#last", "left = left if state[0] - state[1] != 0 else 0.0", "state[0] - state[1]"),
+        ("torque = self.share *", "torque = (2.0 if self.share == 1.0 else 1.0) *", "self.share =="),
+        ("#last", "left = left % 3.0", "left % 3.0"),
+    ],
+)
+def test_a_filter_is_not_made_of_what_only_numbers_bear(tmp_path: Path, at: str, line: str, place: str) -> None:
+    model = load_model(rotor(tmp_path, at, line), Path()).model
+    with pytest.raises(InputError, match=r"is decided before the numbers are known|jumps where") as caught:
+        kernel(model, [q.name for q in model.outputs])
+    (fault,) = caught.value.faults
+    assert (fault.file, fault.line) == (tmp_path / "rotor.py", line_of(tmp_path, place))
+    assert fault.column > 1
+
+
+def test_a_filter_takes_a_remainder_of_time(tmp_path: Path) -> None:
+    model = load_model(rotor(tmp_path, "#last", "left = left + t % 3.0"), Path()).model
+    assert kernel(model, [q.name for q in model.outputs]).layout.states

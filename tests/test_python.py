@@ -26,7 +26,8 @@ from tests.typed import typed_fmu
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
 SHIPPED = {
     "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
-    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem != "protocol"),  # of a bench
+    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep"}),
+    "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
 }
 
 
@@ -124,13 +125,13 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
 def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
     schema = schema_of(kind)
     parts = {"": schema, **schema.get("$defs", {})}

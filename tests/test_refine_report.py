@@ -40,12 +40,14 @@ from cosim.refinement.unnamed import Leftover, Unnamed, left_beside
 from cosim.refinement.variants import Variant
 from cosim.refinement.verdict import Verdict, judge
 from cosim.refinement.workflow import refine
+from cosim.report.drawing import Charts
 from cosim.residuals.statistics import excess_left
 from cosim.residuals.windows import Replay
 from cosim.text import display, written
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log
+from tests.seen import faults
 
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
@@ -194,7 +196,7 @@ def test_the_page_is_whole_and_loads_nothing(cart: Refinement, tmp_path: Path) -
     tags = Tags()
     tags.feed(text)
     assert (tags.open, tags.loads) == ([], [])
-    assert re.search(r"https?://|@import|url\(|<script", text) is None
+    assert re.search(r"https?://|@import|url\(|<script[^>]* src", text) is None
     assert len(text.encode()) < 900_000
     assert re.search(r"\bnan\b|\bNone\b|\binf\b", text) is None
     targets = re.findall(r'href="#(\w+)"', text)
@@ -207,6 +209,20 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
     assert "<b>&" not in text
     assert "Study &lt;b&gt;&amp;amp; co" in text
     assert "Cart &lt;of mine&gt;" in text
+
+
+def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: Path) -> None:
+    text = page(cart, tmp_path).partition("<script")[0]
+    assert text.count("<figure") == text.count(" data-chart ") == text.count(" data-box>") > 5
+    drawn = re.findall(r'data-line="(\w+)"', text)
+    assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
+
+
+def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
+    cart: Refinement, tmp_path: Path
+) -> None:
+    page(cart, tmp_path)
+    assert faults(tmp_path / "report.html") == []
 
 
 def test_what_is_to_be_typed_stands_as_code(cart: Refinement, tmp_path: Path) -> None:
@@ -261,7 +277,7 @@ def test_the_data_show_dry_friction_to_one_who_does_not_know_of_it(cart: Refinem
 
 
 def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> None:
-    (row,) = innovations(cart)
+    (row,) = innovations(cart, Charts())
     assert row.white == ("no", "yes")
     assert float(row.size[0]) > 1.5
     assert float(row.size[1]) == pytest.approx(1.0, abs=0.1)  # 1100 samples: standard error 0.02
@@ -278,7 +294,7 @@ def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: 
 
 
 def test_each_restart_of_the_model_breaks_its_curve(craft: Refinement) -> None:
-    (run,) = runs(craft)
+    (run,) = runs(craft, Charts())
     for pair in (*run.channels, *run.quiet):
         refined = next(c for c in pair.plots[0].curves if c.label == "refined")
         assert refined.path.count("M") == 5

@@ -13,6 +13,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.rankings import noise_rows
 from cosim.refinement.workflow import refine
+from cosim.report.drawing import Charts
 from tests.logs import times, write_log
 
 MASS, DRAG, PULL = 2.0, 0.5, 0.06  # [kg], [N s/m], [N s²/m²]; the model does not know of the last
@@ -88,7 +89,7 @@ def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
         trusted, without = (r.problem.scored(r.problem.values, r.problem.at(power)).variances for power in levels)
         # 0.001 by SMALLEST, on another part of the logs; 0.04 is plainly detected
         assert 0.0 < np.mean(np.log(trusted / without)) < 4e-3
-    (here,), (there,) = (innovations(r) for r in (metres, millimetres))
+    (here,), (there,) = (innovations(r, Charts()) for r in (metres, millimetres))
     assert float(there.size[0]) == pytest.approx(float(here.size[0]), rel=0.05)  # on that grid again
     assert here.size[1] == there.size[1]
     assert float(here.size[0]) > 2.0 * float(here.size[1])

@@ -29,6 +29,7 @@ from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
 from tests.misbehaving import misbehaving_fmu
+from tests.seen import faults
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
@@ -427,6 +428,13 @@ def test_the_name_of_a_log_never_becomes_markup(tmp_path: Path, plant_fmu: Path)
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<i>" not in page
     assert "&lt;i&gt;&amp;.csv" in page
+
+
+def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_replay(
+    log: Log, tmp_path: Path, plant_fmu: Path
+) -> None:
+    write_replay(tmp_path, log, plant_fmu)
+    assert faults(tmp_path / "report.html") == []
 
 
 def test_a_comparison_is_the_same_each_time(log: Log, tmp_path: Path, plant_fmu: Path) -> None:

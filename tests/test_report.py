@@ -30,6 +30,7 @@ from cosim.simulation.report.craft.topview import pose, reference_track, true_tr
 from cosim.simulation.report.page import connection_panels, signal_panels
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.rows import connections
+from tests.seen import faults
 
 ROOT = Path(__file__).parent.parent
 PLANT = """x y x_world y_world psi phi vx vy psi_dot phi_dot ax thrust_right thrust_left tilt_right_actual
@@ -208,6 +209,11 @@ def test_a_manifest_may_lack_or_garble_anything(tmp_path: Path) -> None:
 def test_thirty_noisy_seconds_stay_small(tmp_path: Path) -> None:
     # Noise on every signal is the worst there is to compress: no level stretches, every digit used.
     assert len(page(tmp_path, craft_run(30.0, noise=0.1), manifest()).encode()) < 600_000
+
+
+def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_run(tmp_path: Path) -> None:
+    page(tmp_path, craft_run(10.0, noise=0.01), manifest())
+    assert faults(tmp_path / "report.html", dark=True) == []
 
 
 def test_half_an_hour_at_50_hz_is_whole_in_a_few_megabytes(tmp_path: Path) -> None:

@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from controller.design_model import design_model
+from controller.gains import Settings
+from cosim.linearization.structure import controllability
+from cosim.linearization.workflow import linearize
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
 from plant.namespaces import SCALAR
@@ -79,6 +83,56 @@ def test_inertias_from_parts() -> None:
     assert Hovercraft().ixx == 0.009377
 
 
+def test_the_equations_of_5_14_are_the_one_body_with_what_is_ours_switched_off() -> None:
+    """Eqs 5.5-5.14, written down from the page; 5.14 has φ for sin φ, the body sin φ as in 5.6."""
+    m, L, Izz, Ixx = 0.705, 0.17145, 0.01023, 0.009377
+    gain = ground_effect(SCALAR, 0.095, 0.127, 1.902)
+    craft = Hovercraft(friction=0.0, table_roll_stiffness=0.0, table_roll_damping=0.0, roll_ground_effect=False)
+    phi, (TR, TL), (aR, aL) = 0.03, (2.1, 2.3), (0.15, -0.08)
+    at = {"vx": 0.4, "vy": -0.1, "psi_dot": 0.3, "phi_dot": 0.2, "phi": phi}
+    state = craft.start({**at, "thrust_right": TR, "thrust_left": TL, "tilt_right": aR, "tilt_left": aL})
+    rates = craft.equations(SCALAR).derivative(0.0, state, (6.4, 6.4, aR, aL))
+    found = dict(zip((q.name for q in craft.states), rates, strict=True))
+    FRx, FLx = gain * TR * math.sin(aR), gain * TL * math.sin(aL)  # 5.12
+    FRz, FLz = gain * TR * math.cos(aR), gain * TL * math.cos(aL)
+    expected = {
+        "x": 0.4, "vx": (FRx + FLx) / m, "y": -0.1, "vy": -(FRz + FLz) / m * math.sin(phi),
+        "psi": 0.3, "psi_dot": L / Izz * (FRx - FLx), "phi": 0.2, "phi_dot": L / Ixx * (FRz - FLz),
+    }  # fmt: skip
+    assert {n: found[n] for n in expected} == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_controllability_matrix_of_eq_5_36() -> None:
+    """5.35 prints AⁿB as the last block; 5.36 ends with A⁴B, ten columns of five states."""
+    A, B = design_model(Settings())
+    found = controllability(A, B)
+    assert found.shape == (5, 10)
+    printed = [
+        (0, 0, 0, 41.85, 40.07), (0, 0, 0, -41.85, 40.07), (0, 40.07, 41.85, 0, -453.3), (0, 40.07, -41.85, 0, -453.3),
+        *[(40.07, -467.5, 0, 0, 5128)] * 2, *[(-467.5, 5294, 0, 0, -58009)] * 2, *[(5294, -59886, 0, 0, 656210)] * 2,
+    ]  # fmt: skip
+    # each block of the print is the one before, rounded to four digits, times A
+    assert np.abs(found.T - printed).max(axis=1) == pytest.approx(0.0, abs=40.0)
+    np.testing.assert_allclose(found.T, printed, rtol=2e-4)
+    assert np.linalg.matrix_rank(found) == 5
+    assert np.linalg.cond(found) == pytest.approx(224_256, abs=0.5)  # printed 22425
+
+
+def test_the_assumptions_of_eqs_5_20_to_5_32_make_the_design_model_of_the_body() -> None:
+    """φ = 0, constant duty, small tilts, lag on what drives the thrust: six states, of which 5.29 has five."""
+    names = ("x", "vx", "psi", "psi_dot", "tilt_right", "tilt_left")
+    found = linearize("base", states=names, inputs=["tilt_right", "tilt_left"], outputs=["psi", "psi_dot", "ax"]).first
+    A, B = design_model(Settings())
+    turn, push = B[3, 0], B[4, 0] * 0.0884  # 5.34
+    expected = np.zeros((6, 6))
+    expected[0, 1] = expected[2, 3] = 1.0
+    expected[1, 1] = A[1, 1]  # 5.32
+    expected[1, 4:], expected[3, 4:] = (push, push), (turn, -turn)  # 5.25, 5.26 with 5.24
+    expected[4, 4] = expected[5, 5] = A[4, 4]  # 5.27; on the yaw axis too, which 5.29 leaves out
+    # δ_N has six digits: T_N is 4e-6 N low
+    np.testing.assert_allclose(found.A, expected, rtol=3e-6, atol=1e-12)
+
+
 def test_the_numbers_of_eq_4_33_are_the_defaults_of_the_bench() -> None:
     b = Bench()
     assert (b.thrust_offset, b.thrust_slope, b.ground_effect_exponent, b.lag, b.assembly_arm) == (
@@ -102,3 +156,11 @@ def test_the_curves_of_the_cells_pass_near_the_points_of_app_c() -> None:
         curve = [getattr(b, f"{cell}_{p}") for p in ("zero", "slope", "square", "cube")]
         read = np.polynomial.polynomial.polyval(unit * np.array(loads), curve)
         assert np.abs(read - volts).max() < off, cell
+
+
+def test_the_horizontal_projection_of_app_g_is_unusable() -> None:
+    """G.3, G.4: H in degrees is 0.006 at 10°, where the sine is 0.17."""
+    coefficients = (6.251e-5, 6.843e-5, -9.170e-8, -2.199e-10, 7.100e-13, -5.138e-16)
+    projected = sum(c * 10.0 ** (2 * k) for k, c in enumerate(coefficients))
+    assert projected == pytest.approx(0.006, abs=5e-4)
+    assert math.sin(math.radians(10.0)) > 25 * projected

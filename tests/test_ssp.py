@@ -253,12 +253,17 @@ def test_every_fault_is_told_at_once_with_its_place_and_cure(tmp_path: Path) -> 
         'no file "resources/none.ssv" in it',
         "endElement 'c' is not in its system",
         "a has no connector 'yy'; did you mean \"y\"?",
-        "two sources for a.u; keep one",
+        "two sources for a.u: b.y and b.y; keep one",
         "ssc:BooleanMappingTransformation: is not run here",
         "breaks the schema of SSP: Element 'ssd:Oddity'",
     ):
         assert any(words in line for line in told), (words, told)
     assert all(line.startswith(f"{path}:") and line.removeprefix(f"{path}:").split(":")[0].isdigit() for line in told)
+
+
+def test_two_sources_of_an_input_are_told_once_with_both_names(tmp_path: Path) -> None:
+    (told,) = faults_of(pair(tmp_path, connections=connection("b.y", "a.u") + connection("a.y", "a.u")))
+    assert told.endswith("two sources for a.u: b.y and a.y; keep one")
 
 
 def test_a_fault_of_a_file_within_is_told_of_that_file(tmp_path: Path) -> None:

@@ -50,8 +50,10 @@ int fmi3DoStep(C c, double t, double h, _Bool no, _Bool *event, _Bool *end, _Boo
     memcpy(m->text[1], m->text[0], 200);
     memcpy(m->raw[1], m->raw[0], 16);
     m->size[1] = m->size[0];
-    *event = *end = *early = 0;
-    *last = t + h;
+    *event = 0;
+    *end = m->byte[0] == 250 || m->byte[0] == 251; /* the end is asked for, by 251 before the step's own */
+    *early = m->byte[0] == 251;
+    *last = *early ? t + 0.5 * h : t + h;
     return 0;
 }
 #define NONE(name) int name(void) { return 3; }

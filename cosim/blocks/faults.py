@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-Through = Callable[[int, Any], Any]  # communication point and value → value
+from cosim.blocks.stepping import Does, Link, link
+
 MOST = 1e18  # steps, which nobody takes
 
 
@@ -21,56 +23,131 @@ def disturbed(
     value: float | None = None,
     probability: float | None = None,
     delay: int = 0,
-) -> Through:
+) -> Linked:
     """What a fault makes of the value at each communication point; outside `window` (first, last) nothing.
 
     count: communication points of the run
     delay: communication points
     """
-    first, last = window
+    first, _last = window
     given = 0.0 if value is None else value
     if kind in {"bias", "scale", "stuck"}:
-        act: dict[str, Callable[[Any], Any]] = {
-            "bias": lambda v: v + given,
-            "scale": lambda v: v * given,
-            "stuck": lambda v: given,
-        }
-        acting = act[kind]
-        return lambda k, v: acting(v) if first <= k <= last else v
+        return Within(kind, window, given)
     if kind == "spike":
         hit = np.zeros(count, bool) if probability is None else rng.random(count) < probability
         if probability is None:
             hit[min(first, count - 1)] = True
-        spikes = hit.tolist()
-        return lambda k, v: v + given if first <= k <= last and spikes[k] else v
+        return Spikes(window, given, bytearray(hit.tobytes()))
     if kind == "delay":
-        return _delayed(first, last, delay)
-    lost = (rng.random(count) < probability).tolist() if probability is not None else [True] * count
-    return _held(first, last, lost)
+        return Delayed(window, min(delay, count))
+    lost = rng.random(count) < probability if probability is not None else np.ones(count, bool)
+    return Held(window, bytearray(lost.tobytes()))
 
 
-def _held(first: int, last: int, lost: list[bool]) -> Through:
+class Linked(Protocol):
+    """A function of (communication point, value), which C has too; called at each point in turn."""
+
+    def __call__(self, k: int, v: Any) -> Any:
+        """The value at point k."""
+
+    def link(self) -> Link:
+        """The same for C, going on from the last point."""
+
+
+class Scaled:
+    """v·factor + offset."""
+
+    def __init__(self, factor: float, offset: float) -> None:
+        self.factor, self.offset = factor, offset
+
+    def __call__(self, k: int, v: Any) -> Any:
+        return v * self.factor + self.offset
+
+    def link(self) -> Link:
+        return link(Does.AFFINE, a=self.factor, b=self.offset)
+
+
+class Added:
+    """v + samples[k]."""
+
+    def __init__(self, samples: array[float]) -> None:
+        self.samples = samples
+
+    def __call__(self, k: int, v: Any) -> Any:
+        return v + self.samples[k]
+
+    def link(self) -> Link:
+        return link(Does.ADDED, values=self.samples)
+
+
+class Within:
+    """A bias, a scale or a value that stands still, from a point to another."""
+
+    def __init__(self, kind: str, window: tuple[int, int], value: float) -> None:
+        act: dict[str, tuple[Does, Callable[[Any], Any]]] = {
+            "bias": (Does.BIAS, lambda v: v + value),
+            "scale": (Does.SCALE, lambda v: v * value),
+            "stuck": (Does.STUCK, lambda v: value),
+        }
+        self.kind, self._act = act[kind]
+        self.window, self.value = window, value
+
+    def __call__(self, k: int, v: Any) -> Any:
+        first, last = self.window
+        return self._act(v) if first <= k <= last else v
+
+    def link(self) -> Link:
+        return link(self.kind, self.window, a=self.value)
+
+
+class Spikes:
+    """v + value where hit[k]."""
+
+    def __init__(self, window: tuple[int, int], value: float, hit: bytearray) -> None:
+        self.window, self.value, self.hit = window, value, hit
+
+    def __call__(self, k: int, v: Any) -> Any:
+        first, last = self.window
+        return v + self.value if first <= k <= last and self.hit[k] else v
+
+    def link(self) -> Link:
+        return link(Does.SPIKES, self.window, a=self.value, marks=self.hit)
+
+
+class Held:
     """The last value that came, while samples are lost."""
-    kept: list[Any] = [None]
 
-    def through(k: int, v: Any) -> Any:
-        if k == 0 or not (first <= k <= last and lost[k]):
-            kept[0] = v
-        return kept[0]
+    def __init__(self, window: tuple[int, int], lost: bytearray) -> None:
+        self.window, self.lost = window, lost
+        self._kept: Any = None
 
-    return through
+    def __call__(self, k: int, v: Any) -> Any:
+        first, last = self.window
+        if k == 0 or not (first <= k <= last and self.lost[k]):
+            self._kept = v
+        return self._kept
+
+    def link(self) -> Link:
+        return link(Does.HELD, self.window, marks=self.lost, kept=array("d", [self._kept]))
 
 
-def _delayed(first: int, last: int, delay: int) -> Through:
+class Delayed:
     """What came `delay` communication points before; the first value where nothing had come then."""
-    past: dict[int, Any] = {}
 
-    def through(k: int, v: Any) -> Any:
+    def __init__(self, window: tuple[int, int], delay: int) -> None:
+        self.window, self.delay = window, delay
+        self._past: dict[int, Any] = {}
+
+    def __call__(self, k: int, v: Any) -> Any:
+        first, last = self.window
+        past, delay = self._past, self.delay
         past[k] = v
         past.pop(k - delay - 1, None)
         return past.get(k - delay, past[min(past)]) if first <= k <= last else v
 
-    return through
+    def link(self) -> Link:
+        ring = array("d", [self._past[0], *[0.0] * self.delay])
+        return link(Does.DELAYED, self.window, kept=ring, count=len(ring))
 
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:

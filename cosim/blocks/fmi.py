@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ STEP1 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_char)
 STEP2 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT)
 STEP3 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4)
 Step = Callable[[Any, float, float, int], int]
+AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # and the cells of t and h
 Listen = Callable[[int, bytes | None], None]  # status and message
 
 
@@ -33,6 +35,7 @@ class Calls(ABC):
     prefix = "fmi2"
     way: Way = "co-simulation"
     exchange: Any = EXCHANGE
+    step: Any = STEP2
     readable_before_start = True  # values may be read while initializing
 
     def __init__(self, name: str, description: Any) -> None:
@@ -90,9 +93,22 @@ class Calls(ABC):
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
+    def untyped(self, symbol: str) -> Any:
+        """A function of the library that takes C's own types, made before, and so converts none."""
+        function = ctypes.cast(getattr(self.fmu.dll, symbol), ctypes.c_void_p)
+        return ctypes.CFUNCTYPE(INT)(function.value or 0)
+
+    def at_once(self, component: Any) -> AtOnce | None:
+        """What makes a step of the instance from one cell over another, where that is a single call."""
+        return None
+
     def symbol(self, name: str) -> str:
         """Name of a function in the library."""
         return f"{self.prefix}{name}"
+
+    def bare_step(self) -> Any:
+        """The library's function that makes a step."""
+        return self.bare(self.step, "DoStep")
 
     @abstractmethod
     def stepping(self) -> Step:
@@ -116,8 +132,15 @@ class CoSimulation2(Calls):
         return FMU2Slave
 
     def stepping(self) -> Step:
-        step: Step = self.bare(STEP2, "DoStep")
+        step: Step = self.bare_step()
         return step
+
+    def at_once(self, component: Any) -> AtOnce | None:
+        if self.symbol("DoStep") != "fmi2DoStep" or self.way != "co-simulation":
+            return None
+        at, over = DOUBLE(), DOUBLE()
+        step = partial(self.untyped("fmi2DoStep"), ctypes.c_void_p(component), at, over, INT(1))
+        return step, at, over
 
     def ended(self, t: float) -> float | None:
         try:
@@ -134,7 +157,7 @@ class CoSimulation2(Calls):
 class CoSimulation1(CoSimulation2):
     """FMI 1.0 co-simulation: one call initializes, and values are read only after it."""
 
-    prefix = "fmi"
+    prefix, step = "fmi", STEP1
     readable_before_start = False
 
     def load(self, folder: Path, library: Path) -> None:
@@ -167,7 +190,7 @@ class CoSimulation1(CoSimulation2):
         return f"{self.identifier}_fmi{name}"
 
     def stepping(self) -> Step:
-        step = self.bare(STEP1, "DoStep")
+        step = self.bare_step()
         return lambda component, t, h, _: int(step(component, t, h, b"\x01"))
 
     def ended(self, t: float) -> float | None:
@@ -177,7 +200,7 @@ class CoSimulation1(CoSimulation2):
 class CoSimulation3(Calls):
     """FMI 3.0 co-simulation."""
 
-    prefix, exchange = "fmi3", EXCHANGE3
+    prefix, exchange, step = "fmi3", EXCHANGE3, STEP3
 
     def _class(self) -> Any:
         from fmpy.fmi3 import FMU3Slave
@@ -194,18 +217,23 @@ class CoSimulation3(Calls):
         self.fmu.enterInitializationMode(tolerance=self.tolerance, startTime=self.start_time, stopTime=self.stop_time)
 
     def stepping(self) -> Step:
-        step = self.bare(STEP3, "DoStep")
+        step = self.bare_step()
         event, terminate, early, last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
-        flags = tuple(ctypes.addressof(flag) for flag in (event, terminate, early, last))
+        flags = tuple(ctypes.byref(flag) for flag in (event, terminate, early, last))  # which keep what they point to
 
         def do_step(component: Any, t: float, h: float, _: int) -> int:
             status = int(step(component, t, h, True, *flags))
             if terminate.value and status < DISCARD:
                 reached = last.value if early.value else t + h
-                raise EndedEarly(self.name, reached, "the FMU ended the simulation", readable=True)
+                raise ended(self.name, reached)
             return status
 
         return do_step
+
+
+def ended(name: str, reached: float) -> EndedEarly:
+    """What tells that an FMU of FMI 3.0 has ended the simulation."""
+    return EndedEarly(name, reached, "the FMU ended the simulation", readable=True)
 
 
 def _callbacks2(listen: Listen) -> Any:

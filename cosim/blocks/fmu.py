@@ -12,7 +12,7 @@ import os
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableSequence, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from pathlib import Path
@@ -30,18 +30,19 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, Step
+from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, Step, ended
 from cosim.blocks.guard import without_wrapping
-from cosim.blocks.interface import EndedEarly, Row
+from cosim.blocks.interface import ADVANCE, GET, PUT, EndedEarly, Row, in_turn
 from cosim.blocks.kinds import Exchange, element_names
 from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
-from cosim.errors import DiskFull, FmuError, SimulationError
+from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot, move
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
 from fmus.archive import unpack
 from fmus.files import is_full
 from fmus.lifetime import let_go_at_exit
-from fmus.sampled import sampled_by
+from fmus.sampled import AUTHOR, optional_inputs, sampled_by
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 
@@ -83,7 +84,7 @@ class FmuBlock:
         solver: Solver | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
-        self.start_values = start
+        self.start_values, self.connected = start, connected
         self._made_of = (
             partial(
                 type(self),
@@ -103,7 +104,8 @@ class FmuBlock:
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
-        self._ports = ports = Ports(description, connected, recorded)
+        optional = self._optional(description, connected | start.keys())
+        self._ports = ports = Ports(description, connected, recorded, optional)
         self._fmi3, self._kinds = ports.fmi3, ports.kinds
         self._variables = {v.name: v for v in description.modelVariables}
         self.inputs, self.outputs = ports.inputs, ports.outputs
@@ -111,12 +113,26 @@ class FmuBlock:
         self._fmu: Any = None
         self._component: Any = None
         self._folder: Path | None = None
+        self._unpacked: Path | None = None
         self._initialized = False
         self._time = 0.0
+        self._stopped: BaseException | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process makes its own of the same."""
         return self._made_of
+
+    def started_from(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
+        """Another instance, with these start values; `unpacked`: where the FMU lies already, which stays as it is."""
+        make, (name, path, description, _, connected) = self._made_of
+        block = make(name, path, description, start, connected)
+        block._unpacked = unpacked
+        return block
+
+    def _optional(self, description: Any, given: frozenset[str]) -> frozenset[str]:
+        """Inputs without a source or a value that the FMU says need none; only FMUs of ours say so."""
+        free = {v.name for v in description.modelVariables if v.causality == "input"} - given
+        return optional_inputs(self.path) & free if free and description.author == AUTHOR else frozenset()
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
@@ -189,43 +205,81 @@ class FmuBlock:
             self._judge(self._step_name, status)
         self._time = t + h
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        put = self._bare_put() if self._ports.fed else None
-        if self._get_arguments is None or self._other_gets:
-            return put, self.advance, self.get
-        # the same as `advance` and `get`, with everything looked up beforehand
-        do_step, get_real, instance = self._do_step, self._get_real, self._component
-        arguments, row, out, isfinite = self._get_arguments, self._row, self._out, math.isfinite
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        step = self._calls.at_once(self._component)
+        fed = bool(self._ports.fed)
+        straight = self._put_arguments is not None and not self._other_puts
+        if step is None or (fed and not straight) or self._get_arguments is None or self._other_gets:
+            return in_turn(self, doing, first, puts=fed)
+        return self._bare_stepping(step, doing, first)
 
-        def advance(t: float, h: float) -> None:
-            status = do_step(instance, t, h, 1)
-            if status:
+    def _bare_stepping(self, step: AtOnce, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """As `in_turn` of values that go straight between FMU and row: all looked up, every argument made before."""
+        calls, instance = self._calls, ctypes.c_void_p(self._component)
+        get = partial(calls.untyped(self._real_getter), instance, *self._ports.straight(self._get_arguments))
+        put = None
+        if self._put_arguments is not None:
+            put = partial(calls.untyped(self._real_setter), instance, *self._ports.straight(self._put_arguments))
+        do_step, at, over = step
+        outputs, isfinite = memoryview(self._row).cast("B").cast("d")[self._out], math.isfinite
+        putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
+
+        def once(t: float, h: float) -> None:
+            if put is not None:
+                doing[0] = putting
+                if status := put():
+                    self._judge(self._real_setter, status)
+            doing[0] = advancing
+            at.value, over.value = t, h
+            if status := do_step():
                 self._time = t
                 self._judge(self._step_name, status)
             self._time = t + h
-
-        def get() -> None:
-            status = get_real(instance, *arguments)
-            if status:
+            doing[0] = getting
+            if status := get():
                 self._judge(self._real_getter, status)
-            values = row[out]
-            if not isfinite(sum(values)):
-                self._not_finite(values)
+            if not isfinite(sum(outputs)):
+                self._not_finite(outputs.tolist())
 
-        return put, advance, get
+        return once
 
-    def _bare_put(self) -> Callable[[], None]:
-        """As `put`, with everything looked up beforehand where all inputs go straight from the row."""
-        arguments, set_real, instance = self._put_arguments, self._set_real, self._component
-        if self._watched is not None or self._other_puts or arguments is None:
-            return self.put
+    # -- stepped by C -------------------------------------------------------------------------
 
-        def put() -> None:
-            status = set_real(instance, *arguments)
-            if status:
-                self._judge(self._real_setter, status)
+    def slot(self) -> Slot | str:
+        """Itself for C, from now on; or why not."""
+        version = {CoSimulation2: 2, CoSimulation3: 3}.get(type(self._calls), 0)
+        if self.nominal_step:
+            return f"{self.name} is made of Python, by pythonfmu"
+        if not version:
+            return f"{self.name} is of FMI {self.description.fmiVersion} {self._calls.way}"
+        if any(exchange.kind.beside for exchange in (*self._ports.fed, *self._ports.read)):
+            return f"{self.name} has values that no double holds"
+        puts = [move(self._setters[e.kind.function], e, self._row) for e in self._ports.fed]
+        gets = [move(self._getters[e.kind.function], e, self._row) for e in self._ports.read]
+        step = self._calls.bare_step()
+        return fmu_slot(version, step, self._component, puts, gets, len(self._finite), self._time)
 
-        return put
+    def came_to(self, t: float) -> None:
+        """C has stepped it to `t` [s]; raises what stopped this process while the FMU spoke."""
+        self._time = t
+        if self._stopped is not None:
+            stopped, self._stopped = self._stopped, None
+            raise stopped
+
+    def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
+        """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
+        exchanges = self._ports.fed if plan.called == PUT or why == Why.UNFIT else self._ports.read
+        if why == Why.NOT_FINITE:
+            self._not_finite(self._row[self._out])
+        elif why == Why.UNFIT:
+            self._write(exchanges[plan.moving])
+        elif why == Why.TERMINATED:
+            raise ended(self.name, slot.reached)
+        elif plan.called == ADVANCE:
+            self._judge(self._step_name, plan.status)
+        else:
+            verb = "Set" if plan.called == PUT else "Get"
+            self._judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs while it runs."""
@@ -263,7 +317,7 @@ class FmuBlock:
 
     def close(self) -> None:
         self._unload()
-        if self._folder is not None:
+        if self._folder is not None and self._folder != self._unpacked:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
@@ -274,6 +328,9 @@ class FmuBlock:
     # -- life ---------------------------------------------------------------------------------
 
     def _unpack(self) -> None:
+        if self._unpacked is not None:
+            self._folder = self._unpacked
+            return
         try:
             self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
             unpack(self.path, self._folder)
@@ -456,8 +513,11 @@ class FmuBlock:
 
     def _listen(self, status: int, message: bytes | None) -> None:
         """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
-        if status >= WARNING or self._logging:
-            self._remember((message or b"").decode("utf-8", "replace"))
+        try:
+            if status >= WARNING or self._logging:
+                self._remember((message or b"").decode("utf-8", "replace"))
+        except (KeyboardInterrupt, Terminated) as stop:  # no exception passes through C
+            self._stopped = stop
 
     def _remember(self, text: str) -> None:
         text = text[:LONGEST_MESSAGE]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -12,6 +12,7 @@ from cosim.errors import SimulationError
 from fmus.units import parse
 
 Row = ctypes.Array[ctypes.c_double]
+PUT, ADVANCE, GET = range(3)  # what is called
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
@@ -108,8 +109,27 @@ class Component(Protocol):
     def advance(self, t: float, h: float) -> None:
         """Step from `t` to `t + h` [s]; EndedEarly where the component ends the simulation."""
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        """What does as put, advance and get once it has started, faster; no put where no input is connected."""
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """What puts, advances by h from t and gets, once it has started: `in_turn`, or the same, faster."""
 
     def close(self) -> None:
         """Free everything; may be called at any time, more than once."""
+
+
+def in_turn(
+    component: Component, doing: MutableSequence[int], first: int, *, puts: bool = True
+) -> Callable[[float, float], None]:
+    """Put (where some input is connected), advance, get; `first` + PUT, ADVANCE, GET stand in `doing` before each."""
+    put, advance, get = component.put, component.advance, component.get
+    putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
+
+    def step(t: float, h: float) -> None:
+        if puts:
+            doing[0] = putting
+            put()
+        doing[0] = advancing
+        advance(t, h)
+        doing[0] = getting
+        get()
+
+    return step

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from array import array
 
 import numpy as np
+
+from cosim.arrays import Array
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -13,7 +16,12 @@ def stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, key])
 
 
-def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> list[float]:
+def samples_of(rng: np.random.Generator, variance: float, bias: float, count: int) -> Array:
     """`count` samples of bias + √variance·n, n standard normal, in the unit of the signal."""
-    samples: list[float] = (bias + np.sqrt(variance) * rng.standard_normal(count)).tolist()
+    samples: Array = bias + np.sqrt(variance) * rng.standard_normal(count)
     return samples
+
+
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
+    """The same for a loop over single samples."""
+    return array("d", samples_of(rng, variance, bias, count).tobytes())

@@ -16,14 +16,22 @@ class Ports:
 
     fed, unfed: inputs that are connected, and the others
     read:       outputs, before what is recorded
-    inward:     all inputs
+    inward:     all inputs; of optional ones those that are connected
+
+    optional: inputs that are left out where nothing feeds them
     """
 
-    def __init__(self, description: Any, connected: frozenset[str], recorded: frozenset[str]) -> None:
+    def __init__(
+        self,
+        description: Any,
+        connected: frozenset[str],
+        recorded: frozenset[str],
+        optional: frozenset[str] = frozenset(),
+    ) -> None:
         self.description = description
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         supported = [v for v in description.modelVariables if v.type in self.kinds]
-        inputs = [v for v in supported if v.causality == "input"]
+        inputs = [v for v in supported if v.causality == "input" and v.name not in optional - connected]
         meant = [not connected.isdisjoint({v.name, *element_names(v)}) for v in inputs]
         fed, unfed = ([v for v, is_fed in zip(inputs, meant, strict=True) if is_fed is way] for way in (True, False))
         outputs = [v for v in supported if v.causality == "output"]
@@ -51,6 +59,12 @@ class Ports:
         doubles = _doubles(exchanges)
         straight = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
         return straight, tuple(e for e in exchanges if e is not doubles)
+
+    def straight(self, arguments: Any) -> tuple[Any, ...]:
+        """These arguments as C has them, so that no call makes them again."""
+        references, count, where, *scalars = arguments
+        first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(where)
+        return *first, *(ctypes.c_size_t(n) for n in scalars)
 
     def real_outputs(self) -> tuple[slice, tuple[str, ...]]:
         """Places and names of the outputs that must be finite: what is recorded beside them need not be."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
 
+import numpy as np
 from pydantic import Field, field_validator
 
+from cosim.arrays import Array
 from cosim.yaml_file import NotNegative, Number, Part, Positive
+
+ROUNDING = 1e-9  # [s] by which a time may be off
 
 
 class Change(Part):
@@ -46,29 +48,42 @@ class Profile(Part):
         return changes
 
 
-def profile_function(profile: Profile, factor: float = 1.0) -> Callable[[float], float]:
+class ProfileFunction:
     """Value at a time: the last step, or the point reached on the last ramp (a new change interrupts a ramp)."""
-    begins = [profile.start]
-    for before, change in zip(profile.changes, profile.changes[1:], strict=False):
-        begins.append(_reached(begins[-1], before.to, before.rate, change.at - before.at))
 
-    changes = [(change.to, change.rate) for change in profile.changes]
-    return partial(_value, [change.at for change in profile.changes], begins, changes, factor)
+    def __init__(self, profile: Profile, factor: float) -> None:
+        begins = [profile.start]
+        for before, change in zip(profile.changes, profile.changes[1:], strict=False):
+            begins.append(_reached(begins[-1], before.to, before.rate, change.at - before.at))
+        self.factor, self.begins, self.times = factor, begins, [change.at for change in profile.changes]
+        self.changes = [(change.to, change.rate) for change in profile.changes]
+
+    def __call__(self, t: float) -> float:
+        # a time that is a step's time but for rounding belongs to the step
+        k = bisect.bisect_right(self.times, t + ROUNDING) - 1
+        if k < 0:
+            return self.factor * self.begins[0]
+        to, rate = self.changes[k]
+        return self.factor * _reached(self.begins[k], to, rate, t - self.times[k])
+
+    def over(self, times: Array) -> Array:
+        """Values at many times in order: each as by itself, to the last bit."""
+        bounds = [0, *np.searchsorted(times + ROUNDING, self.times).tolist(), len(times)]
+        values = np.full(len(times), self.begins[0])
+        for k, (to, rate) in enumerate(self.changes):
+            here = slice(bounds[k + 1], bounds[k + 2])
+            begin, elapsed = self.begins[k], times[here] - self.times[k]
+            if rate is None:
+                values[here] = to
+            else:
+                ramp = begin + np.copysign(rate * np.maximum(0.0, elapsed), to - begin)
+                values[here] = np.where(abs(to - begin) <= rate * elapsed, to, ramp)
+        return self.factor * values
 
 
-def _value(
-    times: Sequence[float],
-    begins: Sequence[float],
-    changes: Sequence[tuple[float, float | None]],
-    factor: float,
-    t: float,
-) -> float:
-    # a time that is a step's time but for rounding belongs to the step
-    k = bisect.bisect_right(times, t + 1e-9) - 1
-    if k < 0:
-        return factor * begins[0]
-    to, rate = changes[k]
-    return factor * _reached(begins[k], to, rate, t - times[k])
+def profile_function(profile: Profile, factor: float = 1.0) -> ProfileFunction:
+    """A profile as a function of time, its values times `factor`."""
+    return ProfileFunction(profile, factor)
 
 
 def _reached(begin: float, to: float, rate: float | None, elapsed: float) -> float:

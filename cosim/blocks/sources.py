@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable, Collection, Container, Mapping, Sequence
-from functools import partial
+import ctypes
+from collections.abc import Callable, Collection, Container, Mapping, MutableSequence, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from cosim.blocks.interface import Row, Signal
-from cosim.blocks.profile import Profile, profile_function
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.blocks.interface import Row, Signal, in_turn
+from cosim.blocks.profile import ROUNDING, Profile, profile_function
+from cosim.blocks.stepping import Slot
 from cosim.table import read_columns
 from fmus.units import computed_in
+
+
+class OfTime(Protocol):
+    """A function of time [s]; `over` gives what it gives one by one, for times in order."""
+
+    def __call__(self, t: float) -> float:
+        """Value at a time."""
+
+    def over(self, times: Array) -> Array:
+        """Values at many."""
 
 
 class Source:
@@ -19,13 +34,13 @@ class Source:
 
     nominal_step = True
 
-    def __init__(self, name: str, signals: Mapping[str, tuple[str, Callable[[float], float]]]) -> None:
+    def __init__(self, name: str, signals: Mapping[str, tuple[str, OfTime]]) -> None:
         self.name = name
         self.inputs: tuple[Signal, ...] = ()
         self.exact_inputs: tuple[Signal, ...] = ()
         self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
-        self._functions = tuple(function for _, function in signals.values())
+        self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
@@ -44,17 +59,32 @@ class Source:
         pass
 
     def get(self) -> None:
-        for k, function in enumerate(self._functions, self._first):
+        for k, function in enumerate(self.functions, self._first):
             self._row[k] = function(self._t)
 
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
-        return None, self.advance, self.get
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=False)
 
     def close(self) -> None:
         pass
+
+    def slot(self) -> Slot | str:
+        """For C: values that are prepared, `over` the times to which it steps."""
+        slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
+        slot.row = ctypes.addressof(self._row) + 8 * self._first
+        return slot
+
+    def over(self, times: Array) -> Array:
+        """Its signals at many times, a row for each."""
+        columns = [function.over(times) for function in self.functions]
+        return np.ascontiguousarray(np.transpose(columns)) if columns else np.zeros((len(times), 0))
+
+    def came_to(self, t: float) -> None:
+        """C has stepped it to `t` [s]."""
+        self._t = t
 
 
 def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
@@ -76,13 +106,27 @@ def playback(name: str, path: Path, names: Container[str] = ()) -> Source:
     times, signals = table.values["time"], {}
     for column in (c for c in table.columns.values() if c.name != "time"):
         unit, factor = computed_in(column.heading.unit)
-        signals[column.name] = (unit, _held(times, [factor * v for v in table.values[column.name]]))
+        signals[column.name] = (unit, Recorded(times, [factor * v for v in table.values[column.name]]))
     return Source(name, signals)
 
 
-def _held(times: Sequence[float], values: Sequence[float]) -> Callable[[float], float]:
-    return partial(_last, times, values)
+class Recorded:
+    """The last value recorded at or before a time; before all of them the first."""
 
+    def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
+        self.times, self.values = times, values
 
-def _last(times: Sequence[float], values: Sequence[float], t: float) -> float:
-    return values[max(0, bisect.bisect_right(times, t + 1e-9) - 1)]
+    def __call__(self, t: float) -> float:
+        return self.values[max(0, bisect.bisect_right(self.times, t + ROUNDING) - 1)]
+
+    def over(self, times: Array) -> Array:
+        """Values at many times."""
+        return self._values[np.maximum(0, np.searchsorted(self._times, times + ROUNDING, "right") - 1)]
+
+    @cached_property
+    def _times(self) -> Array:
+        return np.asarray(self.times, np.float64)
+
+    @cached_property
+    def _values(self) -> Array:
+        return np.asarray(self.values, np.float64)

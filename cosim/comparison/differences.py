@@ -12,8 +12,10 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
+from cosim.text import amount, counted, plain
 
 SAME_TIME = 1e-9  # of a step
+SHOWN = 12  # signals, where a comparison is told in a few lines
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Difference:
     note: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Compared:
     """Two runs held against each other.
 
@@ -74,6 +76,29 @@ class Compared:
     def same(self) -> bool:
         """Within the tolerance, over the whole of both runs."""
         return not self.beyond and not self.shorter
+
+    def __repr__(self) -> str:
+        ranked, more = self._ranked()
+        lines = ["  ".join(cells) for cells in ranked] + ([more] if more else [])
+        return "\n  ".join([self._heading(), *lines])
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        ranked, more = self._ranked()
+        head = "".join(f"<th>{word}</th>" for word in ("signal", "largest", "at", "of its range"))
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for cells in ranked)
+        note = f"<p>{more}</p>" if more else ""
+        return f"<p><b>{escape(self._heading())}</b></p><table><tr>{head}</tr>{rows}</table>{note}"
+
+    def _heading(self) -> str:
+        return f"{self.a.name} and {self.b.name}: {sentence(self)}"
+
+    def _ranked(self) -> tuple[list[tuple[str, str, str, str]], str]:
+        """The signals that differ most, as text, and how many more there are."""
+        ranked = sorted(self.differences, key=lambda d: -d.share)
+        cells = [(d.name, amount(d.largest, d.unit), f"{d.at:.6g} s", shared(d)) for d in ranked[:SHOWN]]
+        return cells, f"… and {len(ranked) - SHOWN} more" if len(ranked) > SHOWN else ""
 
     def as_json(self) -> dict[str, Any]:
         """What a script asks, in plain data; what is not finite is null."""
@@ -196,3 +221,32 @@ def _what(entry: dict[str, Any]) -> str:
     parts = [f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"]
     parts += [f"{word} {entry[word]}" for word in ("to", "band", "after", "until") if entry.get(word)]
     return " ".join(parts)
+
+
+def sentence(c: Compared) -> str:
+    """What the comparison came to."""
+    count = len(c.differences)
+    most = max(c.differences, key=lambda d: d.share)
+    if not any(d.largest for d in c.differences):
+        told = (
+            f"All {counted(count, 'signal')} are equal in every row."
+            if count > 1
+            else "The signal is equal in every row."
+        )
+    elif c.judged and not c.beyond:
+        told = f"All {counted(count, 'signal')} are within the tolerance; {_most(most)}."
+    elif c.judged:
+        verb = "is" if len(c.beyond) == 1 else "are"
+        told = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {_most(c.beyond[0])}."
+    else:
+        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} differ; {_most(most)}."
+    return told + (f" {c.shorter}." if c.shorter else "")
+
+
+def _most(d: Difference) -> str:
+    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({shared(d)} of its range)"
+
+
+def shared(d: Difference) -> str:
+    """A difference as a share of the range of its signal."""
+    return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"

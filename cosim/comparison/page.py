@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.comparison.differences import Compared, Difference, compared, criteria_of
+from cosim.comparison.differences import Compared, Difference, compared, criteria_of, sentence, shared
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
@@ -18,7 +18,7 @@ from cosim.report.drawing import Drawing
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
 from cosim.simulation.folder import folder_named
-from cosim.text import amount, counted, display, plain, written
+from cosim.text import amount, display, written
 from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
@@ -61,35 +61,6 @@ def compare(
         with atomic_write(place / "report.html") as stream:
             stream.write(render(TEMPLATE, context(made)))
     return made, place
-
-
-def sentence(c: Compared) -> str:
-    """What the comparison came to."""
-    count = len(c.differences)
-    most = max(c.differences, key=lambda d: d.share)
-    if not any(d.largest for d in c.differences):
-        told = (
-            f"All {counted(count, 'signal')} are equal in every row."
-            if count > 1
-            else "The signal is equal in every row."
-        )
-    elif c.judged and not c.beyond:
-        told = f"All {counted(count, 'signal')} are within the tolerance; {_most(most)}."
-    elif c.judged:
-        verb = "is" if len(c.beyond) == 1 else "are"
-        told = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {_most(c.beyond[0])}."
-    else:
-        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} differ; {_most(most)}."
-    return told + (f" {c.shorter}." if c.shorter else "")
-
-
-def _most(d: Difference) -> str:
-    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({shared(d)} of its range)"
-
-
-def shared(d: Difference) -> str:
-    """A difference as a share of the range of its signal."""
-    return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"
 
 
 def context(c: Compared) -> Mapping[str, Any]:

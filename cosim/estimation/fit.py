@@ -15,6 +15,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.estimation.candidates import Free
 from cosim.estimation.noise_model import Noise
+from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
 
 ITERATIONS = 30
@@ -202,13 +203,17 @@ class _Scoring:
         """
         shape = (len(self.theta), len(self.scored.errors))
         de, dls = np.empty(shape), np.empty(shape)
-        for i, h in enumerate(self.difference):
+
+        def row(i: int) -> None:
+            h = self.difference[i]
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
             ahead, behind = self._beside(i, h), self._beside(i, -back) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
+
+        in_parallel(row, range(len(self.theta)))
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
     def _beside(self, i: int, h: float) -> Scored:

@@ -1,17 +1,64 @@
-"""Two at a time: the kernels release the interpreter's lock while they run."""
+"""As many at a time as there are cores, two at most: the kernels release the interpreter's lock while they run.
+
+Work may have parts of its own that are done so. Whoever has items left is helped by whoever has none, so that the last
+and longest fit of a stage does not leave a core idle.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from itertools import count
+from threading import Semaphore, Thread
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores, beside that of the thread that has the whole work
+
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """The results of `work`, in the order of the items."""
-    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        return list(pool.map(work, items))
+    """The results of `work`, in the order of the items; raises what the first of them that fails does."""
+    results: dict[int, Result] = {}
+    faults: dict[int, BaseException] = {}
+    numbers = count()
+
+    def done() -> bool:
+        """Do the next item; whether there was none."""
+        k = next(numbers)
+        if k >= len(items) or faults:
+            return True
+        try:
+            results[k] = work(items[k])
+        except BaseException as error:
+            faults[k] = error
+        return False
+
+    def help_out() -> None:
+        while not done():
+            pass
+        _idle.release()
+
+    helpers: list[Thread] = []
+    for left in range(len(items), 0, -1):
+        if left > 1 and _idle.acquire(blocking=False):
+            helpers.append(Thread(target=help_out, daemon=True))
+            helpers[-1].start()
+        if done():
+            break
+    _wait(helpers)
+    if faults:
+        raise faults[min(faults)]
+    return [results[k] for k in range(len(items))]
+
+
+def _wait(helpers: Sequence[Thread]) -> None:
+    """Wait for the others, who may have parts of their own: the core of this thread is theirs meanwhile."""
+    if helpers:
+        _idle.release()
+        try:
+            for helper in helpers:
+                helper.join()
+        finally:
+            _idle.acquire()

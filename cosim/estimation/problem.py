@@ -323,8 +323,8 @@ class Problem:
         """Filter all logs, or some."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
-            (e, s), valid = self.innovations(values, noise, index), self.readings[index].scored
-            errors.append(e[valid])
-            variances.append(s[valid])
-            rows.append(np.nonzero(valid)[0])
+            (e, s), readings = self.innovations(values, noise, index), self.readings[index]
+            errors.append(e.take(readings.places))
+            variances.append(s.take(readings.places))
+            rows.append(readings.rows)
         return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)), np.concatenate(rows))

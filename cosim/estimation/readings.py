@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from cosim.arrays import Array, Flags
+from cosim.arrays import Array, Flags, Rows
 
 NEAR = 4  # readings on each side, over which a slope is taken
 ON_GRID = 0.99  # of the steps between readings, from which they are taken to be quantised
@@ -27,6 +28,18 @@ class Readings:
     slopes: Array
     resolution: Array
     spread: Array
+
+    @cached_property
+    def places(self) -> Rows:
+        """Where those scored stand in a table read row by row."""
+        places: Rows = np.flatnonzero(self.scored)
+        return places
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Row of each of those scored."""
+        rows: Rows = self.places // max(1, self.scored.shape[1])
+        return rows
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:

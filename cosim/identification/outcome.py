@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +37,11 @@ class Outcome:
                 found.setdefault(e.name, e)
         return found
 
+    def closing(self, out: Path) -> str:
+        """Where the power-train is, and what builds it."""
+        file = out / "powertrain.yaml"
+        return f"power-train: {file}, built by: cosim build --model {file}"
+
     @property
     def sentences(self) -> list[str]:
         """A line a number."""
@@ -46,3 +53,14 @@ class Outcome:
                 f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g}{truth})"
             )
         return lines
+
+
+def plain_values(value: Any) -> Any:
+    """Numbers that JSON knows: what is missing is null."""
+    if isinstance(value, dict):
+        return {str(k): plain_values(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_values(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -14,15 +14,15 @@ from cosim.identification.estimates import Estimate, Figure
 from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import CHANNELS
 from cosim.identification.recordings import load_in_si
-from cosim.report.panels import Trace
-from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, band_path, curve_path, extent, make_axis
+from cosim.report.drawing import Charts
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import Plot, extent, make_axis
 from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.text import MISSING, counted, joined, plain, written
 from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
-POINTS = 1500  # a curve
 TITLES = {
     "thrust_line": "Test 1: thrust line", "ground_effect": "Test 2: ground effect", "projection": "Test 3: projections",
     "step": "Test 4: a step of the tilt", "frequency": "Test 4: sines of the tilt",
@@ -35,6 +35,7 @@ def page(outcome: Outcome) -> str:
     protocol = outcome.protocol
     runs = sum(map(len, outcome.recordings.values()))
     known = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
+    charts = Charts()
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
     if known:
         held = sum(e.holds for e in known)
@@ -50,20 +51,21 @@ def page(outcome: Outcome) -> str:
             "badges": badges,
             "rows": [_row(key, e) for key, e in outcome.estimates.items()],
             "known": bool(known),
-            "calibration": [plot_of(_calibration(outcome, c)) for c in CHANNELS],
+            "calibration": [plot_of(_calibration(outcome, c), charts) for c in CHANNELS],
             "cells": [_cell(outcome, c) for c in CHANNELS],
             "tests": [
                 {"name": r.test, "title": TITLES[r.test], "notes": r.notes,
-                 "plots": [(plot_of(f), f.x_label, f.counterpart) for f in r.figures]}
+                 "plots": [(plot_of(f, charts), f.x_label, f.counterpart) for f in r.figures]}
                 for r in outcome.results
             ],
+            "data": charts.data(),  # after all that is drawn
             "repeat": f"cosim identify {protocol.yaml.path}",
             "version": __version__,
         },
     )  # fmt: skip
 
 
-def _number(value: float, unit: str, like: float) -> str:
+def number(value: float, unit: str, like: float) -> str:
     """To as many digits as an interval of this half-width has a use for."""
     if not np.isfinite(value):
         return MISSING
@@ -76,10 +78,10 @@ def _number(value: float, unit: str, like: float) -> str:
 def _row(key: str, e: Estimate) -> Mapping[str, Any]:
     half = 0.5 * (e.high - e.low)
     return {
-        "name": e.name, "test": TITLES[key.partition(".")[0]], "value": _number(e.value, e.unit, half),
-        "interval": f"{_number(e.low, e.unit, half)} … {_number(e.high, e.unit, half)}",
-        "thesis": _number(e.thesis, e.unit, half), "truth": _number(e.truth, e.unit, half), "holds": e.holds,
-        "scatter": _number(e.scatter, e.unit, e.scatter), "calibration": _number(e.calibration, e.unit, e.calibration),
+        "name": e.name, "test": TITLES[key.partition(".")[0]], "value": number(e.value, e.unit, half),
+        "interval": f"{number(e.low, e.unit, half)} … {number(e.high, e.unit, half)}",
+        "thesis": number(e.thesis, e.unit, half), "truth": number(e.truth, e.unit, half), "holds": e.holds,
+        "scatter": number(e.scatter, e.unit, e.scatter), "calibration": number(e.calibration, e.unit, e.calibration),
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
     }  # fmt: skip
 
@@ -89,7 +91,7 @@ def _calibration(outcome: Outcome, channel: str) -> Figure:
     grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
     where = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}[channel]
     names = outcome.protocol.file.cells[channel].unit
-    return Figure(f"{where}: load over voltage", "V", written(names), [
+    return Figure(f"{where}: load over voltage", "voltage [V]", written(names), [
         ("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots"),
     ], counterpart="Fig 3.18")  # fmt: skip
 
@@ -106,41 +108,21 @@ def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
     }  # fmt: skip
 
 
-def plot_of(figure: Figure) -> Plot:
+def plot_of(figure: Figure, charts: Charts) -> Plot:
     """A figure whose lines have an x of their own each."""
-    xs = [x for _, x, _, _ in figure.lines] + [b[0] for b in figure.bars]
-    ys = [y for _, _, y, _ in figure.lines] + [v for b in figure.bars for v in b[1:]]
-    if figure.band:
-        ys += [figure.band[2], figure.band[3]]
-    x, y = _axis(xs, 6), _axis(ys, 5)
-    curves = [Curve(label, style, _path(x, y, over, values, style), "") for label, over, values, style in figure.lines]
-    curves += [Curve("95 %", "bar", _bars(x, y, *bar), "") for bar in figure.bars]
-    band = ""
-    if figure.band:
-        band = band_path(x, y, figure.band[1], figure.band[2], figure.band[3], POINTS)
-    zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
-    summary = (
-        f"{figure.title} in {figure.y_label} over {figure.x_label}: {', '.join(line[0] for line in figure.lines)}."
-    )
-    label = figure.band[0] if figure.band else ""
-    return Plot(figure.title, figure.y_label, tuple(curves), band, label, (), "", x, y, zero, summary)
-
-
-def _axis(values: list[Array], count: int) -> Axis:
-    low, high = extent(values) or (0.0, 1.0)
+    traces = [_trace(label, over, values, style) for label, over, values, style in figure.lines]
+    traces += [Trace("95 %", low, "bar", x=over, upper=high) for over, low, high in figure.bars]
+    band = Band(figure.band[0], figure.band[2], figure.band[3], figure.band[1]) if figure.band else None
+    name, _, unit = figure.x_label.partition(" [")
+    low, high = extent([t.x for t in traces if t.x is not None]) or (0.0, 1.0)
     margin = 0.04 * (high - low) or 0.1 * abs(high) or 1.0
-    return make_axis(low - margin, high + margin, count)
+    axis = make_axis(low - margin, high + margin, 6)
+    return charts.alone(Panel(figure.title, figure.y_label, traces, band), axis, (name, unit.rstrip("]")))
 
 
-def _path(x: Axis, y: Axis, over: Array, values: Array, style: str) -> str:
-    if not style.startswith("dots"):
-        return curve_path(x, y, np.where(np.isfinite(over), over, x.low), Trace("", values, style), 4 * POINTS)
-    good = np.isfinite(over) & np.isfinite(values)
-    u, v = x.whole(over[good], WIDTH), HEIGHT - y.whole(values[good], HEIGHT)
-    return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
-
-
-def _bars(x: Axis, y: Axis, over: Array, low: Array, high: Array) -> str:
-    u = x.whole(over, WIDTH).tolist()
-    a, b = (HEIGHT - y.whole(v, HEIGHT) for v in (low, high))
-    return "".join(f"M{c - 25} {d}h50m-25 0V{e}m-25 0h50" for c, d, e in zip(u, a.tolist(), b.tolist(), strict=True))
+def _trace(label: str, over: Array, values: Array, style: str) -> Trace:
+    """A line; points where it goes back and forth, as several tests over one another do."""
+    good = np.isfinite(over)
+    x, order = over[good], np.argsort(over[good], kind="stable")
+    several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))
+    return Trace(label, values[good][order], f"{style} dots" if several else style, x=x[order])

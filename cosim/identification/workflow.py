@@ -15,9 +15,12 @@ from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
+from cosim.identification.craft import CraftOutcome
+from cosim.identification.craft_workflow import identify_craft
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.faults import recording_faults
-from cosim.identification.outcome import Outcome
+from cosim.identification.given import craft_file
+from cosim.identification.outcome import Outcome, plain_values
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
 from cosim.models.file import load_model, named_model
@@ -34,9 +37,14 @@ Progress = Callable[[str, float], None]
 
 def identify(
     path: FilePath, out: FilePath, progress: Progress | None = None, *, report: bool = True, seed: int | None = None
-) -> Outcome:
-    """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError."""
+) -> Outcome | CraftOutcome:
+    """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
+
+    Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train.
+    """
     path, out = Path(path), Path(out)
+    if (yaml := craft_file(path)) is not None:
+        return identify_craft(yaml, out, report=report)
     protocol = read_protocol(path)
     model = _model_of(protocol)
     named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
@@ -212,8 +220,8 @@ def _texts(outcome: Outcome, model: Model) -> Iterable[tuple[str, str]]:
         "schema_version": 1,
         "protocol": outcome.protocol.file.name,
         "version": __version__,
-        "estimates": {k: _plain(asdict(e)) for k, e in outcome.estimates.items()},
-        "tests": {r.test: _plain({**r.more, "notes": r.notes}) for r in outcome.results},
+        "estimates": {k: plain_values(asdict(e)) for k, e in outcome.estimates.items()},
+        "tests": {r.test: plain_values({**r.more, "notes": r.notes}) for r in outcome.results},
         "calibration": {
             c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
                 "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
@@ -221,17 +229,6 @@ def _texts(outcome: Outcome, model: Model) -> Iterable[tuple[str, str]]:
         },
     }  # fmt: skip
     yield "identify.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON knows: what is missing is null."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:

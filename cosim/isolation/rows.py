@@ -8,7 +8,7 @@ import mmap
 import os
 import pickle
 from array import array
-from collections.abc import MutableSequence
+from collections.abc import Callable, MutableSequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,12 +66,14 @@ class Rows:
     beside: one for each row, appended before it counts: what no double holds
     made:   [rows that are whole], written after the row
     doing:  [what is being called], written before the call
+    tell_loop: told which loop steps, before it does
     """
 
     table: Array
     beside: Beside = field(default_factory=list[tuple[Any, ...]])
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
+    tell_loop: Callable[[str], None] = lambda loop: None
 
     @classmethod
     def in_memory(cls, rows: int, columns: int) -> Rows:
@@ -110,6 +112,7 @@ class Progress(ctypes.Structure):
     made, doing: of the rows
     named:       whether `call` is the FMI function being called now
     words:       the last that an FMU said
+    loop:        which loop steps
     """
 
     _fields_ = (
@@ -118,6 +121,7 @@ class Progress(ctypes.Structure):
         ("named", ctypes.c_int64 * 1),
         ("call", ctypes.c_char * 128),
         ("words", ctypes.c_char * 512),
+        ("loop", ctypes.c_char * 256),
     )
 
 

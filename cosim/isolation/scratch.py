@@ -18,7 +18,11 @@ class Held:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._stream = _locked(path / LOCK)
+        # locked before it has the name that a sweep looks for: one that came in between would take the folder away
+        fresh = path / (LOCK if os.name == "nt" else f"{LOCK}.new")
+        self._stream = _locked(fresh)
+        if self._stream is not None and os.name != "nt":
+            fresh.rename(path / LOCK)
 
     def remove(self) -> None:
         """Take it away."""

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import subprocess
+import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+from cosim.errors import Fault, InputError
 from cosim.kernel.arrays import ArrayKernel
 from cosim.kernel.compiled import CompiledKernel
 from cosim.kernel.generate import generate
 from cosim.kernel.jit import JitKernel
 from fmus.native.compiler import compiler
 from plant.model import Model
+from plant.symbolic.guard import OfNumbersOnly
 from plant.symbolic.languages import C, Python
 
 _made: dict[tuple[Any, ...], ArrayKernel] = {}
@@ -20,13 +24,22 @@ _made: dict[tuple[Any, ...], ArrayKernel] = {}
 def kernel(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> ArrayKernel:
     """The kernel of a model and the outputs a log holds, made once: it takes all numbers, flags alone are built in.
 
-    Raises InputError where neither C nor numba is to be had.
+    Raises InputError where neither C nor numba is to be had, and where the model decides by == on a symbol.
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant))
     if key not in _made:
-        _made[key] = _make(model, measured, unnamed, constant)
+        try:
+            _made[key] = _make(model, measured, unnamed, constant)
+        except OfNumbersOnly as error:
+            raise InputError([_decided(error)]) from error
     return _made[key]
+
+
+def _decided(error: OfNumbersOnly) -> Fault:
+    """A fault at the line of the model that the guard was called from."""
+    line = traceback.extract_tb(error.__traceback__)[-2]
+    return Fault(Path(line.filename), line.lineno or 0, (line.colno or 0) + 1, f"cannot be made of symbols: {error}")
 
 
 def _make(model: Model, measured: Sequence[str], unnamed: bool, constant: Sequence[str]) -> ArrayKernel:

@@ -6,24 +6,36 @@
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
  * A reading that is older than its row by a part of it is held against g(x) less that part of what the last step changed it by.
  */
-static void multiply(const double *a, const double *b, double *out, int transpose_b)
+/* Rows of b are added up, so that a compiler can take several columns at once. */
+static void multiply(const double *a, const double *b, double *out)
+{
+    for (int i = 0; i < NS; i++) {
+        double row[NS + 1] = {0.0};
+        for (int k = 0; k < NS; k++) {
+            const double factor = a[NS * i + k];
+            for (int j = 0; j < NS; j++) row[j] += factor * b[NS * k + j];
+        }
+        memcpy(out + NS * i, row, sizeof(double) * NS);
+    }
+}
+
+static void transpose(const double *a, double *out)
 {
     for (int i = 0; i < NS; i++)
-        for (int j = 0; j < NS; j++) {
-            double sum = 0.0;
-            for (int k = 0; k < NS; k++) sum += a[NS * i + k] * (transpose_b ? b[NS * j + k] : b[NS * k + j]);
-            out[NS * i + j] = sum;
-        }
+        for (int j = 0; j < NS; j++) out[NS * j + i] = a[NS * i + j];
 }
 
 static void transition(double h, const double *A, double *Phi)
 {
     double term[NS * NS + 1], next[NS * NS + 1];
-    for (int i = 0; i < NS * NS; i++) Phi[i] = term[i] = (i % (NS + 1) == 0);
-    for (int order = 1; order <= 3; order++) {
-        multiply(term, A, next, 0);
-        for (int i = 0; i < NS * NS; i++) Phi[i] += term[i] = next[i] * h / order;
+    for (int i = 0; i < NS * NS; i++) {
+        term[i] = A[i] * h;
+        Phi[i] = (i % (NS + 1) == 0) + term[i];
     }
+    multiply(term, A, next);
+    for (int i = 0; i < NS * NS; i++) Phi[i] += term[i] = next[i] * h / 2.0;
+    multiply(term, A, next);
+    for (int i = 0; i < NS * NS; i++) Phi[i] += next[i] * h / 3.0;
 }
 
 /* Over a whole step: the series is good for a substep, its power for the step. */
@@ -33,7 +45,7 @@ static void transition_over(int substeps, double h, const double *A, double *Phi
     transition(h, A, once);
     memcpy(Phi, once, sizeof(double) * NS * NS);
     for (int s = 1; s < substeps; s++) {
-        multiply(once, Phi, next, 0);
+        multiply(once, Phi, next);
         memcpy(Phi, next, sizeof(double) * NS * NS);
     }
 }
@@ -65,8 +77,9 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 else if (s == 0) {
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);
-                    multiply(Phi, P, M, 0);
-                    multiply(M, Phi, P, 1);
+                    multiply(Phi, P, M);
+                    transpose(Phi, A);
+                    multiply(M, A, P);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
                 rk4(before + s * h, h, x, u, p);
@@ -83,10 +96,9 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
             double s = r[NY * k + j], e = measured - y[j];
-            for (int i = 0; i < NS; i++) {
-                PC[i] = 0.0;
-                for (int l = 0; l < NS; l++) PC[i] += P[NS * i + l] * C[NS * j + l];
-            }
+            for (int i = 0; i < NS; i++) PC[i] = 0.0;
+            for (int l = 0; l < NS; l++)
+                if (C[NS * j + l] != 0.0) for (int i = 0; i < NS; i++) PC[i] += P[NS * i + l] * C[NS * j + l];
             for (int i = 0; i < NS; i++) {
                 s += C[NS * j + i] * PC[i];
                 e -= C[NS * j + i] * moved[i];
@@ -94,8 +106,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
             for (int i = 0; i < NS; i++) {
+                double less[NS + 1]; /* the same on both sides of the diagonal, and a division is dear */
                 moved[i] += PC[i] * e / s;
-                for (int l = 0; l < NS; l++) P[NS * i + l] -= PC[i] * PC[l] / s;
+                for (int l = 0; l <= i; l++) less[l] = PC[i] * PC[l] / s;
+                for (int l = 0; l <= i; l++) P[NS * i + l] -= less[l];
+                for (int l = 0; l < i; l++) P[NS * l + i] -= less[l];
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];

@@ -21,6 +21,7 @@ from fmus.native.cache import fingerprint, kept
 from plant.model import Model
 from plant.namespaces import SymbolNamespace
 from plant.symbolic.functions import Body
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import Language
 
 
@@ -79,6 +80,7 @@ def generate(
     asked += srepr([list(stage.items()) for stage in body.shaping.stages])
     asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
     asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
+    asked += srepr([list(term.items()) for term in body.terms])
     made = (type(language).__name__, stochastic, fingerprint(("plant.symbolic", "cosim.kernel")))
     text: str = kept(f"{made} {asked}", lambda: _printed(body, language, (f, g), (stochastic, x), shapes))
     layout = Layout(
@@ -161,7 +163,8 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
         if kind.late:
             continue  # it changes when readings were taken, not what they say
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
-        read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
+        with guarded(smooth=True):
+            read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
         body.outputs.update({name: sympy.sympify(e) for name, e in read.items()})
 
 

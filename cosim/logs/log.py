@@ -32,6 +32,10 @@ TURN = 2.0 * math.pi
 ALIKE = 0.85  # of two names of which one may be meant by the other; what a logger adds resembles much
 HINTS, SHOWN = 50, 40  # columns, of which it is said what may have been meant, and names in a message
 MISSING = 1.5  # steps from row to row, from which one is missing in between
+OTHER_MODEL = (
+    "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
+    "where columns have other names, --column COLUMN=VARIABLE says which is which"
+)
 
 
 class SignalLike(Protocol):
@@ -215,6 +219,9 @@ class _Reader:
                 message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
                 self.faults.note(line, 1, message)
         missing = [name for name in self.inputs if name not in columns]
+        if missing and not self._about_the_model():
+            self.faults.note(line, 1, f"holds none of the columns of the model: {named(self.known)}; {OTHER_MODEL}")
+            return
         for name in missing:
             what = "log" if self.timed else "table"
             every = f"a {what} holds every input of the model: {named(self.inputs)}"
@@ -229,6 +236,12 @@ class _Reader:
             hints = "".join(dict.fromkeys(self._unread().values()))
             one = f"at least one of {named(self.outputs)} is measured"
             self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
+
+    def _about_the_model(self) -> bool:
+        """Some column has, or nearly has, the name of an input or an output, or a name is given for one."""
+        if self.called or len(self.unread) > HINTS or any(name in self.table.columns for name in self.known):
+            return True
+        return any(closest(name, self.unread) for name in self.known)
 
     # -- rows ---------------------------------------------------------------------------------
 

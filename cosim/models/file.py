@@ -63,17 +63,19 @@ class Identified(BaseModel):
 class ModelFile(BaseModel):
     """The name of a model, its parameters by FMI name, sensor errors apart.
 
-    schema_version: of this file
-    model:          a name that is known, or `file.py:Class` of one's own
-    parameters:     name → value, in the unit of the parameter
-    sensors:        sensor error → value
-    identified:     parameter → how well it is known, where `cosim identify` wrote the file
+    schema_version:  of this file
+    model:           a name that is known, or `file.py:Class` of one's own
+    parameters_from: another model file, or a refine's folder: what it says of parameters that this model has too
+    parameters:      name → value, in the unit of the parameter; over those of another file
+    sensors:         sensor error → value
+    identified:      parameter → how well it is known, where `cosim identify` wrote the file
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     schema_version: Literal[1] = 1
     model: str = BASE_NAME
+    parameters_from: str = ""
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
     identified: dict[str, Identified] = {}
@@ -131,8 +133,11 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     return read_model(path)
 
 
-def read_model(path: Path) -> LoadedModel:
-    """Read a model.yaml; unknown names and values out of bounds are faults with their place."""
+def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
+    """Read a model.yaml; unknown names and values out of bounds are faults with their place.
+
+    read: files on the way here, by `parameters_from`
+    """
     yaml = YamlFile(path)
     _refuse_study(yaml)
     content, faults = yaml.partly(ModelFile, "model")
@@ -143,10 +148,36 @@ def read_model(path: Path) -> LoadedModel:
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     faults += _value_faults(yaml, content, model)
+    taken: dict[str, float | bool] = {}
+    if content.parameters_from:
+        try:
+            taken = _taken(yaml, content.parameters_from, model, (*read, path.resolve()))
+        except InputError as error:
+            faults += error.faults
     if faults:
         raise InputError(faults)
+    values = {**taken, **content.parameters}
     source = content.model if content.model in MODELS else _absolute(content.model, path.parent)
-    return LoadedModel(model.with_values(content.parameters), source, content.parameters, content.sensors)
+    return LoadedModel(model.with_values(values), source, values, content.sensors)
+
+
+def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
+    """Parameters that another model's file holds and this model has: what was refined on a rig goes into the whole."""
+    path = yaml.path.parent / name
+    path = refined_file(path) if names_refine(path) else path
+    at = ("parameters_from",)
+    if not path.is_file():
+        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
+    if path.resolve() in read:
+        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
+    other = read_model(path, read)
+    taken = {n: v for n, v in other.parameters.items() if n in model.declared}
+    faults = [yaml.fault(at, f"{name}: {f}") for n, v in taken.items() if (f := model.declared[n].fault(v))]
+    if not taken:
+        faults = [yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")]
+    if faults:
+        raise InputError(faults)
+    return taken
 
 
 def _refuse_study(yaml: YamlFile) -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,6 +30,7 @@ TO_THE_END = 60  # iterations, within which every fit met so far has converged
 Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # and values from which a fit of them starts
 Progress = Callable[[str, float], None]
+Item = TypeVar("Item")
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
@@ -99,8 +102,8 @@ class Search:
         elif loosen:
             noise = replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet))
         begins = [{**known, **promised}] if promised else []
-        count = max([1, *(len(c.starts) for c in parts)])
-        for k in range(count if count > 1 or not begins else 0):
+        starts = max([1, *(len(c.starts) for c in parts)])
+        for k in range(starts if starts > 1 or not begins else 0):
             values = dict(known)
             for c in parts:
                 if not set(c.parameters) <= moved:
@@ -130,18 +133,14 @@ class Search:
     ) -> list[Hypothesis]:
         """Fit sets of candidates, each from what it was promised, until they cannot come within `margin` of `start`."""
         todo = [(parts, promised) for parts, promised in sets if key_of(parts) not in self.tried]
-        done: list[Hypothesis] = []
-        self.progress(stage, 0.0)
 
         def one(which: Trial) -> Hypothesis:
             parts, promised = which
             goal = start.score + margin - self.cost(parts)
             h = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
-            done.append(h)
-            self.progress(stage, len(done) / len(todo))
             return h
 
-        fitted = in_parallel(one, todo)
+        fitted = self._each(stage, one, todo)
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
@@ -149,7 +148,6 @@ class Search:
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
     ) -> list[Hypothesis]:
         """Fit hypotheses further, from where they are, noise of the sensors and all; `only` from there."""
-        self.progress("fitting the best further", 0.0)
 
         def one(h: Hypothesis) -> Hypothesis:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
@@ -157,20 +155,31 @@ class Search:
                 return fitted
             return self._without_noise(self._otherwise(fitted))
 
-        fitted = in_parallel(one, hypotheses)
+        fitted = self._each("fitting the best further", one, hypotheses)
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
         """Fit hypotheses to the end, from where they are and with the noise of another."""
-        self.progress("fitting what comes near the best", 0.0)
 
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
 
-        fitted = in_parallel(one, hypotheses)
+        fitted = self._each("fitting what comes near the best", one, hypotheses)
         self.tried |= {h.names: h for h in fitted}
         return fitted
+
+    def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+        """Fits side by side, in the order of `todo`; each that is done is told."""
+        done = count()
+        self.progress(stage, 0.0)
+
+        def told(item: Item) -> Hypothesis:
+            h, number = one(item), 1 + next(done)
+            self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
+            return h
+
+        return in_parallel(told, todo)
 
     def _otherwise(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""

@@ -122,6 +122,7 @@ def refine(
     if report:
         from cosim.refinement.report.page import write_refine_report
 
+        progress("drawing the report", 0.0)
         write_refine_report(folder / "report.html", outcome)
     return outcome
 

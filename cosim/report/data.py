@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.report.packed import packed, power, power_of_time, whole
-from cosim.report.panels import Panel
+from cosim.report.panels import LINE, Panel, Trace
 
 MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
+TIME = ("time", "s")  # what a page is over unless it says so
 Numbers = list[float | None]
 
 
@@ -34,51 +35,80 @@ def rounded(values: Array, digits: int) -> Numbers:
 
 
 class Series:
-    """Signals of which the script knows every row, each under a short key.
+    """Signals over one axis of which the script knows every row, each under a short key.
 
-    rows: those in the page: all, unless that would be more than MOST_CELLS
+    rows:   those in the page: all, unless that would be more than MOST_CELLS
+    over:   name and unit of the axis where that is not the time; ends: where it begins and ends if not at rows
+    sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
+    breaks: rows after which lines begin anew that do so
     """
 
-    def __init__(self, time: Array, curves: int) -> None:
-        self.time = time
+    def __init__(
+        self,
+        time: Array,
+        curves: int,
+        *,
+        name: str = "",
+        over: tuple[str, str] = TIME,
+        ends: tuple[float, float] | None = None,
+        sparse: bool = False,
+        breaks: Sequence[int] = (),
+    ) -> None:
+        self.time, self.name = time, name
         self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
         self.entries: dict[str, dict[str, Any]] = {}
         self.columns = [whole(time[self.rows], power_of_time(time))]
+        self.about: dict[str, Any] = {"over": over} if over != TIME else {}
+        self.about |= {"ends": ends} if ends else {}
+        self.about |= {"sparse": 1} if sparse else {}
+        self.about |= {"breaks": np.searchsorted(self.rows, list(breaks), "right").tolist()} if breaks else {}
 
     def add(self, panel: Panel) -> list[str]:
         """Keys of the traces of a panel."""
-        return [self.column(trace.values, held=trace.held) for trace in panel.traces]
+        return [self.trace(trace, trace.values, trace.upper) for trace in panel.traces]
+
+    def trace(self, trace: Trace, values: Array, upper: Array | None = None) -> str:
+        """Key of a trace, whose values stand at the rows of this axis."""
+        more: dict[str, Any] = {"b": 1} if trace.anew else {}
+        more |= {"s": trace.shift} if trace.shift else {}
+        more |= {"u": self.column(upper)} if upper is not None else {}
+        return self.column(values, way=trace.way, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
         """Keys of the lower and the upper edge of a panel's band."""
         return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
 
-    def column(self, values: Array, *, held: bool = False) -> str:
-        """Key of one signal."""
-        key, kept = f"k{len(self.entries)}", values[self.rows]
+    def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+        """Key of one signal; way: how it is drawn."""
+        key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
         decimals, good = power(kept), np.isfinite(kept)
         gaps = not bool(good.all())
         self.columns.append(whole(kept, decimals))
         if gaps:
             self.columns.append(good.astype(np.int64))
-        self.entries[key] = {"p": decimals, "h": int(held), "g": int(gaps)}
+        self.entries[key] = {"p": decimals, "h": way, "g": int(gaps), **more}
         return key
 
 
-def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, further: Sequence[Series] = ()) -> str:
     """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element.
 
-    `row` and `of`: the n-th rows that are here, counted from 1, and how many there are in all.
+    further: signals over other axes, each set with a name of its own
     """
+    data = {**_block(series), **({"further": [_block(s) for s in further]} if further else {}), **more}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _block(series: Series) -> dict[str, Any]:
+    """`every` and `of`: the n-th rows that are here, and how many there are in all."""
     every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
-    data = {
+    return {
         "rows": int(series.rows.size),
         "every": every,
         "of": int(series.time.size),
         "p": power_of_time(series.time),
         "series": series.entries,
         "packed": packed(series.columns),
-        **more,
+        **series.about,
     }
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

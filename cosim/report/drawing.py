@@ -1,33 +1,119 @@
-"""Panels drawn with one time axis and one budget of points."""
+"""Panels drawn with one axis and one budget of points; the charts of a page whose axes differ."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from cosim.arrays import Array
-from cosim.report.data import Series, sample_rows
-from cosim.report.panels import Panel
-from cosim.report.svg import Axis, Keys, Plot, make_plot, time_axis
+from cosim.report.data import TIME, Series, sample_rows, to_json
+from cosim.report.panels import Band, Panel
+from cosim.report.svg import Axis, Keys, Plot, make_axis, make_plot, time_axis
 
 POINTS = 1000  # a curve of the first picture
 ALL_POINTS = 60_000  # of all curves together: keeps a page of a hundred signals small
 
 
 class Drawing:
-    """Draws panels with one time axis; the script knows every row of them.
+    """Draws panels with one axis; the script knows every row of them.
 
-    few: rows for a picture that moves between them
+    few: rows for a picture that moves between them; breaks: rows after which lines begin anew that do so
     """
 
-    def __init__(self, time: Array, curves: int) -> None:
-        self.series = Series(time, curves)
+    def __init__(
+        self,
+        time: Array,
+        curves: int,
+        *,
+        name: str = "",
+        over: tuple[str, str] = TIME,
+        ends: tuple[float, float] | None = None,
+        breaks: Sequence[int] = (),
+    ) -> None:
+        self.series = Series(time, curves, name=name, over=over, ends=ends, breaks=breaks)
         self.few = sample_rows(time.size, POINTS)
-        self.axis: Axis = time_axis(time)
+        self.axis: Axis = make_axis(*ends, 6) if ends else time_axis(time)
         self.limit = max(50, min(POINTS, ALL_POINTS // max(1, curves)))
+        self.over = f"{over[0]} in {over[1] or '1'}"
+        self.breaks = np.asarray(breaks, dtype=np.intp)
 
     def plots(self, panels: Sequence[Panel]) -> list[Plot]:
         """Plots whose values can be read at the cursor."""
-        return [make_plot(p, self.series.time, self.axis, self._keys(p), self.limit) for p in panels]
+        time = self._broken(self.series.time)
+        return [make_plot(self._parted(p), time, self.axis, self._keys(p), self.limit, self.over) for p in panels]
 
     def _keys(self, panel: Panel) -> Keys:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
+
+    def _parted(self, panel: Panel) -> Panel:
+        """The panel with a row more at each break, at which a line can end."""
+        if not self.breaks.size:
+            return panel
+        traces = [replace(t, values=self._broken(t.values, np.nan if t.anew else None)) for t in panel.traces]
+        edges = panel.band and Band(panel.band.label, self._broken(panel.band.lower), self._broken(panel.band.upper))
+        return replace(panel, traces=traces, band=edges)
+
+    def _broken(self, values: Array, between: float | None = None) -> Array:
+        if not self.breaks.size:
+            return values
+        return np.insert(values, self.breaks + 1, values[self.breaks] if between is None else between)
+
+
+class Charts:
+    """The charts of a page, drawing by drawing: those of one drawing share cursor and zoom."""
+
+    def __init__(self) -> None:
+        self.blocks: list[Series] = []
+
+    def over(
+        self,
+        x: Array,
+        curves: int,
+        *,
+        over: tuple[str, str] = TIME,
+        ends: tuple[float, float] | None = None,
+        breaks: Sequence[int] = (),
+    ) -> Drawing:
+        """A drawing of panels over x, which rises."""
+        drawing = Drawing(x, curves, name=self._name(), over=over, ends=ends, breaks=breaks)
+        self.blocks.append(drawing.series)
+        return drawing
+
+    def alone(self, panel: Panel, axis: Axis, over: tuple[str, str]) -> Plot:
+        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`."""
+        places = [np.asarray(t.x) for t in panel.traces]
+        if panel.band is not None and panel.band.x is not None:
+            places.append(panel.band.x)
+        # points of several curves at one place share a row; of one curve each has its own
+        times = [np.arange(p.size) - np.searchsorted(p, p) for p in places]
+        pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
+        rows, at = np.unique(pairs, axis=0, return_inverse=True)
+        x, at = rows[:, 0], at.ravel()
+        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True)
+        self.blocks.append(series)
+        begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
+
+        def spread(values: Array, number: int) -> Array:
+            """Values at their places among those of all."""
+            column = np.full(x.size, np.nan)
+            column[at[begins[number] : begins[number + 1]]] = values
+            return column
+
+        keys = [
+            series.trace(t, spread(t.values, k), None if t.upper is None else spread(t.upper, k))
+            for k, t in enumerate(panel.traces)
+        ]
+        band, last = panel.band, len(places) - 1
+        edges = (series.column(spread(band.lower, last)), series.column(spread(band.upper, last))) if band else ()
+        limit = max([2, *(p.size for p in places)])
+        return make_plot(panel, x, axis, Keys(tuple(keys), edges), min(limit, POINTS), f"{over[0]} in {over[1] or '1'}")
+
+    def data(self) -> str:
+        """All rows, for the page's script."""
+        first, *further = self.blocks or [Series(np.zeros(0), 1)]
+        return to_json(first, further=further)
+
+    def _name(self) -> str:
+        return f"d{len(self.blocks)}"

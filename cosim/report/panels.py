@@ -5,28 +5,58 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from cosim.arrays import Array
 
 OTHERS_PER_PANEL = 6
+LINE, HELD, DOTS, STEMS, BARS = range(5)
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One line: its values in the panel's unit; `held` from one sample to the next where it is a command."""
+    """One line: its values in the panel's unit.
+
+    held:  from one sample to the next, where it is a command
+    anew:  the line ends at each break of its drawing and begins again
+    x:     places of its own, rising; else those of its drawing
+    stems: from zero to each value, `shift` beside its place
+    upper: bars from the values to these
+    A style that has the word `dots` draws points.
+    """
 
     label: str
     values: Array
     style: str
     held: bool = False
+    anew: bool = False
+    x: Array | None = None
+    stems: bool = False
+    shift: float = 0.0
+    upper: Array | None = None
+
+    @property
+    def way(self) -> int:
+        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS."""
+        if self.upper is not None:
+            return BARS
+        return STEMS if self.stems else DOTS if "dots" in self.style.split() else HELD if self.held else LINE
+
+    @property
+    def reach(self) -> list[Array]:
+        """What an axis must show of it."""
+        zero = [np.zeros(1)] if self.stems else []
+        return [self.values, *zero] if self.upper is None else [self.values, self.upper]
 
 
 @dataclass(frozen=True)
 class Band:
-    """A region of two standard deviations about a line."""
+    """A region of two standard deviations about a line; x: places of its own, rising."""
 
     label: str
     lower: Array
     upper: Array
+    x: Array | None = None
 
 
 @dataclass(frozen=True)

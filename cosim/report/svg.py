@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Array, Rows
-from cosim.report.panels import Panel, Trace
+from cosim.report.panels import BARS, DOTS, STEMS, Panel, Trace
 
 WIDTH, HEIGHT = 4000, 1000
+CAP = 18  # half the width of a bar's ends
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
 
@@ -164,12 +165,29 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
 
 
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
-    """The line of a trace, broken where its samples cannot be drawn."""
+    """The line of a trace, broken where its samples cannot be drawn; or its dots, stems, bars."""
+    time = time if trace.x is None else trace.x
+    if trace.way in (DOTS, STEMS, BARS):
+        return _marks(x, y, time + trace.shift, trace)
     rows = thin(trace.values, limit)
     kept = trace.values[rows]
     u = x.whole(time[rows], WIDTH)
     v = HEIGHT - y.whole(np.where(np.isfinite(kept), kept, y.low), HEIGHT)
     return "".join(polyline(u[part], v[part], trace.held) for part in runs(np.isfinite(kept)))
+
+
+def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
+    """Points, stems from zero, or bars with caps, each value by itself."""
+    good = np.isfinite(places) & np.isfinite(trace.values)
+    u, v = x.whole(places[good], WIDTH), HEIGHT - y.whole(trace.values[good], HEIGHT)
+    if trace.way == DOTS:
+        return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
+    if trace.way == STEMS:
+        zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
+        return "".join(f"M{a} {zero}V{b}" for a, b in zip(u.tolist(), v.tolist(), strict=True))
+    top = HEIGHT - y.whole(np.asarray(trace.upper)[good], HEIGHT)
+    bars = zip(u.tolist(), v.tolist(), top.tolist(), strict=True)
+    return "".join(f"M{a - CAP} {b}h{2 * CAP}m{-CAP} 0V{c}m{-CAP} 0h{2 * CAP}" for a, b, c in bars)
 
 
 def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: int) -> str:
@@ -185,7 +203,7 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 
 def value_axis(panel: Panel) -> Axis:
     """The range that shows every curve, the limits and (unless it is absurdly wide) the band."""
-    low, high = extent([trace.values for trace in panel.traces]) or (0.0, 1.0)
+    low, high = extent([values for trace in panel.traces for values in trace.reach]) or (0.0, 1.0)
     if panel.band is not None and (around := extent([panel.band.lower, panel.band.upper])):
         room = WIDEST_BAND * (high - low or 1.0)
         low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
@@ -211,7 +229,9 @@ def make_plot(
         for trace, key in zip(panel.traces, names, strict=True)
     )
     band = panel.band
-    shade = band_path(x, y, time, band.lower, band.upper, limit // 2) if band else ""
+    shade = ""
+    if band:
+        shade = band_path(x, y, time if band.x is None else band.x, band.lower, band.upper, limit // 2)
     levels = HEIGHT - y.whole(np.array(panel.limits), HEIGHT)
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
     return Plot(
@@ -224,6 +244,6 @@ def _summary(panel: Panel, over: str) -> str:
     """What the picture shows, for those who cannot see it."""
     parts = []
     for trace in panel.traces:
-        span = extent([trace.values])
+        span = extent([trace.values] if trace.upper is None else trace.reach)
         parts.append(f"{trace.label} from {span[0]:.4g} to {span[1]:.4g}" if span else f"{trace.label} without values")
     return f"{panel.title} in {panel.unit} over {over}: {'; '.join(parts)}."

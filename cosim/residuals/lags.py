@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
-from cosim.report.panels import Panel
-from cosim.report.svg import Plot, make_axis, make_plot
+from cosim.arrays import Rows
+from cosim.report.drawing import Charts, Drawing
 from cosim.residuals.statistics import Whiteness
 from cosim.text import MISSING, plain
 
-
-def stem_rows(test: Whiteness, most: int) -> Rows:
-    """The lags, in rows, of about `most` stems of an autocorrelation; zero is left out."""
-    return np.arange(1, test.rho.size)[:: max(1, test.rho.size // most)]
+LAG = ("lag", "s")
 
 
-def stems(rho: Array, rows: Rows, step: float, shift: float = 0.0) -> tuple[Array, Array]:
-    """Lags [s] and values of a curve that goes from zero to ρ at each row, with a gap; `shift`: of all, in rows."""
-    values = np.stack((np.zeros(rows.size), rho[rows], np.full(rows.size, np.nan)), axis=1).ravel()
-    return np.repeat((rows + shift) * step, 3), values
+def every_lag(count: int, most: int) -> Rows:
+    """The lags, in rows, of about `most` stems out of `count`; zero is left out."""
+    return np.arange(1, count + 1)[:: max(1, (count + 1) // most)]
 
 
-def over_lag(panel: Panel, lag: Array) -> Plot:
-    """Draw a panel whose traces are over the lag [s], from the least to the largest."""
-    axis = make_axis(float(lag.min()), float(lag.max()), 6)
-    return make_plot(panel, lag, axis, limit=2 * lag.size, over="lag in s")
+def lag_drawing(charts: Charts, rows: Rows, step: float, curves: int) -> Drawing:
+    """Draws panels over the lag [s] at these rows; half a lag is left free at each end."""
+    half = 0.5 * (rows[1] - rows[0] if rows.size > 1 else 1)
+    ends = float(step * (rows[0] - half)), float(step * (rows[-1] + half))
+    return charts.over(step * rows.astype(np.float64), curves, over=LAG, ends=ends)
 
 
 def neighbours(test: Whiteness) -> str:

@@ -12,15 +12,14 @@ import numpy as np
 
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.report.data import to_json
-from cosim.report.drawing import Drawing
+from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
 from cosim.report.svg import Plot
 from cosim.report.tables import Badge, Row
 from cosim.residuals import words
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive
-from cosim.residuals.lags import neighbours, over_lag, stem_rows, stems
+from cosim.residuals.lags import LAG, every_lag, lag_drawing, neighbours
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 from cosim.text import MISSING, amount, counted, display, percent, plain, size
@@ -61,7 +60,8 @@ def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
     """Everything the template names."""
     log, drive = comparison.log, comparison.drive
-    drawing = Drawing(log.time, 8 * len(log.outputs) + len(log.inputs))
+    charts = Charts()
+    drawing = charts.over(log.time, 8 * len(log.outputs) + len(log.inputs))
     windowed, measure = comparison.measure in comparison.replays, comparison.measure
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
@@ -83,8 +83,8 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
         "residual": drawing.plots(_residual_panels(comparison)),
         "commands": drawing.plots(_command_panels(log)),
-        "autocorrelation": _autocorrelation(comparison),
-        "inputs": _input_correlation(comparison),
+        "autocorrelation": _autocorrelation(comparison, charts),
+        "inputs": _input_correlation(comparison, charts),
         "rows": [_row(c, horizons) for c in comparison.channels],
         "quality": words.quality(found),
         "warnings": [f.whole for f in found if f.severity != "note"],
@@ -92,7 +92,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
         "repeat": shlex.join(_command(log, drive, passing)),
-        "data": to_json(drawing.series),
+        "data": charts.data(),  # after all that is drawn
         "version": __version__,
     }
 
@@ -153,25 +153,34 @@ def _command_panels(log: Log) -> list[Panel]:
     return panels
 
 
-def _autocorrelation(comparison: Comparison) -> list[Plot]:
-    plots = []
+def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
+    """Stems over the lag; channels of one length share cursor and zoom."""
+    plots, drawings = [], dict[int, Drawing]()
     for c in comparison.channels:
-        lag, values = stems(c.whiteness.rho, stem_rows(c.whiteness, STEMS), comparison.log.step)
-        width = np.full(lag.size, c.whiteness.band)
-        panel = Panel(f"Autocorrelation of {c.name}", "1", [Trace("residual", values, "error")],
+        size = c.whiteness.rho.size
+        if size < 2:
+            continue
+        rows = every_lag(size - 1, STEMS)
+        if size not in drawings:
+            drawings[size] = lag_drawing(charts, rows, comparison.log.step, 3 * len(comparison.channels))
+        width = np.full(rows.size, c.whiteness.band)
+        stem = Trace("residual", c.whiteness.rho[rows], "error", stems=True)
+        panel = Panel(f"Autocorrelation of {c.name}", "1", [stem],
                       Band("95 % band if white", -width, width))  # fmt: skip
-        plots.append(over_lag(panel, lag))
+        plots += drawings[size].plots([panel])
     return plots
 
 
-def _input_correlation(comparison: Comparison) -> list[Plot]:
+def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
     plots = []
     for c in (c for c in comparison.channels if c.inputs):
         chosen = c.inputs[:OTHERS_PER_PANEL]
         traces = [Trace(u.name, u.rho, f"s{i}") for i, u in enumerate(chosen)]
         width = np.full(chosen[0].rho.size, max(u.band for u in chosen))
         panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
-        plots.append(over_lag(panel, comparison.log.step * chosen[0].lags.astype(np.float64)))
+        lag = comparison.log.step * chosen[0].lags.astype(np.float64)
+        ends = float(lag.min()), float(lag.max())
+        plots += charts.over(lag, 2 + len(traces), over=LAG, ends=ends).plots([panel])
     return plots
 
 

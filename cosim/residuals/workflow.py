@@ -31,7 +31,7 @@ from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import free_run
 from cosim.results import Results
 from fmus.build import build as build_fmu
-from fmus.description import AUTHOR
+from fmus.sampled import AUTHOR
 
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
 

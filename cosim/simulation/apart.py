@@ -86,7 +86,7 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing))
+        made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing, _tell_loop))
     except StoppedRun as run:
         made, failure = run.results, run.error
     except OSError as error:
@@ -98,6 +98,11 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     finally:
         beside.close()
     return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
+
+
+def _tell_loop(loop: str) -> None:
+    """Let the caller know which loop steps, even where the process ends."""
+    here.progress.loop = loop.encode()[:255]
 
 
 # -- its caller -----------------------------------------------------------------------------------
@@ -126,6 +131,7 @@ def simulate_apart(
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
+        counters.loop = b""
         held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(held.remove)
         worker.take_along(held.path)
@@ -148,7 +154,8 @@ def simulate_apart(
         time[done - 1] = ended.last
     if failure is None and count <= steps and done == count:
         failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
-    return Stepped(results_of(system, time[:done], values, beside, ended.notes), ended.said, failure)
+    loop = counters.loop.decode("utf-8", "ignore")
+    return Stepped(results_of(system, time[:done], values, beside, ended.notes, loop), ended.said, failure)
 
 
 def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:

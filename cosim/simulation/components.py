@@ -1,4 +1,4 @@
-"""The components of a scenario: FMUs with their start values, references and recordings."""
+"""The components of a scenario: FMUs with their start values, references, recordings and fixes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.description import read_description, ways
+from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmu import FmuBlock, named
 from cosim.blocks.interface import Component
 from cosim.blocks.sources import playback, reference
 from cosim.errors import FmuError, InputError
 from cosim.registry import BASE_NAME, MODELS
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.scenario import FmuComponent, PlaybackComponent, ReferenceComponent
+from cosim.simulation.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.start_values import Misfit, kind_of, settable, typed
 from cosim.yaml_file import did_you_mean
@@ -41,7 +42,7 @@ def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosi
 def _component(
     file: ScenarioFile,
     name: str,
-    component: FmuComponent | ReferenceComponent | PlaybackComponent,
+    component: FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent,
     designed: Mapping[str, float],
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
@@ -51,7 +52,30 @@ def _component(
     if isinstance(component, PlaybackComponent):
         sources = (connection.source.partition(".") for connection in file.scenario.connections)
         return playback(name, file.resolve(component.file), {v for owner, _, v in sources if owner == name})
+    if isinstance(component, FixComponent):
+        return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)
+
+
+def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
+    """A sensor of fixes; None, faults noted, where it is faster than the scenario or a name is taken."""
+    signals = {}
+    for signal, about in component.signals.items():
+        noise = about.noise if scenario.noise else None
+        signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
+    sensor = Sensor(component.rate, component.latency, component.dropout, signals)
+    taken = [n for n in signals if n in sensor.outputs()]
+    for signal in taken:
+        what = "their number goes out" if signal == COUNT else "the fixes of another signal go out"
+        where: Place = ("components", name, "signals", signal)
+        diagnosis.note(where, f'"{signal}" is the name under which {what}; give the signal another')
+    fastest = 1.0 / scenario.step
+    fast = component.rate > fastest * (1.0 + 1e-9)
+    if fast:
+        cure = f"use at most {fastest:g} Hz, or a shorter step"
+        message = f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; {cure}"
+        diagnosis.note(("components", name, "rate"), message)
+    return None if fast or taken else Fixes(name, sensor, scenario.step, scenario.seed)
 
 
 def _fmu(

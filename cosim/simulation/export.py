@@ -18,7 +18,7 @@ from cosim.files import FilePath
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.nearest import take_nearest
-from cosim.simulation.scenario import Connection, FmuComponent, PlaybackComponent, ReferenceComponent
+from cosim.simulation.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.ssp.structure import Units
@@ -118,6 +118,8 @@ def _refused(file: ScenarioFile, system: System) -> Iterator[Fault]:
             yield file.fault((key,), f"{key} are not what an SSP can hold; take them out, or --set {key}=[]")
     for name, component in scenario.components.items():
         where = ("components", name)
+        if isinstance(component, FixComponent):
+            yield file.fault((*where, "block"), "fixes are not what an SSP can hold; connect past them")
         if not isinstance(component, FmuComponent):
             continue
         if component.step is not None and component.step != scenario.step:

@@ -12,7 +12,7 @@ from cosim.errors import Fault, InputError
 RESULTS = Path("results")
 OTHERS = {
     "refine.json": "cosim refine", "residual.csv": "cosim replay", "comparison.json": "cosim compare",
-    "excitation.csv": "cosim excite",
+    "excitation.csv": "cosim excite", "sweep.json": "cosim sweep",
 }  # fmt: skip
 
 

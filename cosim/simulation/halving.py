@@ -38,7 +38,7 @@ class Halved(_Run):
         parts = [c for c in self.components if isinstance(c, FmuBlock)]
         begin = self.system.start
         ((active, *held), *_) = self._cycle()  # of one rate: every round is alike
-        calls, copies = [a[:4] for a in active], [a[6:] for a in active]
+        calls, copies = [a[0] for a in active], [a[3:] for a in active]
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
@@ -58,15 +58,9 @@ class Halved(_Run):
 
     def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
         """One exchange of values and the steps of all."""
-        for (marks, put, advance, get), transfers in zip(calls, copies, strict=True):
+        for step, transfers in zip(calls, copies, strict=True):
             _transfer(self.row, transfers, k)
-            if put is not None:
-                self.doing[0] = marks[0]
-                put()
-            self.doing[0] = marks[1]
-            advance(t, end - t)
-            self.doing[0] = marks[2]
-            get()
+            step(t, end - t)
         _transfer(self.row, held, k)
 
 

@@ -63,9 +63,13 @@ def check_pinned(file: ScenarioFile) -> None:
 
 
 def manifest(
-    file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System, timings: Mapping[str, float]
+    file: ScenarioFile,
+    designed: Mapping[str, Mapping[str, Any]],
+    system: System,
+    timings: Mapping[str, float],
+    loop: str = "",
 ) -> dict[str, Any]:
-    """The manifest of a run, before its outcome is known."""
+    """The manifest of a run, before its outcome is known; `loop` is as in `Results`."""
     scenario = resolve_scenario(file, designed, system)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -93,6 +97,7 @@ def manifest(
         },
         "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
         "git": _git(Path(__file__).resolve().parent.parent),
+        "loop": loop,
         "timings": dict(timings),
         "warnings": list(system.warnings),
         "criteria": [],

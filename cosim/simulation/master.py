@@ -7,42 +7,37 @@ A component with a longer step of its own makes it at the end of that step; unti
 
 from __future__ import annotations
 
+import bisect
 import ctypes
 import itertools
 import math
+from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.faults import Added, Linked
 from cosim.blocks.interface import EndedEarly
+from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.errors import SimulationError, Terminated, stopped
-from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, Rows
+from cosim.isolation.rows import CALLS, GET, OTHER, PUT, Rows
 from cosim.results import Results
+from cosim.simulation.compiled import CompiledSteps, Run, compiled
 from cosim.simulation.schedule import Stage
 from cosim.simulation.system import System
-from cosim.simulation.wiring import Transfer
+from cosim.simulation.wiring import Transfer, through
 
-Plain = tuple[tuple[int, int], ...]
-Noisy = tuple[tuple[int, int, list[float]], ...]
+Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # stretches of the row, target first
+Noisy = tuple[tuple[int, int, Sequence[float]], ...]
 # from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
 Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
 Copies = tuple[Plain, Noisy, Through]
 Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
-# what is written before put, advance and get of a component; these three; the number of steps that are one of its own,
-# and the length of that, 0.0 of one from communication point to communication point
-Active = tuple[
-    tuple[int, int, int],
-    Callable[[], None] | None,
-    Callable[[float, float], None],
-    Callable[[], None],
-    int,
-    float,
-    Plain,
-    Noisy,
-    Through,
-]
+# what steps it; the number of steps that are one of its own, and the length of that, 0.0 of one from communication
+# point to communication point; and the transfers before it
+Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
 Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
 EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
 MOST_SWEEPS = 1000  # after which initial values that still change are called an error
@@ -65,32 +60,47 @@ def simulate(
     h: float,
     progress: Callable[[int], None] | None = None,
     rows: Rows | None = None,
+    *,
+    in_c: bool = True,
 ) -> Results:
     """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails.
 
     Fewer rows, and a note, where an FMU ends the simulation.
     rows: where they are written, shape (steps + 1, columns); in memory without
+    in_c: the loop is in C where it can be; `Results.loop` tells
     """
-    return _Run(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
+    room = rows or Rows.in_memory(steps + 1, len(system.columns))
+    return _Run(system, steps, h, progress, room, in_c=in_c).results()
 
 
 class _Run:
     """One run: its row of signals, what stands beside it, and the table of rows."""
 
     def __init__(
-        self, system: System, steps: int, h: float, progress: Callable[[int], None] | None, rows: Rows
+        self,
+        system: System,
+        steps: int,
+        h: float,
+        progress: Callable[[int], None] | None,
+        rows: Rows,
+        *,
+        in_c: bool = True,
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components = [stage.component for stage in system.stages]
         self.row = (ctypes.c_double * len(system.columns))()
+        self.view = doubles(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
+        self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.kept = rows.beside  # of what stands beside the row, one a row
         self.table, self.made, self.doing = rows.table, rows.made, rows.doing
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
         self.notes: list[str] = []
+        self.events = sorted(system.events)
         self.after = self._after(progress)
         self._made: dict[str, Transferring] = {}
+        self._links: dict[str, Sequence[Linked]] = {}
         self.pulls = {s.component.name: self._copies(s.pulls) for s in system.stages}
         self.held = self._copies(system.held)
 
@@ -169,45 +179,53 @@ class _Run:
         self.done = self.made[0] = 1
 
     def _step_on(self) -> None:
+        """All steps: in C where every component can be stepped by it, else here."""
+        try:
+            in_c = self._compiled()
+        except NotCompiled as reason:
+            self._tell_loop(f"Python: {reason}")
+            self._step_in_python()
+            return
+        self._tell_loop("C")
+        try:
+            in_c.steps()
+        finally:
+            self.done = self.made[0]
+
+    def _step_in_python(self) -> None:
         """All steps. What is called in here decides the time that a run takes."""
-        row, h, begin, after, memmove = self.row, self.h, self.system.start, self.after, ctypes.memmove
-        here, there, size = ctypes.addressof(row), self.table.ctypes.data, ctypes.sizeof(row)
+        row, h, begin, after = self.view, self.h, self.system.start, self.after
+        table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
-        made, doing = self.made, self.doing
+        made, asked = self.made, self._asked(1)
         done, next_t = self.done, begin
         try:
             for k, (active, held, held_noisy, held_through) in zip(range(1, self.steps + 1), rounds, strict=False):
                 t, next_t = next_t, begin + k * h
-                for calls, put, advance, get, every, length, plain, noisy, through in active:
-                    for source, target in plain:
-                        row[target] = row[source]
+                for step, every, length, plain, noisy, through in active:
+                    for target_places, places in plain:
+                        target_places[:] = places
                     for source, target, samples in noisy:
                         row[target] = row[source] + samples[k]
                     if through:
                         for origin, source, goal, target, function in through:
                             goal[target] = function(k, origin[source])
-                    putting, advancing, getting = calls
-                    if put is not None:
-                        doing[0] = putting
-                        put()
-                    doing[0] = advancing
                     if every == 1:
-                        advance(t, length or next_t - t)
+                        step(t, length or next_t - t)
                     else:
-                        advance(since := begin + (k - every) * h, length or next_t - since)
-                    doing[0] = getting
-                    get()
-                for source, target in held:
-                    row[target] = row[source]
+                        step(since := begin + (k - every) * h, length or next_t - since)
+                for target_places, places in held:
+                    target_places[:] = places
                 for source, target, samples in held_noisy:
                     row[target] = row[source] + samples[k]
                 if held_through:
                     for origin, source, goal, target, function in held_through:
                         goal[target] = function(k, origin[source])
-                if after:
+                if k == asked:
                     for call in after:
                         call(k)
-                memmove(there + k * size, here, size)
+                    asked = self._asked(k + 1)
+                table[k * width : k * width + width] = row
                 done = made[0] = k + 1
         finally:
             self.done = done
@@ -229,11 +247,32 @@ class _Run:
 
     # -- parts --------------------------------------------------------------------------------
 
+    def _compiled(self) -> CompiledSteps:
+        """The steps in C. Raises NotCompiled."""
+        if not self.in_c:
+            raise NotCompiled("asked for")
+        links = self._links.__getitem__
+        known = self.system, self.components, self.steps, self.h, self.row, self.rows
+        return compiled(Run(*known, lambda t: links(t.name), self.after, self._asked))
+
+    def _tell_loop(self, loop: str) -> None:
+        self.loop = loop
+        self.rows.tell_loop(loop)
+
     def _values(self) -> tuple[bytes, list[Any]]:
         return bytes(self.row), list(self.beside)
 
+    def _asked(self, k: int) -> int:
+        """The next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
+        if self.beside:
+            return k
+        found = [self.events[place]] if (place := bisect.bisect_left(self.events, k)) < len(self.events) else []
+        if self.progress is not None:
+            found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+        return min(found, default=NEVER)
+
     def _after(self, progress: Callable[[int], None] | None) -> tuple[Callable[[int], None], ...]:
-        """What is called at the end of every step, before its row is kept: only what this run needs."""
+        """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
         calls: list[Callable[[int], None]] = []
         if self.system.events:
             calls.append(self._change)
@@ -274,9 +313,8 @@ class _Run:
     def _active(self, stage: Stage) -> Active:
         component = stage.component
         length = stage.every * self.h if component.nominal_step else 0.0
-        first = CALLS * self.components.index(component)
-        calls = first + PUT, first + ADVANCE, first + GET
-        return calls, *component.calls(), stage.every, length, *self.pulls[component.name]
+        step = component.stepping(self.doing, CALLS * self.components.index(component))
+        return step, stage.every, length, *self.pulls[component.name]
 
     def _copies(self, transfers: Iterable[Transfer]) -> Copies:
         """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
@@ -287,30 +325,53 @@ class _Run:
             kind, entry = self._made[transfer.name]
             kinds[kind].append(entry)
         plain, noisy, through = kinds
-        return tuple(plain), tuple(noisy), tuple(through)
+        return self._stretches(plain), tuple(noisy), tuple(through)
+
+    def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
+        """Places that follow one another, from and to, as one."""
+        found: list[list[int]] = []
+        for source, target in places:
+            if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
+                found[-1][2] += 1
+            else:
+                found.append([source, target, 1])
+        return tuple((self.view[b : b + n], self.view[a : a + n]) for a, b, n in found)
 
     def _transferring(self, transfer: Transfer) -> Transferring:
-        seed, count = self.system.seed, self.steps + 1
+        chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
+        self._links[transfer.name] = chain
         if not transfer.plain:
             origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-            function = transfer.through(seed, self.system.start, self.h, count)
-            return 2, (origin, transfer.source, goal, transfer.target, function)
-        if (samples := transfer.samples(seed, count)) is not None:
-            return 1, (transfer.source, transfer.target, samples)
+            return 2, (origin, transfer.source, goal, transfer.target, through(chain))
+        for added in chain:
+            if isinstance(added, Added):
+                return 1, (transfer.source, transfer.target, added.samples)
         return 0, (transfer.source, transfer.target)
 
     def _so_far(self) -> Results:
         kept = self.kept if isinstance(self.kept, list) else []
-        return results_of(self.system, self.time[: self.done], self.table[: self.done], kept, self.notes)
+        time, table = self.time[: self.done], self.table[: self.done]
+        return results_of(self.system, time, table, kept, self.notes, self.loop)
 
 
 def results_of(
-    system: System, time: Array, table: Array, kept: Sequence[tuple[Any, ...]], notes: Sequence[str] = ()
+    system: System,
+    time: Array,
+    table: Array,
+    kept: Sequence[tuple[Any, ...]],
+    notes: Sequence[str] = (),
+    loop: str = "",
 ) -> Results:
     """Results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
-    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes))
+    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
+
+
+def doubles(buffer: Any) -> memoryview[float]:
+    """A buffer of doubles as one flat sequence of them."""
+    flat = memoryview(buffer)
+    return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:
@@ -320,8 +381,8 @@ def _first_places(columns: Sequence[str]) -> dict[str, int]:
 
 def _transfer(row: Any, copies: Copies, k: int) -> None:
     plain, noisy, through = copies
-    for source, target in plain:
-        row[target] = row[source]
+    for target_places, places in plain:
+        target_places[:] = places
     for source, target, samples in noisy:
         row[target] = row[source] + samples[k]
     for origin, source, goal, target, function in through:

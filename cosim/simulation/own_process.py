@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from dataclasses import replace
 from typing import Any
 
-from cosim.blocks.interface import Component, Row, Signal
+from cosim.blocks.interface import Component, Row, Signal, in_turn
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -104,9 +104,9 @@ class OwnProcess:
         """As the component says."""
         return self._component.depends_on(name, outputs)
 
-    def calls(self) -> tuple[Callable[[], None] | None, Callable[[float, float], None], Callable[[], None]]:
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Put, advance and get."""
-        return self.put, self.advance, self.get
+        return in_turn(self, doing, first)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Tell where its signals stand."""

@@ -37,7 +37,7 @@ def _scalar(value: Any) -> Any:
 
 def _kind_of(component: Any) -> str | None:
     """Which kind of component a mapping describes, by the key that only this kind has."""
-    if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent):
+    if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent):
         return f"«{getattr(component, 'block', 'fmu')}»"
     if not isinstance(component, dict):
         return None
@@ -45,7 +45,7 @@ def _kind_of(component: Any) -> str | None:
     return f"«{block}»" if block in BLOCKS else "«fmu»" if "fmu" in component else None
 
 
-BLOCKS = ("reference", "playback")
+BLOCKS = ("reference", "playback", "fix")
 
 
 class Noise(Part):
@@ -166,6 +166,35 @@ class PlaybackComponent(Part):
     sha256: str | None = None
 
 
+class FixedSignal(Part):
+    """A signal that fixes measure: it comes in as NAME, its fixes go out as `NAME_meas`.
+
+    unit:  of the signal
+    noise: of a fix
+    """
+
+    unit: str = ""
+    noise: Noise | None = None
+
+
+class FixComponent(Part):
+    """A sensor that measures now and then and answers late, such as a camera, a beacon or a range to a wall.
+
+    block:   fix
+    rate:    fixes a second [Hz], the first at the start; each at the first communication point that is not before
+    latency: [s] from what is measured to when it is known
+    dropout: probability that a fix is lost, 0 … 1
+    signals: name → unit and noise; all are measured at once. `NAME_meas` holds the latest fix, `fix` its number, 0
+             before the first
+    """
+
+    block: Literal["fix"]
+    rate: Positive
+    latency: NotNegative = 0.0
+    dropout: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
+    signals: dict[Name, FixedSignal] = Field(min_length=1)
+
+
 class Design(Part):
     """Start values of a controller designed before the run; further keys are the designer's (`cosim.registry`).
 
@@ -206,11 +235,12 @@ Criteria = dict[
 Component = Annotated[
     Annotated[FmuComponent, Tag("«fmu»")]
     | Annotated[ReferenceComponent, Tag("«reference»")]
-    | Annotated[PlaybackComponent, Tag("«playback»")],
+    | Annotated[PlaybackComponent, Tag("«playback»")]
+    | Annotated[FixComponent, Tag("«fix»")],
     Discriminator(
         _kind_of,
         custom_error_type="component",
-        custom_error_message="a component has fmu: FILE, block: reference or block: playback",
+        custom_error_message="a component has fmu: FILE, or block: reference, playback or fix",
     ),
 ]
 
@@ -230,7 +260,7 @@ class Scenario(Part):
     tolerance:   relative, of the solvers; each FMU's own without
     record:      patterns such as `plant.*`: locals and parameters recorded beside inputs and outputs
     design:      start values of a controller designed before the run
-    components:  name → FMU, reference or recording
+    components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
     events:      values that parameters and inputs get at a time
     faults:      what disturbs a connection

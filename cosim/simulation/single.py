@@ -43,7 +43,7 @@ def simulate(
     path = Path(fmu)
     _check_times(path, stop, step)
     (description,) = read_fmus([path])
-    given = start if isinstance(start, Mapping) else _pairs(path, start, description)
+    given = start if isinstance(start, Mapping) else start_pairs(path, start, description)
     place = folder_named(parts_of([path])[0].name) if folder is None else Path(folder)
     csv = None if recorded is None else Path(recorded)
     scenario, notes = write_single(place, path, given, csv, stop=stop, step=step, record=record, force=force)
@@ -60,7 +60,7 @@ def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
         raise InputError(faults)
 
 
-def _pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
+def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
     """NAME=VALUE of start values; a value of text stays as it is written."""
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
     found: dict[str, Any] = {}

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from array import array
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from cosim.blocks.faults import Through, disturbed, points, steps_in
+from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, steps_in
 from cosim.blocks.interface import Component, Signal
 from cosim.blocks.kinds import goes
 from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.stepping import Does, Link, link
 from cosim.errors import SimulationError
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.scenario import Connection, Disturbance, FmuComponent, Noise
+from cosim.simulation.scenario import Connection, Disturbance, FixComponent, FmuComponent, Noise
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
 
@@ -71,43 +73,55 @@ class Transfer:
             said = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
             raise SimulationError(self.name, t, said)
 
-    def samples(self, seed: int, count: int) -> list[float] | None:
+    def samples(self, seed: int, count: int) -> array[float] | None:
         """What noise adds at each of `count` communication points; None adds nothing."""
         if self.noise is None:
             return None
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
-    def through(self, seed: int, start: float, step: float, count: int) -> Through:
+    def through(self, seed: int, start: float, step: float, count: int) -> tuple[Linked, ...]:
         """What becomes of a value at each of `count` communication points: unit, then noise, then each fault."""
-        chain: list[Through] = []
-        factor, offset = self.factor, self.offset
-        if factor != 1.0 or offset != 0.0:
-            chain.append(lambda k, v: v * factor + offset)
+        chain: list[Linked] = []
+        if self.factor != 1.0 or self.offset != 0.0:
+            chain.append(Scaled(self.factor, self.offset))
         if (samples := self.samples(seed, count)) is not None:
-            noise = samples
-            chain.append(lambda k, v: v + noise[k])
+            chain.append(Added(samples))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
             delay = 0 if fault.delay is None else max(1, round(steps_in(fault.delay, step)))
             given = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
-
         if self.items is not None:
+            chain.append(_Checked(self, start, step))
+        return tuple(chain)
 
-            def checked(k: int, v: Any) -> Any:
-                if k:  # until initialization has ended values may be those of nothing yet
-                    self.check_item(v, start + k * step)
-                return v
 
-            chain.append(checked)
+class _Checked:
+    """A value that is an item of the enumeration it goes to."""
 
-        def value(k: int, v: Any) -> Any:
-            for link in chain:
-                v = link(k, v)
-            return v
+    def __init__(self, transfer: Transfer, start: float, step: float) -> None:
+        self.transfer, self.start, self.step = transfer, start, step
 
-        return chain[0] if len(chain) == 1 else value
+    def __call__(self, k: int, v: Any) -> Any:
+        if k:  # until initialization has ended values may be those of nothing yet
+            self.transfer.check_item(v, self.start + k * self.step)
+        return v
+
+    def link(self) -> Link:
+        items = array("d", (self.transfer.items or {}).values())
+        return link(Does.ITEMS, values=items, count=len(items))
+
+
+def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
+    """All of them, one after the other, as one function of (communication point, value)."""
+
+    def value(k: int, v: Any) -> Any:
+        for one in chain:
+            v = one(k, v)
+        return v
+
+    return chain[0] if len(chain) == 1 else value
 
 
 def lay_out(components: Components) -> RowLayout:
@@ -284,5 +298,7 @@ def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
             for s in _signals(component, "inputs")
             if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
         ]
-        if free:
+        if free and isinstance(declared, FixComponent):
+            yield f"not connected, so its fixes are of 0: {_some([f'{name}.{s}' for s in free])}"
+        elif free:
             yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"

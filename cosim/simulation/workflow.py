@@ -83,7 +83,7 @@ def run(
         loaded = time.perf_counter()
         stepped = _stepped(file.scenario, system, worker, place, progress)
         times = began, loaded, time.perf_counter()
-        record = manifest(file, designed, system, _timings(file.scenario, *times))
+        record = manifest(file, designed, system, _timings(file.scenario, *times), stepped.results.loop)
         if is_ssp(path):
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before

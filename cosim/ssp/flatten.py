@@ -77,14 +77,13 @@ class _Flattener:
     def _check(self, root: Level) -> None:
         """Connections lead from and to connectors that there are, one to each end."""
         for level in levels(root):
-            ended: set[tuple[str | None, str]] = set()
             for connection in level.system.connections:
                 for side, (name, connector) in (("start", connection.start), ("end", connection.end)):
                     self._check_end(level, connection.element, side, name, connector)
-                if connection.end in ended:
-                    where = ".".join(filter(None, connection.end))
-                    self.reader.note(connection.element, f"two sources for {where}; keep one")
-                ended.add(connection.end)
+                if (first := level.into[connection.end]) is not connection:
+                    ends = (connection.end, first.start, connection.start)
+                    where, one, other = (".".join(filter(None, end)) for end in ends)
+                    self.reader.note(connection.element, f"two sources for {where}: {one} and {other}; keep one")
 
     def _check_end(self, level: Level, element: Element, side: str, name: str | None, connector: str) -> None:
         elements = level.system.elements
@@ -105,6 +104,8 @@ class _Flattener:
         for connection in level.system.connections:
             part = level.parts.get(connection.end[0] or "")
             if part is None or connection.end[1] not in part.component.connectors:
+                continue
+            if level.into[connection.end] is not connection:  # of two sources, a fault told already, the first
                 continue
             hops = self._hops(level, connection)
             if hops is None:

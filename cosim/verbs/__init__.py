@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from cosim.verbs import files, fmus, runs
+from cosim.verbs import consistency, files, fmus, linear, runs, sweep
 from cosim.verbs.manner import with_manner
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this room, and to every command there is -q and -v."""
-    for module in (fmus, runs, files):
+    for module in (fmus, runs, files, linear, consistency, sweep):
         module.register(app)
     for command in app.registered_commands:
         if command.callback is not None:

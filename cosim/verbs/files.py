@@ -18,6 +18,7 @@ class Kind(StrEnum):
     SCENARIO = "scenario"
     STUDY = "study"
     MODEL = "model"
+    SWEEP = "sweep"
 
 
 def register(app: typer.Typer) -> None:
@@ -59,7 +60,7 @@ def graph(
         show(path)
 
 
-def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study or model.")]) -> None:
+def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model or sweep.")]) -> None:
     """Print the JSON schema of a file, for the completion of an editor."""
     from cosim.schemas import schema_of
 

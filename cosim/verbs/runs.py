@@ -36,8 +36,8 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
+    from cosim.comparison.differences import sentence, shared
     from cosim.comparison.page import compare as compare_runs
-    from cosim.comparison.page import sentence, shared
     from cosim.comparison.ran import read_ran
     from cosim.text import amount
 

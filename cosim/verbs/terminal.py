@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ import typer
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
+Numbered = Callable[[str], tuple[int, int]]
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
@@ -106,21 +108,56 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str, float], None] | None]:
-    """The stage in words, with its share done, on a terminal; nothing where nobody watches."""
-    if MANNER.quiet or not sys.stderr.isatty():
+def stages(numbered: Numbered | None = None) -> Iterator[Callable[[str, float], None] | None]:
+    """The stage in words, with its share done and a clock, on a terminal; a line a stage where -v asks elsewhere.
+
+    numbered: number of a stage, and of how many; a stage that has none counts to the one before
+    """
+    if MANNER.quiet or not (sys.stderr.isatty() or MANNER.verbose):
         yield None
+        return
+    heading = _headings(numbered)
+    if not sys.stderr.isatty():
+        yield _lines(heading)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def advance(stage: str, share: float) -> None:
             # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
             bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
-            bar.update(task, description=stage, completed=share)
+            bar.update(task, description=heading(stage), completed=share)
 
         yield advance
+
+
+def _headings(numbered: Numbered | None) -> Callable[[str], str]:
+    """`stage 3 of 10: words`; work that comes back to a stage belongs to the one that it has reached."""
+    reached = 0
+
+    def heading(stage: str) -> str:
+        nonlocal reached
+        if numbered is None:
+            return stage
+        number, of = numbered(stage)
+        reached = max(reached, number)
+        return f"stage {reached} of {of}: {stage}" if reached else stage
+
+    return heading
+
+
+def _lines(heading: Callable[[str], str]) -> Callable[[str, float], None]:
+    """Tells each stage once, with the seconds since the beginning."""
+    began, last = time.monotonic(), ""
+
+    def tell(stage: str, share: float) -> None:
+        nonlocal last
+        if share == 0.0 and stage != last:
+            say_more(f"{time.monotonic() - began:6.1f} s  {heading(stage)}")
+            last = stage
+
+    return tell

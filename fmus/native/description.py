@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from fmus.annotation import annotation
-from fmus.description import AUTHOR, LICENCE, naming_convention
+from fmus.description import LICENCE, naming_convention
 from fmus.native.layout import Layout, Local
 from fmus.ports import Port
-from fmus.sampled import sampled
+from fmus.sampled import AUTHOR, sampled
 from fmus.units import DISPLAY, unit_definitions
 
 TOOL = "cosim"
@@ -83,7 +83,7 @@ def _experiment(layout: Layout) -> Element:
 def _annotations(layout: Layout) -> list[Element]:
     about = layout.about
     found = [] if about.traits is None else [annotation(about.traits, "doubles")]
-    return found + ([sampled(about.sampled)] if about.sampled else [])
+    return found + ([sampled(about.sampled, about.optional)] if about.sampled else [])
 
 
 def _of_real(node: Element, unit: str) -> None:

@@ -83,13 +83,13 @@ static void check_range(Instance *m, double t)
         char values[256] = "";
         int inside = 1;
         size_t used = 0;
-        for (int i = r->first; i < r->first + r->count; i++) {
-            const double value = m->values[RANGE_INPUT[i]];
-            inside = inside && r->low <= value && value <= r->high;
+        for (int i = r->first; i < r->first + r->count; i++)
+            inside = inside && r->low <= m->values[RANGE_INPUT[i]] && m->values[RANGE_INPUT[i]] <= r->high;
+        if (inside) continue; /* at nearly every step, so that nothing is printed for it */
+        for (int i = r->first; i < r->first + r->count && used < sizeof values; i++) {
             const char *join = i > r->first ? ", " : "", *unit = variables[RANGE_INPUT[i]].unit;
-            if (used < sizeof values) used += (size_t)snprintf(values + used, sizeof values - used, "%s%g %s", join, value, unit);
+            used += (size_t)snprintf(values + used, sizeof values - used, "%s%g %s", join, m->values[RANGE_INPUT[i]], unit);
         }
-        if (inside) continue;
         m->warned = 1;
         warn(m, "at t = %g s: %s %s: %s", t, r->quantity, values, r->beyond);
     }

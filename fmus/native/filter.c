@@ -3,14 +3,15 @@
  *   x̂ = F·x̂ + G·u,   P = F·P·F' + V
  *   K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P·(I − K·H)' + K·W·K'
  *   u = sat(−L·(x̂ − x_ref), ±limit)
+ * and, where a fix has come since the last sample, a second update with it, one row of it after the other.
  *
- * Printed above this text: design(m, &d), which fills the matrices from the parameters; measured, reference, start and
- * publish, which say which variables they are.
- * What is kept: x̂, P, u, then the matrices, so that a step computes none of them anew. */
+ * Printed above this text: design(m, &d), which fills the matrices from the parameters; measured, fixed, reference,
+ * start and publish, which say which variables they are.
+ * What is kept: x̂, P, u, the last fix, then the matrices, so that a step computes none of them anew. */
 #include "model.h"
 
 typedef struct {
-    double x[NX], P[NX][NX], u[NU];
+    double x[NX], P[NX][NX], u[NU], fix;
     Design d;
 } Filter;
 
@@ -165,6 +166,46 @@ static int correct(Instance *m, Filter *f, const double *z)
     return 0;
 }
 
+/* One row of a fix: its noise does not depend on that of another. */
+static int correct_by(Instance *m, Filter *f, double z, const double *H, double W)
+{
+    double PH[NX], K[NX], left[NX][NX], LP[NX][NX], S = W, y = z;
+    for (int i = 0; i < NX; i++) {
+        y -= H[i] * f->x[i];
+        PH[i] = 0.0;
+        for (int k = 0; k < NX; k++) PH[i] += f->P[i][k] * H[k];
+    }
+    for (int i = 0; i < NX; i++) S += H[i] * PH[i];
+    if (!(fabs(S) > 0.0)) return refuse(m, "a fix has no variance; a measurement variance of 0 needs process noise");
+    for (int i = 0; i < NX; i++) K[i] = PH[i] / S;
+    for (int i = 0; i < NX; i++) f->x[i] += K[i] * y;
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) left[i][j] = (i == j ? 1.0 : 0.0) - K[i] * H[j];
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            LP[i][j] = 0.0;
+            for (int k = 0; k < NX; k++) LP[i][j] += left[i][k] * f->P[k][j];
+        }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            double s = K[i] * W * K[j];
+            for (int k = 0; k < NX; k++) s += LP[i][k] * left[j][k];
+            f->P[i][j] = s;
+        }
+    return 0;
+}
+
+static int correct_by_fix(Instance *m, Filter *f)
+{
+    double z[NF];
+    const double fix = fixed(m, z);
+    if (fix == f->fix) return 0;
+    f->fix = fix;
+    for (int i = 0; i < NF; i++)
+        if (correct_by(m, f, z[i], f->d.fix_H[i], f->d.fix_W[i])) return 1;
+    return 0;
+}
+
 static void feed_back(Instance *m, Filter *f)
 {
     double wanted[NX];
@@ -196,6 +237,8 @@ static int initialize(Instance *m)
     if (check_bounds(m)) return 1;
     memset(f, 0, sizeof *f);
     if (design(m, &f->d)) return 1;
+    double z[NF];
+    f->fix = fixed(m, z);
     start(m, f->x);
     feed_back(m, f);
     m->time = m->start_time;
@@ -211,7 +254,7 @@ static int advance(Instance *m, double t, double h)
         return refuse(m, "step of %.15g s; the controller is sampled at %.15g s (parameter %s)", h, sample, SAMPLE_NAME);
     measured(m, z);
     predict(f);
-    if (correct(m, f, z)) return 1;
+    if (correct(m, f, z) || correct_by_fix(m, f)) return 1;
     feed_back(m, f);
     m->time = t + h;
     return published(m);

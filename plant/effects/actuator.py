@@ -8,6 +8,7 @@ from plant.delay import Delay
 from plant.effects.terms import HovercraftEffect, Pair
 from plant.model import Number, Values
 from plant.namespaces import Namespace
+from plant.powertrain import second_order
 from plant.quantities import Quantity, parameter
 
 
@@ -106,10 +107,9 @@ class ActuatorSecondOrder(HovercraftEffect):
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         w, zeta = self.natural_frequency, self.damping_ratio
-        second_order = tuple(m.where(w > 0.0, own, first) for own, first in zip(states, rate, strict=True))
-        return second_order, tuple(
-            w * w * (target - alpha) - 2.0 * zeta * w * own
-            for target, alpha, own in zip(command, tilt, states, strict=True)
+        rates = tuple(m.where(w > 0.0, own, first) for own, first in zip(states, rate, strict=True))
+        return rates, tuple(
+            second_order(target, alpha, own, w, zeta) for target, alpha, own in zip(command, tilt, states, strict=True)
         )
 
 

@@ -6,13 +6,15 @@ Whoever needs the equations in another language (the filter of a refinement, an 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
+from plant.quantities import parameters_of
+from plant.symbolic.guard import guarded
 from plant.symbolic.languages import Language
 from plant.symbolic.symbols import SymbolicModel, symbolic
 
@@ -34,7 +36,7 @@ class Shaping:
 
 @dataclass(frozen=True)
 class Body:
-    """The equations of a model as expressions: every effect of the catalogue awake, or none.
+    """The equations of a model as expressions: every effect of the catalogue awake, some, or none.
 
     derivative: state → expression of its derivative
     outputs:    output → expression
@@ -47,13 +49,16 @@ class Body:
     parameters: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, model: Model, *, effects: bool = True) -> Body:
-        """The body of a model, its Booleans as they are."""
+    def of(
+        cls, model: Model, *, effects: bool | Collection[str] = True, flags: Mapping[str, bool] | None = None
+    ) -> Body:
+        """The body of a model, its Booleans as they are or as `flags` says. Raises guard.OfNumbersOnly."""
         import sympy
 
-        s = symbolic(model, effects=effects)
-        derivative, output = s.model.acting(SymbolNamespace())
-        rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
+        s = symbolic(model, flags, effects)
+        with guarded(smooth=True):
+            derivative, output = s.model.acting(SymbolNamespace())
+            rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
         return cls(
             s,
             {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)},
@@ -87,7 +92,8 @@ class Body:
             if effect.delay:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
-            shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
+            with guarded(smooth=True):
+                shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
             results = [sympy.sympify(e) for e in (*shaped, *memory)]
             names = [sympy.Symbol(f"s{len(stages)}_{k}", real=True) for k in range(len(results))]
             stages.append(dict(zip(names, results, strict=True)))
@@ -98,7 +104,16 @@ class Body:
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
     ) -> str:
         """`name(t, x, u, p, out)`, printed: expressions of time, state, command, parameters and what comes `before`."""
-        return language.function(name, "t x u p", expressions, self._places, before)
+        return language.function(name, "t x u p", expressions, self._places, before, self.terms)
+
+    @property
+    def terms(self) -> list[dict[Any, float]]:
+        """Of each effect, the parameters that make it dormant, and at which values."""
+        every = (
+            {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
+            for e in self.symbols.model.effects
+        )
+        return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
         """`name(u, memory, p, out)`, printed: the command that acts, then the memory after it."""

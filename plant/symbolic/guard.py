@@ -11,7 +11,9 @@ from typing import Any
 OURS = Path(__file__).resolve().parent
 EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >= in m.where"
 REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
-SIGNS = {"__eq__": "==", "__ne__": "!=", "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
+EQUALITIES = {"__eq__": "==", "__ne__": "!="}
+SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
+VARYING = ("state:", "input:")  # before the names of symbols
 
 
 class OfNumbersOnly(TypeError):
@@ -19,21 +21,28 @@ class OfNumbersOnly(TypeError):
 
 
 @contextmanager
-def guarded() -> Iterator[None]:
+def guarded(*, smooth: bool = False) -> Iterator[None]:
     """While it lasts, `==`, `!=`, `%` and `//` of a symbolic expression in a model's lines raise OfNumbersOnly.
 
     Sympy itself compares expressions all the time, and so does what traces: the file that the operator stands in tells
     them apart.
+
+    smooth: `%` and `//` only of what states or inputs are in, for who takes derivatives by these
     """
     import sympy
 
     library = (str(Path(sympy.__file__).parent), *map(str, (OURS, OURS.parent / "namespaces.py")))
 
+    def refused(name: str, a: Any, b: Any) -> bool:
+        if name in EQUALITIES or not smooth:
+            return bool(a.free_symbols)
+        return any(s.name.startswith(VARYING) for e in (a, b) for s in getattr(e, "free_symbols", ()))
+
     def guard(plain: Callable[[Any, Any], Any], name: str) -> Callable[[Any, Any], Any]:
         def operator(a: Any, b: Any) -> Any:
             if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
                 file = sys._getframe(1).f_code.co_filename
-                if not file.startswith(library) and not file.startswith("<") and a.free_symbols:
+                if not file.startswith(library) and not file.startswith("<") and refused(name, a, b):
                     raise OfNumbersOnly(_sentence(name, a, b))
             return plain(a, b)
 

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from plant.symbolic.dormant import Term, skippable
+
 
 class Unprintable(ValueError):
     """An expression that a language has no words for."""
@@ -14,12 +16,15 @@ class Unprintable(ValueError):
 class Language:
     """A function that writes its expressions to `out`, common subexpressions computed once.
 
+    skipped, either: how an expression is written that counts for nothing, and is 0, but under one of some conditions
     local, store:    how a common subexpression and a result are written
     assign:          how a symbol that is declared before gets its value
     when, otherwise: how the branch of an effect (place, title) that is awake begins, and that of one that is dormant
     end:             how the branches end
     """
 
+    skipped: str
+    either: str
     local: str
     store: str
     assign: str
@@ -38,25 +43,33 @@ class Language:
         expressions: Sequence[Any],
         places: Mapping[Any, str],
         before: Sequence[Mapping[Any, Any]] = (),
+        terms: Sequence[Term] = (),
     ) -> str:
         """Print one function; `places` says where a symbol stands in the arguments (`x[3]`).
 
         before: what is computed first, stage by stage, symbol → expression of arguments and earlier symbols
+        terms:  while these are dormant, what counts for nothing is skipped
         """
         import sympy
 
-        printer, names = self.printer(places), sympy.numbered_symbols("c")
-        lines = []
+        names = sympy.numbered_symbols("c")
+        parts: list[tuple[Any, Any]] = []  # symbol, or place of a result, and expression
         for stage in (*before, dict(enumerate(expressions))):
             replaced, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
-            lines += [self.local.format(symbol, printer.doprint(e)) for symbol, e in replaced]
-            for target, e in zip(stage, reduced, strict=True):
-                form = self.store if isinstance(target, int) else self.local
-                lines.append(form.format(target, printer.doprint(e)))
+            parts += [*replaced, *zip(stage, reduced, strict=True)]
+        plain = [(None if isinstance(target, int) else target, e) for target, e in parts]
+        conditions = {
+            f: self.either.join(f"{places[p]} != {float(v)!r}" for p, v in awake.items())
+            for f, awake in skippable(plain, terms).items()
+        }
+        printer, lines = self.printer(places, conditions), []
+        for target, e in parts:
+            form = self.store if isinstance(target, int) else self.local
+            lines.append(form.format(target, printer.doprint(e)))
         return self.frame(name, [*arguments.split(), "out"], "\n    ".join(lines))
 
-    def printer(self, places: Mapping[Any, str]) -> Any:
-        """Sympy's printer, with symbols in their places."""
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """Sympy's printer, with symbols in their places; conditions: function → what it is computed under, 0 else."""
         raise NotImplementedError
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
@@ -67,15 +80,18 @@ class Language:
 class C(Language):
     """C99."""
 
+    skipped, either = "(({}) ? {} : 0.0)", " || "
     local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
     when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
 
     def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
         return [f"double {', '.join(names)};"]
 
-    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
         from sympy import Function
         from sympy.printing.c import C99CodePrinter
+
+        skipped = self.skipped
 
         class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
             def doprint(self, expression: Any, assign_to: Any = None) -> str:
@@ -88,6 +104,10 @@ class C(Language):
                     unknown = sorted(used - self.known_functions.keys() - {"Piecewise"})
                     raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
                 return text
+
+            def _print(self, e: Any, **options: Any) -> str:
+                text = str(super()._print(e, **options))
+                return skipped.format(conditions[e], text) if conditions and e in conditions else text
 
             def _print_Symbol(self, symbol: Any) -> str:
                 return places.get(symbol) or str(super()._print_Symbol(symbol))
@@ -103,19 +123,60 @@ class C(Language):
         return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
 
 
+class Lanes(C):
+    """C99 for many at once: every number but time is a row, one for each lane `i` of W; branches compute both sides."""
+
+    store = "out[{}][i] = {};"
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """As above; nothing is skipped, for lanes differ in what is dormant."""
+        rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
+        plain = type(super().printer(rows))
+
+        class Printer(plain):  # type: ignore[misc, valid-type]
+            def _print_Piecewise(self, e: Any) -> str:
+                *branches, last = e.args
+                if last[1] != True:  # noqa: E712 - sympy's own
+                    raise Unprintable("a branch without an otherwise")
+                text = str(self._print(last[0]))
+                for value, condition in reversed(branches):
+                    text = f"chosen({self._print(condition)}, {self._print(value)}, {text})"
+                return text
+
+            def _print_And(self, e: Any) -> str:
+                return " & ".join(f"({self._print(a)})" for a in e.args)
+
+            def _print_Or(self, e: Any) -> str:
+                return " | ".join(f"({self._print(a)})" for a in e.args)
+
+        return Printer()
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
+        kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
+        declared = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
+        return f"INLINE void {name}({declared})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
+
+
 class Python(Language):
     """Python with the functions of `math`."""
 
+    skipped, either = "({1} if {0} else 0.0)", " or "
     local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
     when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
 
     def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
         return []
 
-    def printer(self, places: Mapping[Any, str]) -> Any:  # noqa: D102 - said once, above
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
         from sympy.printing.pycode import PythonCodePrinter
 
+        skipped = self.skipped
+
         class Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
+            def _print(self, e: Any, **options: Any) -> str:
+                text = str(super()._print(e, **options))
+                return skipped.format(conditions[e], text) if conditions and e in conditions else text
+
             def _print_Symbol(self, symbol: Any) -> str:
                 return places.get(symbol) or str(super()._print_Symbol(symbol))
 

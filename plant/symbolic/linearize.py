@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.model import Model, Values
 from plant.namespaces import SymbolNamespace
+from plant.symbolic.languages import Python
 
 Matrix = NDArray[np.float64]
 
@@ -26,29 +29,49 @@ class LinearModel:
     outputs: tuple[str, ...]
 
 
+class Linearizer:
+    """Jacobians of a model's equations, differentiated and printed once: `linearizer(state, command, t)`."""
+
+    def __init__(self, model: Model) -> None:
+        import sympy
+
+        self.model = model
+        n, m = len(model.states), len(model.inputs)
+        t = sympy.Symbol("t", real=True)
+        x = sympy.symbols([f"x{k}" for k in range(n)], real=True)
+        u = sympy.symbols([f"u{k}" for k in range(m)], real=True)
+        derivative, output = model.acting(SymbolNamespace())
+        rows = [sympy.sympify(e) for e in (*derivative(t, tuple(x), tuple(u)), *output(t, tuple(x), tuple(u)))]
+        slopes = {
+            (i, k): d
+            for i, e in enumerate(rows)
+            for k, s in enumerate((*x, *u))
+            if s in e.free_symbols and (d := sympy.diff(e, s)) != 0
+        }
+        self._places = list(slopes)
+        self._shape = len(rows), n + m
+        places = {s: f"x[{k}]" for k, s in enumerate(x)} | {s: f"u[{k}]" for k, s in enumerate(u)}
+        text = Python().function("jacobian", "t x u", list(slopes.values()), {**places, t: "t"})
+        scope: dict[str, Any] = {"math": math}
+        exec(text, scope)  # what the one generator has printed of these equations
+        self._jacobian = scope["jacobian"]
+
+    def __call__(self, state: Values, command: Values, t: float = 0.0) -> LinearModel:
+        """The linear model at a state and a command; ArithmeticError or ValueError where the slopes are not finite."""
+        values = [0.0] * len(self._places)
+        self._jacobian(t, tuple(map(float, state)), tuple(map(float, command)), values)
+        whole = np.zeros(self._shape)
+        for place, value in zip(self._places, values, strict=True):
+            whole[place] = value
+        model, n = self.model, len(self.model.states)
+        return LinearModel(
+            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:],
+            *(tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)),
+        )  # fmt: skip
+
+
 def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:
     """Jacobians of the equations at a state and command (default: the start of the model, which hovers)."""
-    import sympy
-
     point_x = model.start() if state is None else state
     point_u = model.start_command() if command is None else command
-    x = sympy.symbols([f"x{k}" for k in range(len(point_x))], real=True)
-    u = sympy.symbols([f"u{k}" for k in range(len(point_u))], real=True)
-    equations = model.acting(SymbolNamespace())
-    point = dict(zip((*x, *u), (*point_x, *point_u), strict=True))
-
-    def jacobian(expressions: Values, symbols: list[sympy.Symbol]) -> Matrix:
-        matrix = sympy.Matrix(expressions).jacobian(symbols).subs(point)
-        return np.array(matrix.tolist(), dtype=float)
-
-    f = equations.derivative(t, tuple(x), tuple(u))
-    g = equations.output(t, tuple(x), tuple(u))
-    return LinearModel(
-        jacobian(f, x),
-        jacobian(f, u),
-        jacobian(g, x),
-        jacobian(g, u),
-        tuple(q.name for q in model.states),
-        tuple(q.name for q in model.inputs),
-        tuple(q.name for q in model.outputs),
-    )
+    return Linearizer(model)(point_x, point_u, t)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,8 +25,10 @@ class SymbolicModel:
     command: Values
 
 
-def symbolic(model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool = True) -> SymbolicModel:
-    """Replace every number of the model by a symbol, with the whole catalogue awake or none of it.
+def symbolic(
+    model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool | Collection[str] = True
+) -> SymbolicModel:
+    """Replace every number of the model by a symbol, with the whole catalogue awake, none of it or some by name.
 
     Booleans keep their value, or take that of `flags`, which may say it by FMI name.
     """
@@ -44,7 +46,8 @@ def symbolic(model: Model, flags: bool | Mapping[str, bool] | None = None, effec
                 values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
         return replace(owner, **values)
 
-    terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if effects)
+    names = [kind.name for kind in model.catalogue] if effects is True else effects or ()
+    terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if kind.name in names)
     awake = replace(as_symbols(model, ""), effects=terms)
     # prefixed, for an input and a state may bear one name
     state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in awake.states)

@@ -12,10 +12,10 @@ from cosim.estimation.data import unscored
 from cosim.estimation.noise_model import Noise
 from cosim.logs.noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.plots import POINTS, side_by_side
+from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, make_plot, time_axis
-from cosim.residuals.lags import neighbours, over_lag, stem_rows, stems
+from cosim.report.svg import Plot
+from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.statistics import Whiteness, lags_of, rmse, whiteness
 from cosim.text import MISSING, plain
 
@@ -40,7 +40,7 @@ def modes(r: Refinement) -> tuple[str, str]:
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
 
 
-def innovations(r: Refinement) -> list[WhitenessRow]:
+def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
     """One-step errors over what the filter expects, channel by channel in the order of the logs.
 
     A filter trusts its equations where their process noise is too small for any log to show.
@@ -52,18 +52,25 @@ def innovations(r: Refinement) -> list[WhitenessRow]:
     both = [[_innovations(r, dict(v.values), noise, k) for k in logs] for v, noise in pair]
     outputs = r.problem.layout.outputs
     ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
-    return [_channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both]) for name in ordered]
-
-
-def _channel(r: Refinement, channel: str, both: Sequence[Sequence[Array]]) -> WhitenessRow:
-    first, names = r.problem.logs[0], modes(r)
-    lags = lags_of(min(len(part) for part in both[0]), first.step)
-    tests = [whiteness(_joined(parts, lags), lags) for parts in both]
+    first = r.problem.logs[0]
     time = (first.start + first.step * np.arange(len(first.y), dtype=np.float64))[-len(both[0][0]) :]
+    drawing, lags = charts.over(time, 4 * len(ordered)), lags_of(min(len(part) for part in both[0]), first.step)
+    over = lag_drawing(charts, every_lag(lags, STEMS), first.step, 4 * len(ordered))
+    return [
+        _channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both], drawing, over, lags)
+        for name in ordered
+    ]
+
+
+def _channel(
+    r: Refinement, channel: str, both: Sequence[Sequence[Array]], drawing: Drawing, over: Drawing, lags: int
+) -> WhitenessRow:
+    names = modes(r)
+    tests = [whiteness(_joined(parts, lags), lags) for parts in both]
     traces = [Trace(n, parts[0], s) for n, parts, s in zip(names, both, STYLES, strict=True)]
-    edge = np.full(time.size, NORMAL_95)
+    edge = np.full(both[0][0].size, NORMAL_95)
     panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
-    plots = (make_plot(panel, time, time_axis(time), limit=POINTS), _autocorrelation(channel, tests, names, first.step))
+    plots = drawing.plots([panel])[0], over.plots([_autocorrelation(channel, tests, names, over)])[0]
     return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
 
 
@@ -80,19 +87,16 @@ def _joined(parts: Sequence[Array], lags: int) -> Array:
     return np.concatenate([piece for part in parts for piece in (part, gap)])
 
 
-def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], step: float) -> Plot:
+def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
     """Two stems side by side at each lag."""
-    rows = stem_rows(tests[0], STEMS)
-    every = int(rows[1] - rows[0]) if rows.size > 1 else 1
-    shifts = (-0.16 * every, 0.16 * every)
-    pieces = [stems(test.rho, rows, step, shift) for shift, test in zip(shifts, tests, strict=True)]
-    edge = step * np.array([rows[0] - 0.5 * every, rows[-1] + 0.5 * every])
-    width = tests[1].band if np.isfinite(tests[1].band) else 0.0
-    x, columns = side_by_side([(edge, np.zeros(2)), *pieces])
-    traces = [Trace(n, v, s) for n, v, s in zip(names, columns[1:], ("s1 solid", "true"), strict=True)]
-    band = Band("95 % band if white", *(np.where(np.arange(x.size) < 2, s * width, np.nan) for s in (-1, 1)))
-    panel = Panel(f"Autocorrelation of {channel}", "1", traces, band)
-    return over_lag(panel, x)
+    rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
+    beside = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
+    traces = [
+        Trace(name, test.rho[rows], style, stems=True, shift=shift)
+        for name, test, style, shift in zip(names, tests, ("s1 solid", "true"), (-beside, beside), strict=True)
+    ]
+    width = np.full(rows.size, tests[1].band if np.isfinite(tests[1].band) else 0.0)
+    return Panel(f"Autocorrelation of {channel}", "1", traces, Band("95 % band if white", -width, width))
 
 
 def _row(channel: str, parts: Sequence[Array], tests: Sequence[Whiteness], plots: tuple[Plot, ...]) -> WhitenessRow:

@@ -25,6 +25,7 @@ from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_
 from cosim.refinement.report.tables import table_parts
 from cosim.refinement.report.terms import Shown, shown
 from cosim.registry import known
+from cosim.report.drawing import Charts
 from cosim.report.tables import Badge, Row
 from cosim.report.template import render
 from cosim.text import MISSING, counted, percent, plain
@@ -51,6 +52,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 
 def context(r: Refinement) -> Mapping[str, Any]:
     """Everything the template names."""
+    charts = Charts()
     return {
         "name": f"Study {r.study.path.resolve().parent.name}",
         "description": f"{r.study.loaded.model.title}: what measured logs say the model lacks.",
@@ -63,8 +65,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "warnings": r.record["warnings"],
         "tables": error_tables(r),
         "error_lead": _error_lead(r),
-        **table_parts(r),
-        **(_NO_TIME if r.problem.table else _in_time(r)),
+        **table_parts(r, charts),
+        **(_NO_TIME if r.problem.table else _in_time(r, charts)),
         **_ranking(r),
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
@@ -73,6 +75,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "use": shlex.join(use_command(type(r.study.loaded.model), r.folder)),
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
         "provenance": _provenance(r),
+        "data": charts.data(),  # after all that is drawn
         "version": __version__,
     }
 
@@ -80,22 +83,22 @@ def context(r: Refinement) -> Mapping[str, Any]:
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "whiteness": []}  # of tables
 
 
-def _in_time(r: Refinement) -> Mapping[str, Any]:
+def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """What is drawn over time, or told of it."""
     return {
         "horizons": horizon_table(r),
         "horizon": horizon(r),
         "windowed": horizon(r) != "a whole run",
-        "terms": [_term(s) for s in shown(r)],
+        "terms": [_term(s, charts) for s in shown(r)],
         "term_lead": _term_lead(r),
-        "runs": runs(r),
-        **_whiteness(r),
+        "runs": runs(r, charts),
+        **_whiteness(r, charts),
     }
 
 
-def _whiteness(r: Refinement) -> Mapping[str, Any]:
+def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """The innovations; channels that are white before and after are folded away where others are not."""
-    white = innovations(r)
+    white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
         "whiteness": white,
@@ -179,13 +182,13 @@ def _term_lead(r: Refinement) -> str:
     return f"{way}Over what is left{beside}: the term without a name that promises most, if one does."
 
 
-def _term(s: Shown) -> Mapping[str, Any]:
+def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
     return {
         "title": s.effect or s.where,
         "sentence": _term_sentence(s),
-        "against": against_signal(s),
+        "against": against_signal(s, charts),
         "label": axis_label(s),
-        "time": over_time(s),
+        "time": over_time(s, charts),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +14,13 @@ from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
 from cosim.refinement.report.terms import Shown
+from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, extent, make_axis, make_plot, time_axis
+from cosim.report.svg import Plot, extent, make_axis
 from cosim.residuals.statistics import rmse
 from cosim.text import counted, display, finer
 
-POINTS = 700  # a curve
+CURVES = 10  # at most of a channel: measured, two models, two errors, the edges of two shades
 DOTS, FINE = 24, 80  # places with an error bar, and of the claimed curve
 LEAST = 0.6  # [s] of rows behind an error bar
 MEMORIES = 0.3  # [s] of rows that count as one in an error bar: twice the memory of what is smoothed
@@ -51,45 +51,39 @@ class Run:
 # -- measured and model -----------------------------------------------------------------------
 
 
-def runs(r: Refinement) -> list[Run]:
+def runs(r: Refinement, charts: Charts) -> list[Run]:
     """The first estimation and the first sealed log."""
     drawn = []
     words: dict[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
     for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if before and after:
-            log = before[0][0]
-            floor = r.record["noise_floors"].get(part, {})
-            pairs = [_pair(r, before, after, name, floor.get(name, 0.0)) for name in list(log.outputs)[:CHANNELS]]
+            log, old = before[0]
+            floor, names = r.record["noise_floors"].get(part, {}), list(log.outputs)[:CHANNELS]
+            drawing = charts.over(log.time, CURVES * len(names), breaks=sorted(old.starts))
+            pairs = [_pair(r, drawing, before, after, name, floor.get(name, 0.0)) for name in names]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
             drawn.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
     return drawn
 
 
-def _pair(r: Refinement, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
+def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
     """The model's reading is the log's less its error: sensors that are known to be wrong are in it."""
     log, old = before[0]
     unit, factor = display(log.units.get(name, ""))
     fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
-    starts = np.array(sorted(old.starts), dtype=np.intp)
-    time = _broken(log.time, starts, log.time[starts])
     reading = log.outputs[name]
     curves = [("before", "s1", before), ("refined", "true", after)] if r.verdict.claimed else [("model", "true", after)]
     errors = [(label, style, e[0][1].errors(e[0][0])[name]) for label, style, e in curves]
-    whole = [Trace("measured", _broken(reading, starts, reading[starts]) * factor, "estimate")]
-    whole += [Trace(label, _broken(reading - e, starts, np.nan) * factor, style) for label, style, e in errors]
-    left = [Trace(label, _broken(e, starts, np.nan) * scale, style) for label, style, e in errors]
+    whole = [Trace("measured", reading * factor, "estimate")]
+    whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
+    left = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
     panels = (Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", left))
-    shaded = [replace(p, band=_windows(time, log.time[starts], old.horizon, p)) for p in panels]
+    starts = log.time[np.array(sorted(old.starts), dtype=np.intp)]
+    shaded = [replace(p, band=_windows(log.time, starts, old.horizon, p)) for p in panels]
     sizes = [rmse(e) for _, _, e in errors]
     tells = sizes[0] > TELLS * sizes[-1] or sizes[-1] > TELLS * sizes[0] or sizes[-1] > FAR * floor > 0
-    x = time_axis(log.time)
-    return Pairs(name, tuple(make_plot(p, time, x, limit=POINTS) for p in shaded), tells)
-
-
-def _broken(values: Array, starts: Rows, between: Array | float) -> Array:
-    """A value more right after each start, so that a curve can end there and begin anew."""
-    return np.insert(values, starts + 1, between)
+    return Pairs(name, tuple(drawing.plots(shaded)), tells)
 
 
 def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band | None:
@@ -107,38 +101,32 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 # -- what is missing --------------------------------------------------------------------------
 
 
-def against_signal(s: Shown) -> Plot:
+def against_signal(s: Shown, charts: Charts) -> Plot:
     """Means of what the data say, with 95 % bars, and the claimed term."""
     unit, factor = _fitting(s)
     shown, scale = display(s.against.unit)
-    x, pieces = s.against.values * scale, []
-    bars, caps = [], []
+    x = s.against.values * scale
     low, high = extent([x]) or (0.0, 1.0)
-    wing, least = 0.004 * (high - low), max(1, min(round(LEAST * slowness(s.step) / s.step), x.size // DOTS))
-    for rows in bins(x, DOTS, least):
-        mean, around = float(s.estimated[rows].mean()), NORMAL_95 * _standard_error(s, rows)
-        at = float(x[rows].mean())
-        bars.append((np.full(3, at), np.array([mean - around, mean + around, np.nan])))
-        caps.append((np.array([at - wing, at + wing, at]), np.array([mean, mean, np.nan])))
-    pieces.append(tuple(np.concatenate([b[k] for b in bars]) for k in (0, 1)))
-    pieces.append(tuple(np.concatenate([b[k] for b in caps]) for k in (0, 1)))
-    if s.term is not None:
-        groups = bins(x, FINE, max(1, least // 5))
-        pieces.append((np.array([x[g].mean() for g in groups]), np.array([s.term[g].mean() for g in groups])))
-    places, columns = side_by_side([(a, b) for a, b in pieces])
+    least = max(1, min(round(LEAST * slowness(s.step) / s.step), x.size // DOTS))
+    groups = bins(x, DOTS, least)
+    at = np.array([x[rows].mean() for rows in groups])
+    mean = np.array([s.estimated[rows].mean() for rows in groups])
+    around = NORMAL_95 * np.array([_standard_error(s, rows) for rows in groups])
     traces = [
-        Trace("data, with 95 %", columns[0] * factor, "warm"),
-        Trace("mean", columns[1] * factor, "s1 solid wide"),
+        Trace("data, with 95 %", (mean - around) * factor, "warm", x=at, upper=(mean + around) * factor),
+        Trace("mean", mean * factor, "s1 dots", x=at),
     ]
     if s.term is not None:
-        traces.append(Trace(s.effect or "term without a name", columns[2] * factor, "true"))
+        groups = bins(x, FINE, max(1, least // 5))
+        places, term = (np.array([v[g].mean() for g in groups]) for v in (x, s.term))
+        traces.append(Trace(s.effect or "term without a name", term * factor, "true", x=places))
     title = f"{_what(s)} against {s.against.name}"
-    over = f"{s.against.name} in {shown or s.against.unit}"
-    axis = make_axis(low, high, 6)
-    return make_plot(Panel(title, unit or "1", traces), places, axis, limit=2 * len(places), over=over)
+    return charts.alone(
+        Panel(title, unit or "1", traces), make_axis(low, high, 6), (s.against.name, shown or s.against.unit)
+    )
 
 
-def over_time(s: Shown) -> Plot:
+def over_time(s: Shown, charts: Charts) -> Plot:
     """A close-up of the first log, where the claim moves most."""
     unit, factor = _fitting(s)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
@@ -151,7 +139,7 @@ def over_time(s: Shown) -> Plot:
     if s.term is not None:
         traces.append(Trace(s.effect or "term without a name", s.term[rows] * factor, "true"))
     panel = Panel(f"{_what(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
-    return make_plot(panel, s.time[rows], time_axis(s.time[rows]), limit=POINTS)
+    return charts.over(s.time[rows], len(traces) + 2).plots([panel])[0]
 
 
 def axis_label(s: Shown) -> str:
@@ -181,18 +169,3 @@ def _standard_error(s: Shown, rows: Rows) -> float:
 def rows_shown(s: Shown) -> str:
     """How much data stands behind a picture."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"
-
-
-# -- shared ------------------------------------------------------------------------------------
-
-
-def side_by_side(pieces: Sequence[tuple[Array, Array]]) -> tuple[Array, list[Array]]:
-    """Curves with places of their own on one axis: each is NaN where the others are."""
-    x = np.concatenate([p[0] for p in pieces])
-    columns, first = [], 0
-    for at, values in pieces:
-        column = np.full(x.size, np.nan)
-        column[first : first + at.size] = values
-        columns.append(column)
-        first += at.size
-    return x, columns

@@ -14,8 +14,9 @@ from cosim.refinement.measure import Evidence
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import error_size, units
+from cosim.report.drawing import Charts
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import Plot, make_axis, make_plot
+from cosim.report.svg import Plot
 from cosim.report.tables import Grid
 from cosim.residuals.statistics import rmse
 from cosim.text import counted, display, finer
@@ -43,11 +44,11 @@ class DrawnTable:
     plots: tuple[Drawn, ...]
 
 
-def table_parts(r: Refinement) -> Mapping[str, Any]:
+def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """What the template names of tables; nothing of other logs."""
     if not r.problem.table:
         return {"left_out": None, "tables_drawn": []}
-    return {"left_out": left_out(r), "tables_drawn": drawn(r)}
+    return {"left_out": left_out(r), "tables_drawn": drawn(r, charts)}
 
 
 def left_out(r: Refinement) -> Grid:
@@ -61,19 +62,19 @@ def left_out(r: Refinement) -> Grid:
     return Grid("Rows left out", tuple(COLUMNS[k] for k in shown), tuple(rows))
 
 
-def drawn(r: Refinement) -> list[DrawnTable]:
+def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
     """Every table, by its sets."""
     found = []
     for part, word in WORDS.items():
         for k, (log, _) in enumerate(r.evidence["before"].get(part, ())):
             of = {name: r.evidence[name][part][k : k + 1] for name in ("before", "after")}
             title = f"{log.path.name}, {word}: {counted(log.rows, 'row')}"
-            plots = [p for name in log.outputs for p in _plots(r, of, name)]
+            plots = [p for name in log.outputs for p in _plots(r, charts, of, name)]
             found.append(DrawnTable(title, tuple(plots)))
     return found
 
 
-def _plots(r: Refinement, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
+def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
     """An output over the first input that varies, and its residual over each."""
     log = of["before"][0][0]
     models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
@@ -90,9 +91,10 @@ def _plots(r: Refinement, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
         if not plots:
             whole = [("measured", "estimate dots", reading)]
             whole += [(n, style, reading - e) for n, (style, e) in errors.items()]
-            plots.append(_over(name, unit, _axis(log, q), x, [(n, s, v * times) for n, s, v in whole], alone))
+            drawn = [(n, s, v * times) for n, s, v in whole]
+            plots.append(_over(charts, name, unit, _axis(log, q), x, drawn, alone))
         left = [(n, f"{style} dots", e * scale) for n, (style, e) in errors.items()]
-        plots.append(_over(f"{name}: measured − model", fine, _axis(log, q), x, left, alone))
+        plots.append(_over(charts, f"{name}: measured − model", fine, _axis(log, q), x, left, alone))
     return plots
 
 
@@ -103,6 +105,7 @@ def _axis(log: Log, q: Quantity) -> tuple[str, str, float]:
 
 
 def _over(
+    charts: Charts,
     title: str,
     unit: str,
     axis_of: tuple[str, str, float],
@@ -113,19 +116,12 @@ def _over(
     """Rows in the order of an input: dots, and lines where it is the only one that varies."""
     name, shown, scale = axis_of
     order = np.argsort(x, kind="stable")
-    places = np.repeat(x[order] * scale, 2)
-    panel = []
-    for label, style, values in traces:
-        column = np.repeat(values[order], 2)
-        if "dots" in style or not alone:
-            style = style if "dots" in style else f"{style} dots"
-            column[1::2] = np.nan
-        panel.append(Trace(label, column, style))
+    places = x[order] * scale
+    panel = [
+        Trace(label, values[order], style if alone or "dots" in style else f"{style} dots")
+        for label, style, values in traces
+    ]
     low, high = float(places.min()), float(places.max())
-    room = 0.03 * (high - low)
-    axis = make_axis(low - room, high + room, 6)
-    over = f"{name} in {shown or '1'}"
-    return Drawn(
-        make_plot(Panel(title, unit or "1", panel), places, axis, limit=2 * places.size, over=over),
-        f"{name} [{shown or '1'}]",
-    )
+    room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
+    drawing = charts.over(places, len(panel), over=(name, shown or "1"), ends=(low - room, high + room))
+    return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{shown or '1'}]")

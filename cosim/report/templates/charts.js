@@ -1,10 +1,11 @@
-// Charts that can be looked into: zoom by dragging, by keys or with two fingers, all charts of the page together; curves
+// Charts that can be looked into: zoom by dragging, by keys or with two fingers, all charts of an axis together; curves
 // that can be hidden; pictures and numbers of what is shown. What is drawn at first is what the page came with.
 document.addEventListener("rows", (event) => {
   "use strict";
-  const page = event.detail, { data, locate, timeText } = page, time = data.t, count = time.length;
+  const page = event.detail, { axis: ours, data, locate } = page, time = data.t, count = time.length;
   const W = 4000, H = 1000, LEAST = 2; // the box of a chart; rows that a view shows at least
-  const whole = { from: time[0], to: time[count - 1] };
+  const LINE = 0, HELD = 1, DOTS = 2, STEMS = 3; // ways of drawing; else bars
+  const whole = { from: ours.ends[0], to: ours.ends[1] }, breaks = data.breaks ?? [];
   let view = { ...whole };
 
   const all = (selector, root) => [...root.querySelectorAll(selector)];
@@ -41,44 +42,94 @@ document.addEventListener("rows", (event) => {
   // -- drawing -----------------------------------------------------------------------------------
   // Rows of the view, and one beyond each end, so that curves go through to the edge.
   function rowsInView() {
-    const [low] = locate(view.from), [high, share] = locate(view.to);
-    return [low, Math.min(count - 1, high + (share > 0 ? 1 : 0))];
+    let [low] = locate(view.from), [high, share] = locate(view.to);
+    high = Math.min(count - 1, high + (share > 0 ? 1 : 0));
+    while (low > 0 && time[low - 1] === time[low]) low--;
+    while (high < count - 1 && time[high + 1] === time[high]) high++;
+    return [low, high];
+  }
+
+  // Rows of the least and the largest value of every TILE rows, −1 where there is none: a look at a long run need not
+  // go through its rows.
+  const TILE = 16;
+  function tilesOf(series) {
+    if (series.tiles) return series.tiles;
+    const { v } = series, size = Math.ceil(count / TILE), least = new Int32Array(size).fill(-1), most = new Int32Array(size).fill(-1);
+    for (let row = 0; row < count; row++) {
+      const value = v[row], tile = row >> 4;
+      if (Number.isNaN(value)) continue;
+      if (least[tile] < 0 || value < v[least[tile]]) least[tile] = row;
+      if (most[tile] < 0 || value > v[most[tile]]) most[tile] = row;
+    }
+    return series.tiles = { least, most };
+  }
+
+  // Rows of the least and the largest value from `begin` up to `end`; by tiles where both lie between two.
+  function extremes(series, begin, end) {
+    const { v } = series;
+    let least = -1, most = -1;
+    const see = (low, high) => {
+      if (low >= 0 && (least < 0 || v[low] < v[least])) least = low;
+      if (high >= 0 && (most < 0 || v[high] > v[most])) most = high;
+    };
+    if (begin % TILE === 0 && end - begin >= TILE) {
+      const tiles = tilesOf(series), last = Math.floor(end / TILE);
+      for (let tile = begin / TILE; tile < last; tile++) see(tiles.least[tile], tiles.most[tile]);
+      begin = last * TILE;
+    }
+    for (let row = begin; row < end; row++) if (!Number.isNaN(v[row])) see(row, row);
+    return [least, most];
   }
 
   // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
-  function path(series, [low, high], x, y, columns) {
-    const { v, held } = series, parts = [], bucket = Math.max(1, Math.floor((high - low) / columns));
-    let pen = false, before = 0;
+  function path(series, [low, high], x, y, columns, cap = 18) {
+    if (data.sparse) [low, high] = [0, count - 1]; // few rows; a line has its next point further out
+    if (series.way > HELD) return marks(series, [low, high], x, y, cap);
+    const { v, anew } = series, held = series.way === HELD, parts = [];
+    let bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
+    if (bucket >= TILE) { low -= low % TILE; bucket -= bucket % TILE; }
+    let pen = false, coming = breaks.findIndex((row) => row > low);
     const put = (row) => {
       const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
       parts.push(!pen ? `M${a} ${b}` : held ? `H${a}V${b}` : `L${a} ${b}`);
-      pen = true; before = row;
+      pen = true;
     };
     for (let begin = low; begin <= high; begin += bucket) {
       const end = Math.min(high + 1, begin + bucket);
-      let least = -1, most = -1, gap = false;
-      for (let row = begin; row < end; row++) {
-        if (Number.isNaN(v[row])) { gap = true; continue; }
-        if (least < 0 || v[row] < v[least]) least = row;
-        if (most < 0 || v[row] > v[most]) most = row;
-      }
-      if (least < 0) { pen = false; continue; }
+      while (anew && coming >= 0 && breaks[coming] <= begin) { pen = false; coming = coming + 1 < breaks.length ? coming + 1 : -1; }
+      const [least, most] = extremes(series, begin, end);
+      if (least < 0) { pen &&= Boolean(data.sparse); continue; }
       for (const row of least === most ? [least] : least < most ? [least, most] : [most, least]) put(row);
-      if (gap && bucket === 1) pen = false;
     }
     return parts.join("") + (parts.length === 1 ? `h18` : "");
   }
 
+  // Points, stems from zero, bars with caps: each value by itself.
+  function marks({ v, upper, way, shift }, [low, high], x, y, cap) {
+    const parts = [], zero = y(0).toFixed(0);
+    for (let row = low; row <= high; row++) {
+      if (Number.isNaN(v[row])) continue;
+      const a = x(time[row] + shift).toFixed(0), b = y(v[row]).toFixed(0);
+      parts.push(way === DOTS ? `M${a} ${b}h0` : way === STEMS ? `M${a} ${zero}V${b}`
+        : `M${a - cap} ${b}h${2 * cap}m${-cap} 0V${y(upper[row]).toFixed(0)}m${-cap} 0h${2 * cap}`);
+    }
+    return parts.join("");
+  }
+
   function bandPath([lower, upper], [low, high], x, y, columns) {
-    const rows = [], step = Math.max(1, Math.floor((high - low) / columns));
+    const rows = [], step = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
     let text = "", there = [];
+    if (data.sparse) [low, high] = [0, count - 1];
     const close = () => {
       if (there.length) text += "M" + there.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L")
         + "L" + there.reverse().map((r) => `${x(time[r]).toFixed(0)} ${y(lower.v[r]).toFixed(0)}`).join("L") + "z";
       there = [];
     };
     for (let row = low; row <= high; row += step) rows.push(row);
-    for (const row of rows) if (Number.isNaN(lower.v[row]) || Number.isNaN(upper.v[row])) close(); else there.push(row);
+    for (const row of rows) {
+      if (!Number.isNaN(lower.v[row]) && !Number.isNaN(upper.v[row])) there.push(row);
+      else if (!data.sparse) close();
+    }
     close();
     return text;
   }
@@ -109,7 +160,20 @@ document.addEventListener("rows", (event) => {
     range(rows) {
       let low = Infinity, high = -Infinity;
       const see = (v) => { for (let k = rows[0]; k <= rows[1]; k++) { if (v[k] < low) low = v[k]; if (v[k] > high) high = v[k]; } };
-      for (const line of this.lines) if (line.on) see(line.series.v);
+      // whole tiles by their extremes, the rows before the first one by themselves
+      const seeAll = (series) => {
+        const first = Math.min(rows[1] + 1, Math.ceil(rows[0] / TILE) * TILE), { v } = series;
+        for (const [begin, end] of [[rows[0], first], [first, rows[1] + 1]]) {
+          const [least, most] = extremes(series, begin, end);
+          if (least >= 0) [low, high] = [Math.min(low, v[least]), Math.max(high, v[most])];
+        }
+      };
+      for (const { on, series } of this.lines) {
+        if (!on) continue;
+        seeAll(series);
+        if (series.upper) see(series.upper);
+        if (series.way === STEMS) [low, high] = [Math.min(0, low), Math.max(0, high)];
+      }
       if (low > high) [low, high] = [0, 1];
       if (this.atFull) for (const level of this.levels) { low = Math.min(low, level.value); high = Math.max(high, level.value); }
       const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1;
@@ -141,13 +205,13 @@ document.addEventListener("rows", (event) => {
 
     spoken() {
       const row = page.at(), unit = this.figure.dataset.unit;
-      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${l.series.text(l.series.v[row])} ${unit}`);
-      return `t = ${timeText(row)} s: ${values.join(", ")}`;
+      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`);
+      return `${ours.place(row)}: ${values.join(", ")}`;
     }
   }
 
   // Only charts that are seen are drawn at once; the others when they come into sight, or are printed.
-  const charts = all("[data-chart]", document).map((figure) => new Chart(figure));
+  const charts = page.figures.map((figure) => new Chart(figure));
   const watcher = new IntersectionObserver((entries) => {
     for (const entry of entries) {
       const chart = charts.find((c) => c.figure === entry.target);
@@ -166,20 +230,29 @@ document.addEventListener("rows", (event) => {
     if (to > whole.to) [from, to] = [whole.to - (to - from), whole.to];
     view = { from, to };
     page.look(from, to);
-    document.documentElement.classList.toggle("zoomed", from !== whole.from || to !== whole.to);
+    for (const host of ours.hosts) host.classList.toggle("zoomed", from !== whole.from || to !== whole.to);
     for (const chart of charts) { chart.stale = true; if (chart.near) chart.draw(); }
   }
   const home = () => look(whole.from, whole.to);
   function scale(factor, about) { look(about - (about - view.from) * factor, about + (view.to - about) * factor); }
 
   // -- pointer, fingers, keys ------------------------------------------------------------------------
-  const told = make("p", { class: "unseen", role: "status", "aria-live": "polite" });
-  document.body.append(told);
+  let told = document.querySelector("p.told");
+  if (!told) {
+    told = make("p", { class: "unseen told", role: "status", "aria-live": "polite" });
+    document.body.append(told);
+  }
   const timeAt = (box, x) => {
     const frame = box.getBoundingClientRect();
     return view.from + (view.to - view.from) * Math.min(1, Math.max(0, (x - frame.left) / frame.width));
   };
-  const nearest = (t) => { const [row, share] = locate(t); return share < 0.5 ? row : row + 1; };
+  const nearest = (t) => ours.near(t);
+  // Some rows on; of rows that stand at one place of the axis no more than one.
+  function beside(row, some) {
+    let to = Math.min(count - 1, Math.max(0, row + some));
+    while (time[to] === time[row] && to > 0 && to < count - 1) to += Math.sign(some);
+    return to;
+  }
 
   function listen(chart) {
     const { box } = chart, fingers = new Map();
@@ -224,7 +297,7 @@ document.addEventListener("rows", (event) => {
     box.addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
       const row = page.at(), some = event.shiftKey ? Math.max(1, Math.round((rowsInView()[1] - rowsInView()[0]) / 20)) : 1, [low, high] = rowsInView();
-      const rows = { ArrowLeft: row - some, ArrowRight: row + some, Home: low, End: high };
+      const rows = { ArrowLeft: beside(row, -some), ArrowRight: beside(row, some), Home: low, End: high };
       if (event.key in rows) page.settle(Math.min(count - 1, Math.max(0, rows[event.key])));
       else if (event.key === "+" || event.key === "=") scale(0.5, time[page.at()]);
       else if (event.key === "-") scale(2, time[page.at()]);
@@ -277,21 +350,25 @@ document.addEventListener("rows", (event) => {
       if (!line.on) continue;
       const look = getComputedStyle(line.path), dash = look.strokeDasharray === "none" ? "" : `stroke-dasharray="${look.strokeDasharray.replaceAll("px", "")}"`;
       const pen = `fill="none" stroke="${look.stroke}" stroke-width="${parseFloat(look.strokeWidth)}" opacity="${look.opacity}" ${dash}`;
-      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw)}"/>`);
+      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4)}"/>`);
       legend.push(() => { parts.push(`<path ${pen} d="M${along} 40h22"/>`); text(along + 28, 44, line.label, "start"); along += 52 + 7.2 * line.label.length; });
     }
     parts.push("</svg>");
     for (const entry of legend) entry();
     text(left, 22, `${chart.figure.dataset.title} [${chart.figure.dataset.unit}]`, "start", 'font-weight="600" font-size="15"');
-    text(w - right, h - 10, "time [s]", "end");
+    text(w - right, h - 10, over(chart), "end");
     return `<svg xmlns="${chart.svg.namespaceURI}" width="${w}" height="${h}" viewBox="0 0 ${w} ${h}" font-family="system-ui, sans-serif" font-size="12" fill="${colour("--ink")}">${parts.join("")}</svg>`;
   }
 
+  const over = (chart) => chart.figure.querySelector(".x-label").textContent;
+  const titles = ({ label, series }) => (series.upper ? [`${label}, lower`, `${label}, upper`] : [label]);
   function numbers(chart) {
     const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words), unit = chart.figure.dataset.unit;
-    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [["time [s]", ...lines.map((l) => quoted(`${l.label} [${unit}]`))].join(",")];
+    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [[quoted(over(chart)), ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`)))].join(",")];
     for (let row = low; row <= high; row++) {
-      rows.push([timeText(row), ...lines.map((l) => (Number.isNaN(l.series.v[row]) ? "" : l.series.text(l.series.v[row])))].join(",").replaceAll("\u2212", "-"));
+      const cell = (series, v) => (Number.isNaN(v[row]) ? "" : series.text(v[row]));
+      const cells = lines.flatMap(({ series }) => [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)));
+      if (!data.sparse || cells.some(Boolean)) rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
     }
     return rows.join("\n") + "\n";
   }
@@ -324,7 +401,7 @@ document.addEventListener("rows", (event) => {
       button.addEventListener("click", does);
       row.append(button);
     }
-    const back = make("button", { type: "button", class: "back", title: "show the whole run in every chart" }, "whole run");
+    const back = make("button", { type: "button", class: "back", title: "show all of the axis again" }, ours.symbol === "t" ? "whole run" : "all");
     back.addEventListener("click", home);
     row.append(back);
     chart.figure.querySelector(".axes").append(row);

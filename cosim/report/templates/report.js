@@ -1,16 +1,31 @@
-// Unpacks the rows, moves the cursors and the read-outs together, and tells the moment to whoever draws more.
+// Unpacks the rows, moves the cursors and the read-outs of each axis together, and tells the moment to whoever draws more.
 // The page is complete without it.
 (async () => {
   "use strict";
-  const packed = JSON.parse(document.getElementById("run-data").textContent);
-  if (packed.rows < 2 || typeof DecompressionStream === "undefined") return;
-  const data = await unpack(packed);
-  const time = data.t, count = time.length;
-
-  const first = time[0], last = time[count - 1], span = last - first;
+  const found = JSON.parse(document.getElementById("run-data").textContent);
+  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1);
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
+  scrollable();
+  if (!packed.length || typeof DecompressionStream === "undefined") {
+    document.documentElement.dataset.ready = "still"; // nothing to move in
+    return;
+  }
   const play = one("#play"), scrub = one("#scrub"), speed = one("#speed"), clock = one("#clock");
+  // A table or a command that is wider than the page is scrolled by keys too.
+  function scrollable() {
+    for (const box of all(".scroll:not([tabindex]), pre")) {
+      const fit = () => {
+        const wide = box.scrollWidth > box.clientWidth + 1;
+        for (const [name, value] of [["tabindex", "0"], ["role", "region"], ["aria-label", one("caption", box)?.textContent.trim() || (box.matches("pre") ? "Command" : "Table")]]) {
+          if (wide) box.setAttribute(name, value); else box.removeAttribute(name);
+        }
+      };
+      new ResizeObserver(fit).observe(box);
+      fit();
+    }
+  }
+
   // Fixed decimals with a true minus sign, and no minus before zero.
   const fixed = (value, digits) => {
     const text = value.toFixed(digits);
@@ -34,13 +49,14 @@
       }
       return values;
     }
-    const t = column(p), found = {};
+    const t = column(p), signals = {};
     for (const [key, entry] of Object.entries(series)) {
       const v = column(entry.p);
       if (entry.g) column(0).forEach((there, k) => { if (!there) v[k] = NaN; });
-      found[key] = { v, p: entry.p, held: entry.h, text: textOf(v, entry.p) };
+      signals[key] = { v, way: entry.h, anew: entry.b, shift: entry.s ?? 0, upper: entry.u, text: textOf(v, entry.p) };
     }
-    return { ...more, t, p, series: found };
+    for (const signal of Object.values(signals)) signal.upper = signals[signal.upper]?.v;
+    return { over: ["time", "s"], ...more, t, p, series: signals };
   }
 
   // A value as it stands on its grid: all decimals it has, or an exponent where these would be too many.
@@ -52,17 +68,15 @@
     return (v) => (Number.isNaN(v) ? "\u2013" : plain ? fixed(v, Math.max(0, power))
       : v === 0 ? "0" : v.toExponential(Math.max(0, Math.min(20, Math.floor(Math.log10(Math.abs(v))) + power))).replace("-", "\u2212").replace("e-", "e\u2212"));
   }
-  const timeText = (row) => String(Number(time[row].toFixed(Math.max(0, packed.p)))).replace("-", "\u2212");
-
   // Row at or before t, and how far t is on the way to the next row.
-  function locate(t, times = time) {
+  function located(t, times) {
     let low = 0, high = times.length - 1;
     while (high - low > 1) {
       const middle = (low + high) >> 1;
       if (times[middle] <= t) low = middle; else high = middle;
     }
     if (t >= times[times.length - 1]) return [times.length - 1, 0];
-    return [low, Math.min(1, Math.max(0, (t - times[low]) / (times[high] - times[low])))];
+    return [low, Math.min(1, Math.max(0, (t - times[low]) / (times[high] - times[low] || 1)))];
   }
 
   // Where a drawing stands between two rows; where the next row has none the last one stays. No number is shown of it.
@@ -71,32 +85,81 @@
     return a == null || b == null || held ? a : a + share * (b - a);
   }
 
-  const cells = all("[data-key]").map((cell) => [cell, data.series[cell.dataset.key]]);
-  const shown = one("#row"), tags = all(".when");
-  // Numbers are those of a row that was recorded, and never made up between two.
-  function readOut(row) {
-    for (const [cell, series] of cells) cell.textContent = series.text(series.v[row]);
-    for (const tag of tags) tag.textContent = timeText(row) + " s";
-    if (!shown || !cells.length) return;
-    shown.hidden = false;
-    shown.textContent = `numbers: row ${Math.min(data.of, 1 + row * data.every)} of ${data.of}, t = ${timeText(row)} s`
-      + (data.of > count ? `; ${count} of the rows are in this page, all are in results.csv` : "");
+  // One axis: its rows, the charts over it, what is looked at and where the cursor is. Numbers are those of a row that
+  // was recorded, and never made up between two; of a chart whose curves have points of their own, those nearest.
+  const shown = one("#row");
+  class Axis {
+    constructor(data, alone) {
+      const { t } = data, count = t.length, [name, unit] = data.over;
+      this.data = data; this.time = t; this.nearest = count - 1;
+      if (!alone) { // begin where something can be read
+        const every = Object.values(data.series), read = (row) => data.sparse || every.every(({ v }) => !Number.isNaN(v[row]));
+        while (this.nearest > 0 && !read(this.nearest)) this.nearest--;
+        if (!read(this.nearest)) this.nearest = count - 1;
+      }
+      const [first, last] = this.ends = data.ends ?? [t[0], t[count - 1]];
+      this.view = { from: first, to: last };
+      this.figures = all("[data-chart]").filter((figure) => one("[data-line]", figure)?.dataset.line in data.series);
+      this.hosts = alone ? [document.documentElement] : this.figures;
+      this.cells = all("[data-key]").filter((cell) => cell.dataset.key in data.series).map((cell) => [cell, data.series[cell.dataset.key]]);
+      this.tags = alone ? all(".when") : this.figures.map((figure) => one(".when", figure));
+      this.symbol = name === "time" ? "t" : name; this.unit = unit === "1" ? "" : ` ${unit}`;
+    }
+
+    text(row) {
+      const { p, sparse, over } = this.data, value = this.time[row], time = over[0] === "time" && !sparse;
+      return String(Number(time ? value.toFixed(Math.max(0, p)) : value.toPrecision(5))).replace("-", "\u2212");
+    }
+    place(row) { return `${this.symbol} = ${this.text(row)}${this.unit}`; }
+    locate(t) { return located(t, this.time); }
+    near(t) { const [row, share] = this.locate(t); return share < 0.5 ? row : row + 1; }
+
+    // What a signal has at a row; of points of its own, at the one nearest to it.
+    read(series, row) {
+      let at = row;
+      if (this.data.sparse && Number.isNaN(series.v[row])) {
+        let before = row, after = row;
+        while (before >= 0 && Number.isNaN(series.v[before])) before--;
+        while (after < this.time.length && Number.isNaN(series.v[after])) after++;
+        at = before < 0 ? after : after >= this.time.length ? before
+          : this.time[row] - this.time[before] <= this.time[after] - this.time[row] ? before : after;
+      }
+      return series.text(series.v[at]) + (series.upper ? ` \u2026 ${series.text(series.upper[at])}` : "");
+    }
+
+    mark() {
+      const along = (this.time[this.nearest] - this.view.from) / (this.view.to - this.view.from);
+      for (const host of this.hosts) {
+        host.style.setProperty("--cursor", (100 * along).toFixed(3) + "%");
+        host.classList.toggle("cursor-away", along < -1e-9 || along > 1 + 1e-9);
+        host.classList.toggle("cursor-late", along > 0.8);
+      }
+    }
+
+    // tell: say at the foot of the page which row it is
+    to(row, tell = true) {
+      this.nearest = row;
+      for (const [cell, series] of this.cells) cell.textContent = this.read(series, row);
+      for (const tag of this.tags) tag.textContent = this.text(row) + this.unit;
+      this.mark();
+      if (!tell || !shown || !this.cells.length) return;
+      const { of, every, sparse } = this.data, count = this.time.length;
+      shown.hidden = false;
+      shown.textContent = sparse ? `numbers: of each curve its point nearest to ${this.place(row)}`
+        : `numbers: row ${Math.min(of, 1 + row * every)} of ${of}, ${this.place(row)}`
+          + (of > count ? `; ${count} of the rows are in this page, all are in results.csv` : "");
+    }
   }
 
-  let now = last, nearest = count - 1, playing = false, stamp = 0, view = { from: first, to: last };
-  function place() {
-    const along = (time[nearest] - view.from) / (view.to - view.from), root = document.documentElement;
-    root.style.setProperty("--cursor", (100 * along).toFixed(3) + "%");
-    root.classList.toggle("cursor-away", along < -1e-9 || along > 1 + 1e-9);
-    root.classList.toggle("cursor-late", along > 0.8);
-  }
+  const blocks = await Promise.all(packed.map(unpack)), axes = blocks.map((data) => new Axis(data, blocks.length < 2));
+  const main = axes[0], { data, time } = main, first = time[0], last = time[time.length - 1], span = last - first || 1;
+  const locate = (t, times = time) => located(t, times), timeText = (row) => main.text(row);
+  let now = last, playing = false, stamp = 0;
 
-  function show(t) {
+  function show(t, tell = true) {
     now = Math.min(last, Math.max(first, t));
-    const [row, share] = locate(now);
-    nearest = share < 0.5 ? row : row + 1;
-    readOut(nearest);
-    place();
+    const nearest = main.near(now);
+    main.to(nearest, tell);
     document.dispatchEvent(new CustomEvent("moment", { detail: { data, now, nearest, between, fixed, locate } }));
     if (!play) return;
     scrub.value = 1000 * (now - first) / span;
@@ -105,7 +168,8 @@
   }
 
   function remember() {
-    try { history.replaceState(null, "", "#t=" + timeText(nearest).replace("\u2212", "-")); } catch { /* some viewers forbid it; nothing is lost */ }
+    if (axes.length > 1) return; // of several axes none is the page's
+    try { history.replaceState(null, "", "#t=" + timeText(main.nearest).replace("\u2212", "-")); } catch { /* some viewers forbid it; nothing is lost */ }
   }
 
   function setPlaying(on) {
@@ -156,13 +220,17 @@
   window.addEventListener("hashchange", () => { const t = timeFromAddress(); if (t != null) jump(t); });
   document.body.classList.add("live");
   const asked = timeFromAddress();
-  document.dispatchEvent(new CustomEvent("rows", { detail: {
-    data, fixed, locate, timeText,
-    at: () => nearest,
-    seek: (row) => { if (!playing) show(time[row]); },
-    settle: (row) => jump(time[row]),
-    look: (from, to) => { view = { from, to }; place(); },
-  } }));
-  show(asked == null ? last : asked);
+  for (const axis of axes) {
+    const ours = axis === main;
+    document.dispatchEvent(new CustomEvent("rows", { detail: {
+      axis, data: axis.data, figures: axis.figures, locate: (t) => axis.locate(t), read: (series, row) => axis.read(series, row),
+      at: () => axis.nearest,
+      seek: (row) => { if (!ours || !play) axis.to(row); else if (!playing) show(time[row]); },
+      settle: (row) => { if (ours && play) jump(time[row]); else { axis.to(row); if (ours) remember(); } },
+      look: (from, to) => { axis.view = { from, to }; axis.mark(); },
+    } }));
+    if (!ours) axis.to(axis.nearest, false);
+  }
+  show(asked == null ? time[main.nearest] : asked, axes.length < 2);
   document.documentElement.dataset.ready = "yes";
 })();

@@ -117,7 +117,7 @@ def _judgement(c: Criterion) -> list[str]:
 
 def _speed(run: Run) -> list[Row]:
     factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
-    if not math.isfinite(factor):
+    if not math.isfinite(factor) or failed(run):
         return []
     return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
 

@@ -38,7 +38,9 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
         )
     scenario, seed = run.scenario, run.manifest.get("seed")
     found += [Badge(run.algorithm.replace("_", "-").title())] if run.algorithm else []
-    noisy = any(mapping(link.get("noise")) for link in mappings(scenario.get("connections")))
+    measured = (mapping(c).get("signals") for c in mapping(scenario.get("components")).values())
+    sources = (*mappings(scenario.get("connections")), *(s for found in measured for s in mapping(found).values()))
+    noisy = any(mapping(mapping(source).get("noise")) for source in sources)
     found += [Badge("noise on" if noisy and scenario.get("noise", True) else "noise off")] if run.links else []
     found += [Badge(f"seed {seed}")] if seed is not None else []
     warnings = texts(run.manifest.get("warnings"))

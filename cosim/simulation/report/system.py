@@ -135,6 +135,9 @@ def _about(component: Mapping[str, Any]) -> str:
     parts = [str(component["block"])] if component.get("block") else []
     parts += [file] if file else []
     parts += [f"step {component['step']:g} s"] if component.get("step") else []
+    parts += [f"{component['rate']:g} Hz"] if component.get("rate") else []
+    parts += [f"{component['latency']:g} s late"] if component.get("latency") else []
+    parts += [f"{component['dropout']:.2g} lost"] if component.get("dropout") else []
     return ", ".join(_cut(part) for part in parts)
 
 

@@ -35,6 +35,24 @@ def belief_sentence(craft: Craft) -> str | None:
     return " ".join(sentences)
 
 
+def integral_sentence(craft: Craft) -> str | None:
+    """What becomes of the position under a controller that integrates its error: without fixes, of x̂ alone."""
+    if craft.estimate("x_integral") is None:
+        return None
+    x, target = craft.signal("x"), craft.reference("x")
+    if x is None or target is None or not (good := np.isfinite(x) & np.isfinite(target)).any():
+        return None
+    last = good & (craft.run.time >= craft.run.time[-1] - 1.0)
+    left = f"over the last second the craft was {length(abs(float(np.mean((x - target)[last]))))} off its target"
+    if craft.run.source(f"{craft.estimator}.fix") is not None:
+        return f"The controller integrates the error of the measured position, so none stays; {left} on average."
+    return (
+        "The controller integrates the error of x, yet nothing measures x: it integrates that of its own estimate."
+        " A push that the accelerometer does not feel, such as a tilt of the table (gravity acts on sensor and craft"
+        f" alike), is in no measurement and its error stays; {left} on average. Fixes on x_meas and fix cure that."
+    )
+
+
 def band_sentence(craft: Craft) -> str | None:
     """How honest the estimator's standard deviations were."""
     parts = []

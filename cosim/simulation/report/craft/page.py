@@ -46,6 +46,7 @@ class CraftPage:
     errors: list[Plot]
     tilts: list[Plot]
     belief: str | None
+    integral: str | None
     band: str | None
     tilt: str | None
     readouts: list[Readout]
@@ -82,6 +83,7 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
         errors=drawing.plots(error_panels(craft)),
         tilts=drawing.plots(tilt_panels(craft)),
         belief=account.belief_sentence(craft),
+        integral=account.integral_sentence(craft),
         band=account.band_sentence(craft),
         tilt=account.tilt_sentence(craft),
         readouts=[readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],

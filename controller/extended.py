@@ -1,0 +1,212 @@
+"""Extended Kalman filter on the nonlinear equations of the craft, by filterpy; an absolute fix makes it observable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from controller.design_model import Matrix
+from controller.gains import variance
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from plant.integrate import Moment, Stepper
+from plant.model import Parametric
+from plant.quantities import parameter
+
+SENSED = ("psi", "psi_dot", "ax")
+AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
+STATES = tuple(q.name for q in Hovercraft.base_states)
+ESTIMATED = ("x", "vx", "psi", "psi_dot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtendedSettings(Parametric):
+    """Noise that the extended filter believes in, and how its fixes are given; `axes` is one of `AXES`.
+
+    Process noise is per sample; that of the five states is eq 5.47's, the other numbers are ours. What moves the craft
+    along its own axes moves it in the world's: the world position has no noise of its own.
+    """
+
+    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
+    process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
+    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
+    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
+    process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
+    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
+    process_variance_phi: float = variance(1e-8, "rad2", "process noise of phi per step")
+    process_variance_phi_dot: float = variance(1e-6, "rad2/s2", "process noise of phi_dot per step")
+    process_variance_thrust_right: float = variance(1e-6, "N2", "process noise of the right thrust per step")
+    process_variance_thrust_left: float = variance(1e-6, "N2", "process noise of the left thrust per step")
+    process_variance_tilt_right: float = variance(4e-6, "rad2", "process noise of the right tilt per step, a's 1e-4")
+    process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
+    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
+    measurement_variance_psi_dot: float = variance(
+        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
+    )
+    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x, §7.1")
+    measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
+    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
+    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
+
+    axes: str = "own"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.axes not in AXES:
+            raise ValueError(f"axes is {self.axes!r}; it is one of {', '.join(AXES)}")
+
+    @property
+    def process_variances(self) -> tuple[float, ...]:
+        """Diagonal of the process noise, in the order of the plant's states; 0 of the world position."""
+        return tuple(getattr(self, f"process_variance_{name}", 0.0) for name in STATES)
+
+    @property
+    def measurement_variances(self) -> tuple[float, ...]:
+        """Diagonal of W, eq 5.46."""
+        return tuple(getattr(self, f"measurement_variance_{name}") for name in SENSED)
+
+    @property
+    def fix_variances(self) -> tuple[float, ...]:
+        """Diagonal of the noise of a fix."""
+        return self.measurement_variance_x, self.measurement_variance_y
+
+
+HEADING = STATES.index("psi")
+
+
+def carried(psi: float) -> Matrix:
+    """G (14, 14): how noise of the states enters them, the own axes' into the world's."""
+    G = np.eye(len(STATES))
+    for row, (along, right) in (
+        ("x_world", (math.cos(psi), math.sin(psi))),
+        ("y_world", (math.sin(psi), -math.cos(psi))),
+    ):
+        G[STATES.index(row), STATES.index("x")], G[STATES.index(row), STATES.index("y")] = along, right
+    return G
+
+
+class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
+    """The craft's equations as filterpy's extended filter asks for them.
+
+        x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
+        G = I, but for the world position, which the noise of x and y moves by (cos ψ, sin ψ), (sin ψ, −cos ψ)
+
+    jacobians: what `plant.symbolic.jacobian.printed_jacobians` printed of this model and (a_x), loaded
+    """
+
+    def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:
+        super().__init__(len(STATES), len(SENSED))
+        self.x: Matrix = np.zeros(len(STATES))
+        self.settings, self.printed = settings, jacobians
+        self.stepper = Stepper(model)
+        self.numbers = [float(getattr(model, name)) for name in jacobians["PARAMETERS"]]
+        self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
+        self.P = np.zeros((len(STATES), len(STATES)))
+        self.noise, self.R = np.diag(settings.process_variances), np.diag(settings.measurement_variances)
+        self.fixed = [STATES.index(name) for name in AXES[settings.axes]]
+        self.fix_noise = np.diag(settings.fix_variances)
+        self.command: tuple[float, ...] = model.start_command()
+
+    def predict_x(self, u: Any = 0) -> None:
+        """State, transition matrix and noise one sample on, the command held."""
+        dt = self.settings.sample_time
+        A = dt * self.slope("state", (len(STATES), len(STATES)))
+        A2 = A @ A
+        G = carried(float(self.x[HEADING]))
+        self.Q = G @ self.noise @ G.T
+        self.F = np.eye(len(STATES)) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
+        self.x = np.array(self.stepper.step(Moment(0.0, tuple(self.x.tolist())), self.command, dt).state)
+
+    def slope(self, name: str, shape: tuple[int, int]) -> Matrix:
+        """∂f/∂x or ∂h/∂x at the estimate."""
+        places = self.printed[name.upper()]
+        entries = [0.0] * len(places)
+        self.printed[f"{name}_jacobian"](0.0, self.x.tolist(), self.command, self.numbers, entries)
+        matrix = np.zeros(shape)
+        for (i, j), entry in zip(places, entries, strict=True):
+            matrix[i, j] = entry
+        return matrix
+
+    def sensed(self, x: Matrix) -> Matrix:
+        """(ψ, ψ̇, a_x)."""
+        y = self.stepper.output(0.0, tuple(x.tolist()), self.command)
+        return np.array([y[k] for k in self.outputs])
+
+    def sensed_slope(self, x: Matrix) -> Matrix:
+        """H of (ψ, ψ̇, a_x)."""
+        H = np.zeros((3, len(STATES)))
+        H[0, STATES.index("psi")] = H[1, STATES.index("psi_dot")] = 1.0
+        H[2] = self.slope("output", (1, len(STATES)))[0]
+        return H
+
+    def located(self, x: Matrix) -> Matrix:
+        """A fix, T seconds old: p(t − T) = p − T·ṗ, to first order."""
+        rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
+        return np.array([x[k] - self.settings.fix_latency * rate[k] for k in self.fixed])
+
+    def located_slope(self, x: Matrix) -> Matrix:
+        """H of a fix."""
+        size = len(STATES)
+        H = np.eye(size) - self.settings.fix_latency * self.slope("state", (size, size))
+        return np.asarray(H[self.fixed])
+
+
+class ExtendedFilter:
+    """Estimates the plant's 14 states. Order at a sample: predict with the command held, (ψ, ψ̇, a_x), a new fix.
+
+    It knows where it starts: P = 0. Positions are along the craft's own axes, fixes along those that `axes` says.
+    """
+
+    def __init__(
+        self,
+        model: Hovercraft,
+        settings: ExtendedSettings,
+        jacobians: Mapping[str, Any],
+        start: Mapping[str, float],
+        fix: float = 0.0,
+    ) -> None:
+        self.filter = Craft(model, settings, jacobians)
+        self.filter.x = np.array(model.start(start), dtype=float)
+        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
+        self.damping = model.friction / model.mass  # [1/s]
+
+    def step(
+        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
+    ) -> None:
+        """One sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, the latest fix and its number."""
+        kf = self.filter
+        kf.command = tuple(command)
+        kf.predict()
+        kf.update(np.array(measured), kf.sensed_slope, kf.sensed)
+        self.nis = float(kf.y @ kf.SI @ kf.y)
+        if fix != self.fix:
+            self.fix = fix
+            kf.update(np.array(position), kf.located_slope, kf.located, kf.fix_noise)
+            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
+
+    @property
+    def estimate(self) -> tuple[float, ...]:
+        """(x, ẋ, ψ, ψ̇, a) of the five-state model, then y."""
+        x = dict(zip(STATES, self.filter.x.tolist(), strict=True))
+        ax = float(self.filter.sensed(self.filter.x)[2])
+        return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
+
+    @property
+    def sigma(self) -> tuple[float, ...]:
+        """Standard deviations of x, ψ and y that it believes in."""
+        P = self.filter.P
+        return tuple(math.sqrt(max(0.0, P[k, k])) for k in map(STATES.index, ("x", "psi", "y")))
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that decides the future, and what is shown of the past."""
+        return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Go back to a snapshot, bit for bit."""
+        self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
+        self.fix, self.nis = snapshot["fix"], snapshot["nis"]

@@ -1,0 +1,75 @@
+"""The plant's fourteen states linearised at hover, by the few numbers that are in it.
+
+States and inputs as the plant has them. The lag is on both axes, each propeller has its own thrust and tilt. A test
+holds it against the linearisation of the plant's equations, entry by entry.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from controller.design_model import Matrix, ModelNumbers
+from plant.hovercraft import INPUTS as PLANT_INPUTS
+from plant.hovercraft import STATES as PLANT_STATES
+
+STATES = tuple(q.name for q in PLANT_STATES)
+INPUTS = tuple(q.name for q in PLANT_INPUTS)
+
+
+class FullNumbers(ModelNumbers, Protocol):
+    """The numbers of the design model, and those of roll and of the motors, all SI (duty in %)."""
+
+    @property
+    def ixx(self) -> float: ...
+    @property
+    def ground_gain(self) -> float: ...
+    @property
+    def thrust_per_duty(self) -> float: ...
+    @property
+    def roll_stiffness(self) -> float: ...
+    @property
+    def roll_damping(self) -> float: ...
+
+
+def full_model(p: FullNumbers) -> tuple[Matrix, Matrix]:
+    """A (14, 14) and B (14, 4) of deviations from hover at ψ = 0, eqs 5.9-5.14 with 4.20 and 4.29.
+
+    v̇x = −c/m·vx + T_N/m·(α_R + α_L)          v̇y = −c/m·vy − 2·T_N/m·φ
+    ψ̈ = −d/Izz·ψ̇ + L·T_N/Izz·(α_R − α_L)      φ̈ = −k/Ixx·φ − d_φ/Ixx·φ̇ + L·Γ/Ixx·(T_R − T_L)
+    Ṫ = (dT/dδ·δ − T)/τ                        α̇ = (α_cmd − α)/τ                 Ẋ = vx,  Ẏ = −vy
+    """
+    A, B = np.zeros((14, 14)), np.zeros((14, 4))
+    at = {name: k for k, name in enumerate(STATES)}
+
+    def put(row: str, **entries: float) -> None:
+        for column, value in entries.items():
+            A[at[row], at[column]] = value
+
+    put("x", vx=1.0)
+    put("y", vy=1.0)
+    put("x_world", vx=1.0)
+    put("y_world", vy=-1.0)
+    put("psi", psi_dot=1.0)
+    put("phi", phi_dot=1.0)
+    push, turn, lift = p.thrust_nominal / p.mass, p.arm * p.thrust_nominal / p.izz, p.arm * p.ground_gain / p.ixx
+    put("vx", vx=-p.friction / p.mass, tilt_right=push, tilt_left=push)
+    put("vy", vy=-p.friction / p.mass, phi=-2.0 * push)
+    put("psi_dot", psi_dot=-p.yaw_damping / p.izz, tilt_right=turn, tilt_left=-turn)
+    put("phi_dot", phi=-p.roll_stiffness / p.ixx, phi_dot=-p.roll_damping / p.ixx, thrust_right=lift, thrust_left=-lift)
+    for k, state in enumerate(("thrust_right", "thrust_left", "tilt_right", "tilt_left")):
+        put(state, **{state: -1.0 / p.lag})
+        B[at[state], k] = (p.thrust_per_duty if k < 2 else 1.0) / p.lag
+    return A, B
+
+
+def held(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
+    """F and G of xₖ₊₁ = F·xₖ + G·uₖ, inputs held over the step [s], exact: [F G; 0 I] = exp(Δt·[A B; 0 0])."""
+    from scipy.linalg import expm
+
+    n, m = B.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = A, B
+    both = expm(step * block)
+    return both[:n, :n], both[:n, n:]

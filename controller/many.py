@@ -1,0 +1,122 @@
+"""The controller of many craft at once, with a value a run of whatever varies: the loop of `controller.loop` on arrays.
+
+A design stands once: F, G, H, V, W and K of each run are those of its `Settings`. Where all runs have the same settings
+they share one covariance, for it depends on no measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from controller.design_model import Matrix, measurement_matrix
+from controller.gains import Settings
+from controller.kalman import discrete_model
+from plant.quantities import parameters_of
+
+INPUTS = ("psi", "psi_dot", "ax", "x_ref", "psi_ref")
+ESTIMATE = ("x_hat", "vx_hat", "psi_hat", "psi_dot_hat", "a_hat")
+OUTPUTS = ("duty_right", "duty_left", "tilt_right", "tilt_left", *ESTIMATE, "x_sigma", "psi_sigma")
+NUMBERS = frozenset(p.name for p in parameters_of(Settings))
+
+
+class Controllers:
+    """How controllers of many runs are made: `cosim.sweeps.twins` asks it."""
+
+    outputs = OUTPUTS
+
+    def input_names(self, block: Any) -> list[str]:
+        """Inputs in the order in which the block has them."""
+        names = [s.name for s in block.inputs]
+        self.order = [names.index(name) for name in INPUTS] if set(names) == set(INPUTS) else []
+        return names if self.order else []
+
+    def pattern(self, given: Mapping[str, Any]) -> Hashable:
+        """Runs of one estimator are made together."""
+        return given.get("estimator")
+
+    def make(self, given: Mapping[str, Any], count: int, *, compiled: bool) -> ManyLoops:
+        """The controllers of so many runs; matrices need no compiler."""
+        return ManyLoops(given, count, self.order)
+
+
+class ManyLoops:
+    """Predict, update, feed back, as `controller.loop.Loop` does; x̂ and u have a column a run."""
+
+    def __init__(self, given: Mapping[str, Any], count: int, order: Sequence[int]) -> None:
+        self.given, self.order = given, order
+        values = {name: v for name, v in given.items() if name in NUMBERS or name == "estimator"}
+        varied = any(isinstance(v, np.ndarray) for v in values.values())
+        settings = [Settings(**_at(values, k)) for k in range(count if varied else 1)]
+        held = [discrete_model(s) for s in settings]
+        self.F, self.G = np.array([F for F, _ in held]), np.array([G for _, G in held])
+        self.H = np.array([measurement_matrix(s, s.estimator) for s in settings])
+        self.V = np.array([np.diag(s.process_variances) for s in settings])
+        self.W = np.array([np.diag(s.measurement_variances) for s in settings])
+        self.K = np.array([s.gain_matrix for s in settings])
+        self.limit = np.array([s.tilt_max for s in settings])
+        self.duty = np.array([s.duty_nominal for s in settings])
+        self.sample = np.array([s.sample_time for s in settings])
+
+    def begin(self, inputs: Matrix, outputs: Matrix, t: float) -> None:
+        """Filters at `*_hat_start`, P = 0."""
+        self.inputs, self.outputs = inputs, outputs
+        for name, row in zip(INPUTS, self._rows(), strict=True):
+            row[:] = self.given.get(name, 0.0)
+        self.x = np.zeros((5, inputs.shape[1]))
+        for name, row in zip(ESTIMATE, self.x, strict=True):
+            row[:] = self.given.get(f"{name}_start", 0.0)
+        self.P = np.zeros((self.F.shape[0], 5, 5))
+        self.u = np.zeros((2, inputs.shape[1]))
+
+    def settle(self) -> None:
+        """u₀ = sat(−K·(x̂₀ − x_ref)), without an update."""
+        self._feed_back()
+
+    def advance(self, t: float, h: float) -> None:
+        """One sample, eqs 5.37-5.41 and 6.1; P in Joseph's form, as filterpy has it."""
+        if np.any(np.abs(h - self.sample) > 1e-6 * self.sample):
+            raise ValueError(f"step of {h} s; the controller is sampled at {self.sample[0]} s (parameter sample_time)")
+        F, H = self.F, self.H
+        P = F @ self.P @ _transposed(F) + self.V
+        S = H @ P @ _transposed(H) + self.W
+        K = P @ _transposed(H) @ np.linalg.inv(S)
+        kept = np.eye(5) - K @ H
+        self.P = kept @ P @ _transposed(kept) + K @ self.W @ _transposed(K)
+        z = np.array(self._rows()[:3])
+        x = _applied(F, self.x) + _applied(self.G, self.u)
+        self.x = x + _applied(K, z - _applied(H, x))
+        self._feed_back()
+
+    def _feed_back(self) -> None:
+        error = self.x.copy()
+        *_, x_ref, psi_ref = self._rows()
+        error[0] -= x_ref
+        error[2] -= psi_ref
+        self.u = np.clip(-_applied(self.K, error), -self.limit, self.limit) + 0.0
+        y = self.outputs
+        y[0] = y[1] = self.duty
+        y[2:4], y[4:9] = self.u, self.x
+        y[9], y[10] = (np.sqrt(np.maximum(0.0, self.P[:, k, k])) for k in (0, 2))
+
+    def _rows(self) -> list[Matrix]:
+        return [self.inputs[k] for k in self.order]
+
+
+def _at(values: Mapping[str, Any], k: int) -> dict[str, Any]:
+    return {name: float(v[k]) if isinstance(v, np.ndarray) else v for name, v in values.items()}
+
+
+def _transposed(stack: Matrix) -> Matrix:
+    return np.swapaxes(stack, 1, 2)
+
+
+def _applied(stack: Matrix, columns: Matrix) -> Matrix:
+    """Each matrix times its column; one matrix times all."""
+    if len(stack) == 1:
+        shared: Matrix = stack[0] @ columns
+        return shared
+    each: Matrix = np.einsum("nij,jn->in", stack, columns)
+    return each

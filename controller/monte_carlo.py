@@ -1,0 +1,180 @@
+"""Estimators against a truth that is known, over many runs: their normalised errors and innovations.
+
+The truth is the linear model, disturbed with exactly the V of eq 5.47, or the plant, disturbed with the noise that the
+extended filter is given, or the plant as it is. The command is the same in every run; noise is drawn by the seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from controller.design_model import Matrix, measurement_matrix
+from controller.extended import STATES, ExtendedFilter, ExtendedSettings, carried
+from controller.gains import ESTIMATORS, Settings
+from controller.kalman import discrete_model
+from controller.observers import LinearFilter
+from plant.hovercraft import Hovercraft
+from plant.integrate import Moment, Stepper
+from plant.namespaces import arrays
+
+SETTLING = 50  # samples after which errors count
+FIX_EVERY = 5  # samples, 10 Hz
+OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position has no inverse
+FIVE = [STATES.index(name) for name in ("x", "vx", "psi", "psi_dot")]
+Squares = Mapping[str, tuple[Matrix, int]]  # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What happened in every run: states of the plant or the model, sensors, fixes; each (samples, runs, values)."""
+
+    states: Matrix
+    sensors: Matrix
+    fixes: Matrix
+    commands: Matrix
+
+
+@dataclass(frozen=True)
+class Case:
+    """An estimator and a truth: who estimates, of what, whether fixes come, what it is called."""
+
+    title: str
+    truth: str
+    estimator: str
+    fixes: bool = False
+
+
+CASES = (
+    Case("consistent on its own model, disturbed with V", "linear", "consistent"),
+    Case("the same with fixes", "linear", "consistent", fixes=True),
+    Case("appendix_f on the model of consistent, disturbed with V", "linear", "appendix_f"),
+    Case("lagged on the model of consistent, disturbed with V", "linear", "lagged"),
+    Case("extended on the plant, disturbed with its Q", "disturbed", "extended"),
+    Case("the same with fixes", "disturbed", "extended", fixes=True),
+    Case("appendix_f on the plant as it is", "plant", "appendix_f"),
+    Case("lagged on the plant as it is", "plant", "lagged"),
+    Case("consistent on the plant as it is", "plant", "consistent"),
+    Case("extended on the plant as it is", "plant", "extended"),
+)
+
+
+def commands(steps: int) -> Matrix:
+    """Tilts [rad] of both propellers that move the craft along and about, shape (steps, 4) with the nominal duties."""
+    t = Settings().sample_time * np.arange(steps)
+    along, about = 0.08 * np.sin(0.9 * t), 0.05 * np.sin(2.3 * t)
+    duty = np.full(steps, Hovercraft().duty_nominal)
+    return np.stack([duty, duty, along + about, along - about], axis=1)
+
+
+def linear_truth(runs: int, steps: int, rng: np.random.Generator) -> Truth:
+    """x⁺ = F·x + G·u + w, z = H·x + v of `consistent`, from x = 0; w by V, v by W."""
+    p = Settings(estimator="consistent")
+    (F, G), H = discrete_model(p), measurement_matrix(p, p.estimator)
+    u = commands(steps)
+    x, states = np.zeros((runs, 5)), []
+    for k in range(steps):
+        x = x @ F.T + u[k, 2:] @ G.T + rng.normal(0.0, np.sqrt(p.process_variances), (runs, 5))
+        states.append(x)
+    return _measured(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, p.fix_variances, u, rng)
+
+
+def plant_truth(runs: int, steps: int, rng: np.random.Generator, *, disturbed: bool) -> Truth:
+    """The plant's equations, all runs at once; disturbed each sample with the noise the extended filter is given."""
+    p, stepper, u = ExtendedSettings(), Stepper(Hovercraft(), arrays()), commands(steps)
+    deviation = np.sqrt(p.process_variances) * float(disturbed)
+    state = np.tile(np.array(Hovercraft().start()), (runs, 1))
+    states, sensors = [], []
+    names = [q.name for q in Hovercraft.outputs]
+    for k in range(steps):
+        G = np.array([carried(psi) for psi in state[:, STATES.index("psi")]])
+        moment = stepper.step(Moment(0.0, tuple(state.T)), tuple(u[k]), p.sample_time)
+        noise = np.einsum("rij,rj->ri", G, rng.normal(0.0, 1.0, state.shape) * deviation)
+        state = np.stack(np.broadcast_arrays(*moment.state), axis=1) + noise
+        y = stepper.output(0.0, tuple(state.T), tuple(u[k]))
+        states.append(state)
+        sensors.append(np.stack([y[names.index(n)] for n in ("psi", "psi_dot", "ax")], axis=1))
+    S = np.array(states)
+    position = S[..., [STATES.index("x"), STATES.index("y")]]
+    return _measured(S, np.array(sensors), position, p, p.fix_variances, u, rng)
+
+
+def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
+    """Normalised errors and innovations of a case, each (runs, times), after the first second."""
+    truth = _TRUTHS[case.truth](runs, steps, rng)
+    nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
+    for r in range(runs):
+        estimator = _estimator(case.estimator)
+        for k in range(steps):
+            fix = float((k + 1) // FIX_EVERY) if case.fixes else 0.0
+            estimator.step(truth.sensors[k, r], truth.commands[k], fix, truth.fixes[k, r])
+            e, P = _error(estimator, truth.states[k, r])
+            nees[r, k] = e @ np.linalg.solve(P, e)
+            nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
+    found = {"NEES": (nees[:, SETTLING:], len(e)), "NIS": (nis[:, SETTLING:], 3)}
+    if case.fixes:  # the last sample of each five has a new one
+        found["NIS of fixes"] = (fixed[:, SETTLING + FIX_EVERY - 1 :: FIX_EVERY], truth.fixes.shape[-1])
+    return found
+
+
+_TRUTHS: Mapping[str, Callable[[int, int, np.random.Generator], Truth]] = {
+    "linear": linear_truth,
+    "disturbed": lambda runs, steps, rng: plant_truth(runs, steps, rng, disturbed=True),
+    "plant": lambda runs, steps, rng: plant_truth(runs, steps, rng, disturbed=False),
+}
+
+
+def _measured(
+    states: Matrix,
+    sensors: Matrix,
+    position: Matrix,
+    p: Settings | ExtendedSettings,
+    fix_variances: Sequence[float],
+    u: Matrix,
+    rng: np.random.Generator,
+) -> Truth:
+    """With the noise of sensors and fixes."""
+    seen = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
+    return Truth(states, seen, position + rng.normal(0.0, np.sqrt(fix_variances), position.shape), u)
+
+
+def _estimator(name: str) -> Any:
+    if name in ESTIMATORS:
+        return LinearFilter(replace(Settings(), estimator=name), (0.0,) * 5)
+    return ExtendedFilter(Hovercraft(), ExtendedSettings(), _jacobians(), {})
+
+
+@cache
+def _jacobians() -> Mapping[str, Any]:
+    from plant.symbolic.jacobian import loaded, printed_jacobians
+
+    return loaded(printed_jacobians(Hovercraft(), ("ax",)))
+
+
+def _error(estimator: Any, state: Matrix) -> tuple[Matrix, Matrix]:
+    """x̂ − x and P, of the states that it estimates."""
+    kf = estimator.filter
+    if isinstance(estimator, ExtendedFilter):
+        return (kf.x - state)[OWN], kf.P[np.ix_(OWN, OWN)]
+    if len(state) == len(kf.x):
+        return kf.x - state, kf.P
+    a = _thrust_acceleration(state)
+    return kf.x - np.array([*state[FIVE], a]), kf.P
+
+
+@cache
+def _stepper() -> Stepper:
+    return Stepper(Hovercraft())
+
+
+def _thrust_acceleration(state: Matrix) -> float:
+    """(F_Rx + F_Lx)/m [m/s²] of the plant: a_x without friction."""
+    stepper = _stepper()
+    model = stepper.model
+    outputs = stepper.output(0.0, tuple(state.tolist()), ())
+    ax = float(outputs[[q.name for q in model.outputs].index("ax")])
+    return ax + Hovercraft().friction / Hovercraft().mass * float(state[STATES.index("vx")])

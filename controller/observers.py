@@ -1,0 +1,107 @@
+"""Estimators that run beside a controller: the Kalman filters of the thesis, and double integration (§5.6)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from controller.design_model import fix_matrix
+from controller.gains import ESTIMATORS, Settings
+from controller.kalman import kalman_filter
+
+DOUBLE_INTEGRATION = "double_integration"
+OBSERVERS = (*ESTIMATORS, DOUBLE_INTEGRATION)
+# Of two integrations of a_x over a sample, held: x̂ += Δt·v̂ + Δt²/2·a, v̂ += Δt·a
+
+
+class LinearFilter:
+    """A Kalman filter of the thesis, eqs 5.37-5.41, as the controller's: predict, update, a new fix."""
+
+    def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
+        self.filter = kalman_filter(settings, np.array(start, dtype=float))
+        self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag(settings.fix_variances)
+        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
+
+    def step(
+        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
+    ) -> None:
+        """One sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, the latest fix and its number."""
+        kf = self.filter
+        kf.predict(u=np.array(command[2:]))
+        kf.update(np.array(measured))
+        self.nis = float(kf.y @ kf.SI @ kf.y)
+        if fix != self.fix:
+            self.fix = fix
+            kf.update(np.array(position[:1]), self.fix_noise, self.fix_matrix)
+            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
+
+    @property
+    def estimate(self) -> tuple[float, ...]:
+        """(x, ẋ, ψ, ψ̇, a), then y, which is not estimated: 0."""
+        return *self.filter.x.tolist(), 0.0
+
+    @property
+    def sigma(self) -> tuple[float, ...]:
+        """Standard deviations of x, ψ and y that it believes in."""
+        P = self.filter.P
+        return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2])), 0.0
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that decides the future, and what is shown of the past."""
+        return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Go back to a snapshot, bit for bit."""
+        self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
+        self.fix, self.nis = snapshot["fix"], snapshot["nis"]
+
+
+class DoubleIntegration:
+    """The accelerometer integrated once and twice, heading and yaw rate as measured (Figs 5.5-5.7); fixes unused.
+
+    v̂ += Δt·a_x,   x̂ += Δt·v̂ + Δt²/2·a_x,   P = F·P·F' + g·W_a·g',   g = (Δt²/2, Δt)
+    """
+
+    nis = 0.0
+
+    def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
+        self.dt, self.noise = settings.sample_time, settings.measurement_variances
+        self.values = [float(v) for v in start]
+        self.variances = [0.0, 0.0, 0.0]  # of x̂, of x̂ with v̂, of v̂
+        self.fix = fix
+
+    def step(
+        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
+    ) -> None:
+        """One sample: (ψ, ψ̇, a_x); nothing else is used."""
+        dt, W = self.dt, self.noise[2]
+        x, v, *_ = self.values
+        psi, psi_dot, ax = measured
+        self.values = [x + dt * v + 0.5 * dt * dt * ax, v + dt * ax, psi, psi_dot, ax]
+        xx, xv, vv = self.variances
+        self.variances = [
+            xx + dt * (2.0 * xv + dt * vv) + 0.25 * dt**4 * W,
+            xv + dt * vv + 0.5 * dt**3 * W,
+            vv + dt * dt * W,
+        ]
+
+    @property
+    def estimate(self) -> tuple[float, ...]:
+        """(x, ẋ, ψ, ψ̇, a), then y, which is not estimated: 0."""
+        return *self.values, 0.0
+
+    @property
+    def sigma(self) -> tuple[float, ...]:
+        """Standard deviations of x, ψ and y by the noise of the sensors."""
+        return math.sqrt(self.variances[0]), math.sqrt(self.noise[0]), 0.0
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that decides the future."""
+        return {"values": self.values, "variances": self.variances}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Go back to a snapshot, bit for bit."""
+        self.values, self.variances = list(snapshot["values"]), list(snapshot["variances"])

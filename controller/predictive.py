@@ -1,0 +1,97 @@
+"""Model predictive control on the lagged linearisation of the plant, with limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from controller.full_model import INPUTS, held
+from controller.horizon import NAMES, Problem, limits, predicted
+from controller.laws import Seen
+from controller.variants import PredictiveSettings
+
+ESTIMATED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # by the filter of five states
+OWN = [k for k in range(len(NAMES)) if k not in ESTIMATED]  # by the one here
+POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
+
+
+class PredictiveLaw:
+    """Commands u of both motors and both tilts that minimise, over the N steps of the horizon,
+
+        Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   z_{j+1} = F·z_j + G·u_j,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
+
+    z the deviation from rest at the references of x, y and ψ; P the cost to go of the LQR, which this law is where no
+    limit is touched. x, ẋ, ψ and ψ̇ are the filter's; y, roll, thrusts and tilts follow from what was commanded,
+    corrected by fixes of y. A limit of speed is given up where it cannot be kept. Where the solver comes to its
+    limit of iterations, the command is that without limits, cut off at them, and `solved` is 0.
+    """
+
+    def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
+        self.observer = _observer(p, y_hat)
+        self.rest, self.low, self.high = limits(p)
+        self.problem = Problem(p)
+        self.hot = self.problem.cold()
+        self.last = np.zeros(len(INPUTS))
+        self.fix, self.iterations, self.solved = 0.0, 0, True
+
+    @property
+    def duties(self) -> tuple[float, float]:
+        """Duties [%] of the last command, right and left."""
+        right, left, *_ = (self.last + self.rest).tolist()
+        return right, left
+
+    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+        """Tilts [rad]; the duties stand in `duties`."""
+        if seen.started:
+            self.observer.predict(u=self.last)
+            if seen.fix != self.fix:
+                self.observer.update(np.array([seen.y_meas]))
+        self.fix = seen.fix
+        z = np.zeros(len(NAMES))
+        z[OWN], z[ESTIMATED] = self.observer.x, x_hat[: len(ESTIMATED)]
+        z[POSITIONS] -= seen.x_ref, seen.y_ref, seen.psi_ref
+        found = self.problem.solve(z, self.hot)
+        self.hot, self.iterations, self.solved = found.hot, found.iterations, found.solved
+        self.last = np.clip(found.command, self.low, self.high) + 0.0  # within a rounding; -0.0 is 0.0
+        return tuple((self.last + self.rest).tolist()[2:])
+
+    def outputs(self) -> list[float]:
+        """ŷ [m] and its standard deviation, iterations, whether they ended in a solution."""
+        sigma = math.sqrt(max(0.0, self.observer.P[0, 0]))
+        return [float(self.observer.x[0]), sigma, float(self.iterations), float(self.solved)]
+
+    def snapshot(self) -> Any:
+        """Its own estimate, its last command, and where the solver starts from."""
+        return {
+            "x": self.observer.x.tolist(),
+            "P": self.observer.P.tolist(),
+            "last": self.last.tolist(),
+            "hot": self.hot.tolist(),
+            "told": [self.fix, self.iterations, self.solved],
+        }
+
+    def restore(self, snapshot: Any) -> None:
+        """Bit for bit: the solver keeps nothing from one sample to the next but what it is started from."""
+        self.observer.x, self.observer.P = np.array(snapshot["x"]), np.array(snapshot["P"])
+        self.last = np.array(snapshot["last"])
+        self.hot = np.array(snapshot["hot"])
+        self.fix, self.iterations, self.solved = snapshot["told"]
+
+
+def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:
+    """Filter of y, vy, roll, thrusts and tilts, driven by the commands and corrected by fixes of y; P = 0, at rest."""
+    A, B = predicted(p)
+    n, at = len(OWN), [NAMES[k] for k in OWN]
+    kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(INPUTS))
+    kf.F, kf.B = held(A[np.ix_(OWN, OWN)], B[OWN], p.sample_time)
+    kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
+    y, vy = at.index("y"), at.index("vy")
+    kf.x[y] = y_hat
+    kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as along the craft's axis
+    kf.H[0, y], kf.H[0, vy] = 1.0, -p.fix_latency
+    kf.R = np.eye(1) * p.measurement_variance_x  # one sensor gives both
+    return kf

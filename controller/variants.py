@@ -1,0 +1,137 @@
+"""Parameters of the controllers beside the LQR: the same estimator and model numbers, and their own law's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from controller.gains import Settings, gain
+from plant.quantities import parameter
+
+POLES, INTEGRAL, PREDICTIVE = LAWS = ("poles", "integral", "predictive")  # what `design:` knows; "" is the LQR
+
+# Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn); of the LQR with weights 0.3 and 0.05 of the
+# integrals. Tests design them anew.
+PLACED = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
+WITH_INTEGRAL = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
+OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
+
+
+def integral_gain(default: float, tilt: str, unit: str, of: str) -> Any:
+    """Declare the gain from an integral to a tilt."""
+    return parameter(default, unit=unit, bounds=(-1e4, 1e4), doc=f"gain from the integral of {of} to the {tilt} tilt")
+
+
+def weight(default: float, unit: str, doc: str) -> Any:
+    """Declare a weight of the predictive law."""
+    return parameter(default, unit=unit, bounds=(0, 1e6), doc=f"weight of {doc}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedSettings(Settings):
+    """Of pole placement: the same gains, placed."""
+
+    k_1_1: float = gain(PLACED[0], "right", "x")
+    k_1_2: float = gain(PLACED[1], "right", "vx")
+    k_1_3: float = gain(PLACED[2], "right", "psi")
+    k_1_4: float = gain(PLACED[3], "right", "psi_dot")
+    k_1_5: float = gain(PLACED[4], "right", "a")
+    k_2_1: float = gain(PLACED[0], "left", "x")
+    k_2_2: float = gain(PLACED[1], "left", "vx")
+    k_2_3: float = gain(-PLACED[2], "left", "psi")
+    k_2_4: float = gain(-PLACED[3], "left", "psi_dot")
+    k_2_5: float = gain(PLACED[4], "left", "a")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegralSettings(Settings):
+    """Of the LQR with integrals of what is measured of x and ψ, states six and seven."""
+
+    k_1_1: float = gain(WITH_INTEGRAL[0], "right", "x")
+    k_1_2: float = gain(WITH_INTEGRAL[1], "right", "vx")
+    k_1_3: float = gain(WITH_INTEGRAL[2], "right", "psi")
+    k_1_4: float = gain(WITH_INTEGRAL[3], "right", "psi_dot")
+    k_1_5: float = gain(WITH_INTEGRAL[4], "right", "a")
+    k_2_1: float = gain(WITH_INTEGRAL[0], "left", "x")
+    k_2_2: float = gain(WITH_INTEGRAL[1], "left", "vx")
+    k_2_3: float = gain(-WITH_INTEGRAL[2], "left", "psi")
+    k_2_4: float = gain(-WITH_INTEGRAL[3], "left", "psi_dot")
+    k_2_5: float = gain(WITH_INTEGRAL[4], "left", "a")
+    k_1_6: float = integral_gain(OF_X_INTEGRAL, "right", "rad/m/s", "x")
+    k_1_7: float = integral_gain(OF_PSI_INTEGRAL, "right", "1/s", "psi")
+    k_2_6: float = integral_gain(OF_X_INTEGRAL, "left", "rad/m/s", "x")
+    k_2_7: float = integral_gain(-OF_PSI_INTEGRAL, "left", "1/s", "psi")
+
+    @property
+    def integral_matrix(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Gains of the integrals, shape (2, 2)."""
+        return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
+
+
+def conflicts(p: Any) -> list[str]:
+    """What keeps the predictive law from a solution, by the numbers of `PredictiveSettings` together."""
+    found = []
+    if not p.duty_min < p.duty_nominal < p.duty_max:
+        found.append(
+            f"no duty of {p.duty_min:g} to {p.duty_max:g} % holds the craft, which hovers at {p.duty_nominal:.6g} %:"
+            " the predictive law has no solution; widen duty_min and duty_max about it"
+        )
+    if not (p.weight_tilt > 0 and p.weight_duty > 0):
+        found.append("weight_tilt and weight_duty are above 0, so that there is one best command")
+    if not (p.weight_x > 0 and p.weight_psi > 0 and p.weight_y > 0):
+        found.append("weight_x, weight_y and weight_psi are above 0, so that no position is left to itself")
+    if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
+        found.append("the horizon has 1 to 1000 steps of prediction_step")
+    if not p.tilt_max > 0:
+        found.append("tilt_max is above 0; with 0 nothing can be commanded")
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveSettings(Settings):
+    """Of the predictive law: numbers of roll and motors, weights, limits, horizon. Its gains `k_i_j` are not used."""
+
+    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="design model: roll inertia, eq 5.4")
+    ground_gain: float = parameter(
+        1.1420239, unit="1", bounds=(1, 10), doc="design model: gain of the ground effect at hover, eq 4.28"
+    )
+    thrust_per_duty: float = parameter(
+        3.530619, unit="N/%", bounds=(0.01, 100), doc="design model: slope of the thrust line, eq 4.20"
+    )
+    roll_stiffness: float = parameter(
+        5.4174681,
+        unit="N.m/rad",
+        bounds=(-1e3, 1e4),
+        doc="design model: roll moment per roll, table and ground effect",
+    )
+    roll_damping: float = parameter(
+        0.45, unit="N.m.s/rad", bounds=(0, 10), doc="design model: roll moment per roll rate"
+    )
+    weight_x: float = weight(1.0, "1/m2", "x")
+    weight_vx: float = weight(0.5, "s2/m2", "vx")
+    weight_psi: float = weight(0.1, "1/rad2", "psi")
+    weight_psi_dot: float = weight(0.01, "s2/rad2", "psi_dot")
+    weight_y: float = weight(1.0, "1/m2", "y")
+    weight_vy: float = weight(0.5, "s2/m2", "vy")
+    weight_tilt: float = weight(1.0, "1/rad2", "each tilt")
+    weight_duty: float = weight(1.0, "1/%2", "the duty of each motor, from the nominal one")
+    duty_min: float = parameter(6.0, unit="%", bounds=(0, 100), doc="least duty; eq 4.20 was fitted on 6-7 %")
+    duty_max: float = parameter(7.0, unit="%", bounds=(0, 100), doc="greatest duty; eq 4.20 was fitted on 6-7 %")
+    speed_max: float = parameter(
+        0.0, unit="m/s", bounds=(0, 100), doc="greatest speed forward or back, 0 for none; given up where it must be"
+    )
+    prediction_step: float = parameter(0.02, unit="s", bounds=(0.01, 1), doc="step of the prediction")
+    horizon: float = parameter(2.0, unit="s", bounds=(0.1, 20), doc="how far is predicted; then as the LQR would")
+    iterations_max: float = parameter(
+        200.0, unit="1", bounds=(1, 1e5), doc="most iterations of the solver a sample; then limits only cut off"
+    )
+
+    def __post_init__(self) -> None:
+        faults = []
+        try:
+            super().__post_init__()
+        except ValueError as error:
+            faults.append(str(error))
+        faults += conflicts(self)
+        if faults:
+            raise ValueError("; ".join(faults))

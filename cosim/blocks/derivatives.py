@@ -1,0 +1,166 @@
+"""An FMU asked for its derivatives: moved to any state, its slopes by directional derivatives or by differences."""
+
+from __future__ import annotations
+
+import ctypes
+import zipfile
+from collections.abc import Mapping, Sequence
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.blocks.description import unit_of
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.kinds import element_names
+from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.solvers import DOUBLES, derivatives_of
+from cosim.errors import SimulationError
+
+REALS = ("Real", "Float64")
+
+
+def states_of(description: Any) -> list[Any]:
+    """Variables that are continuous states, in the order of the derivatives; empty where the FMU tells of none."""
+    found = [unknown.variable.derivative for unknown in description.derivatives]
+    return [] if any(v is None for v in found) else found
+
+
+def reals(description: Any, causality: str) -> list[Any]:
+    """Inputs or outputs that are real numbers; of inputs those that may move at any time."""
+    found = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    return [v for v in found if causality != "input" or v.variability in (None, "continuous")]
+
+
+def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
+    """Names of the elements of variables."""
+    return tuple(name for v in variables for name in element_names(v))
+
+
+def units_of(variables: Sequence[Any]) -> dict[str, str]:
+    """Element → unit."""
+    return {name: unit_of(v) for v in variables for name in element_names(v)}
+
+
+class DifferentiableFmu(FmuBlock):
+    """An FMU for model exchange: `open`, then any number of points, then `close`."""
+
+    def __init__(
+        self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
+    ) -> None:
+        super().__init__(name, path, description, start, connected, way="model-exchange")
+        self._states = states_of(description)
+        self._fed, self._shown = reals(description, "input"), reals(description, "output")
+        self._rates = [unknown.variable for unknown in description.derivatives]
+        self.order = len(scalars(self._states))
+
+    def bind_nothing(self) -> None:
+        """It is not part of a row."""
+        count = len(self.inputs) + len(self.outputs)
+        exact = len(self.exact_inputs) + len(self.exact_outputs)
+        self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
+
+    @property
+    def gives_slopes(self) -> bool:
+        """It says that it has directional derivatives, of scalars."""
+        about = ElementTree.fromstring(zipfile.ZipFile(self.path).read("modelDescription.xml")).find("ModelExchange")
+        # FMPy knows the word of FMI 2.0 only, which 3.0 has in the plural
+        flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
+        plain = all(not v.shape for v in (*self._states, *self._fed, *self._shown))
+        return plain and any(flag in ("true", "1") for flag in flags)
+
+    def here(self) -> tuple[Array, Array]:
+        """States and inputs as they are."""
+        return self._continuous(), self._read(self._fed)
+
+    def move(self, t: float, states: Array, inputs: Array) -> Array:
+        """To a time, states and inputs, with the events that come of it; the states after them."""
+        with self._failing():
+            self._fmu.setTime(t)
+            self._put_states(states)
+            self._fmu.enterEventMode()
+            self._write_reals(self._fed, inputs)
+            calls = self._calls
+            assert isinstance(calls, ModelExchange2)
+            calls._update()
+            self._fmu.enterContinuousTimeMode()
+        return self._continuous()
+
+    def rates(self, states: Array, inputs: Array) -> Array:
+        """Derivatives, then outputs, at states and inputs within the mode that it is in."""
+        with self._failing():
+            self._put_states(states)
+            self._write_reals(self._fed, inputs)
+            found = (ctypes.c_double * max(1, self.order))()
+            if self.order:
+                derivatives_of(self._fmu)(ctypes.cast(found, DOUBLES), self.order)
+        return np.concatenate([np.array(found[: self.order]), self._read(self._shown)])
+
+    def given_slopes(self) -> Array:
+        """Slopes of derivatives and outputs in states and inputs, as the FMU gives them."""
+        knowns = [v.valueReference for v in (*self._states, *self._fed)]
+        unknowns = [v.valueReference for v in (*self._rates, *self._shown)]
+        columns = []
+        with self._failing():
+            for known in knowns:
+                columns.append(self._fmu.getDirectionalDerivative(unknowns, [known], [1.0]))
+        return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _continuous(self) -> Array:
+        found = (ctypes.c_double * max(1, self.order))()
+        if self.order:
+            with self._failing():
+                self._fmu.getContinuousStates(ctypes.cast(found, DOUBLES), self.order)
+        return np.array(found[: self.order])
+
+    def _put_states(self, states: Array) -> None:
+        if self.order:
+            values = (ctypes.c_double * self.order)(*states.tolist())
+            self._fmu.setContinuousStates(ctypes.cast(values, DOUBLES), self.order)
+
+    def _read(self, variables: Sequence[Any]) -> Array:
+        if not variables:
+            return np.zeros(0)
+        references = [v.valueReference for v in variables]
+        with self._failing():
+            if self._fmi3:
+                return np.array(self._fmu.getFloat64(references, nValues=len(scalars(variables))), float)
+            return np.array(self._fmu.getReal(references), float)
+
+    def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
+        if variables:
+            setter = self._fmu.setFloat64 if self._fmi3 else self._fmu.setReal
+            setter([v.valueReference for v in variables], values.tolist())
+
+
+def slopes_at(
+    block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, given: bool
+) -> tuple[Array, Array, Array]:
+    """Slopes, rates and outputs at a point, and the states that it has there after events.
+
+    step:  of central differences, of each state and input or of 1; of those that the FMU does not give itself
+    given: by its own directional derivatives
+    """
+    after = block.move(t, states, inputs)
+    z, n = np.concatenate([after, inputs]), len(after)
+    here = block.rates(after, inputs)
+    if not np.isfinite(here).all():
+        raise SimulationError(block.name, t, "its derivatives or outputs are not finite there")
+    if given:
+        slopes = block.given_slopes()
+    else:
+        columns = []
+        for k in range(z.size):
+            h = step * max(1.0, abs(float(z[k])))
+            ahead, behind = z.copy(), z.copy()
+            ahead[k], behind[k] = z[k] + h, z[k] - h
+            difference = block.rates(ahead[:n], ahead[n:]) - block.rates(behind[:n], behind[n:])
+            columns.append(difference / (ahead[k] - behind[k]))
+        slopes = np.array(columns).T.reshape(here.size, z.size)
+        block.rates(after, inputs)
+    if not np.isfinite(slopes).all():
+        raise SimulationError(block.name, t, "its slopes are not finite there")
+    return slopes, here, after

@@ -1,0 +1,279 @@
+"""The stepping loop in C (`stepping.c`): communication steps of a system of FMUs whose functions C can call.
+
+    loop = Loop(slots, held, row, table, begin, h)
+    while (why := loop.run(last, pause)) != Why.FINISHED: …   # judge, then call it again: it goes on where it was
+
+A `Slot` is an FMU (function pointers and instance that FMPy loaded) or values that were prepared for each point;
+`Transfer`s go from place to place of one row of doubles, through `Link`s: factors, noise and injected faults, each a
+function of the point and of what went through before. All is laid out by the caller; C allocates nothing. A step gives
+the bytes that the same calls from Python give.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Sequence
+from ctypes import c_bool, c_double, c_int32, c_int64, c_size_t, c_void_p
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+from cosim.arrays import Array
+from cosim.blocks.interface import Row
+from cosim.blocks.kinds import Exchange
+from fmus.native.compiler import compiler, loaded
+
+SOURCE = Path(__file__).with_name("stepping.c")
+NEVER = -1
+TYPES: dict[Any, int] = {
+    ctypes.c_double: 0, ctypes.c_float: 1, ctypes.c_int8: 2, ctypes.c_uint8: 3, ctypes.c_int16: 4,
+    ctypes.c_uint16: 5, ctypes.c_int32: 6, ctypes.c_uint32: 7, ctypes.c_int64: 8, ctypes.c_bool: 9,
+}  # fmt: skip
+
+
+class Why(IntEnum):
+    """Why the loop returned: at its last step, or Python has a word to say.
+
+    STATUS: a call returned one that is not OK; NOT_FINITE: an output is not; UNFIT: an input is no value of its type;
+    NO_ITEM: a value is no item of the enumeration that it goes to; TERMINATED: an FMU ended the simulation;
+    PAUSED: the row of a point is complete and not yet kept; LATER: a second has gone by
+    """
+
+    FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)
+
+
+class Does(IntEnum):
+    """What a link makes of a value v at point k; all but the first two and the last act from `first` to `last` alone.
+
+    v·a + b, v + values[k], v + a, v·a, a, v + a where marks[k], v of `count` − 1 points before, the last v where
+    marks[k], v if it is among `values`
+    """
+
+    AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS = range(9)
+
+
+class Link(ctypes.Structure):
+    """What becomes of a value on its way; `keeping` holds what it points to."""
+
+    keeping: Any
+
+    _fields_ = (
+        ("kind", c_int32),
+        ("first", c_int64),
+        ("last", c_int64),
+        ("a", c_double),
+        ("b", c_double),
+        ("values", c_void_p),
+        ("marks", c_void_p),
+        ("kept", c_void_p),
+        ("count", c_int64),
+    )
+
+
+class Transfer(ctypes.Structure):
+    """From a place of the row to another, every so many points."""
+
+    keeping: Any
+
+    _fields_ = (("origin", c_void_p), ("to", c_void_p), ("every", c_int64), ("links", c_int64), ("link", c_void_p))
+
+
+class Move(ctypes.Structure):
+    """Variables of one type, moved in one call; `row` is their place there."""
+
+    _fields_ = (
+        ("function", c_void_p),
+        ("references", c_void_p),
+        ("count", c_size_t),
+        ("scalars", c_size_t),
+        ("values", c_void_p),
+        ("row", c_void_p),
+        ("low", c_double),
+        ("high", c_double),
+        ("type", c_int32),
+    )
+
+
+class Slot(ctypes.Structure):
+    """What steps: an FMU of FMI `version` 2 or 3; or (0) `scalars` values prepared for each point from `since` on."""
+
+    keeping: Any
+
+    _fields_ = (
+        ("version", c_int32),
+        ("step", c_void_p),
+        ("instance", c_void_p),
+        ("every", c_int64),
+        ("doing", c_int64),
+        ("pulls", c_int64),
+        ("puts", c_int64),
+        ("gets", c_int64),
+        ("length", c_double),
+        ("pull", c_void_p),
+        ("put", c_void_p),
+        ("get", c_void_p),
+        ("finite", c_size_t),
+        ("prepared", c_void_p),
+        ("row", c_void_p),
+        ("scalars", c_size_t),
+        ("since", c_int64),
+        ("time", c_double),
+        ("reached", c_double),
+        ("event", c_bool),
+        ("terminate", c_bool),
+        ("early", c_bool),
+    )
+
+
+class Plan(ctypes.Structure):
+    """The whole of it, and where it is."""
+
+    _fields_ = (
+        ("begin", c_double),
+        ("h", c_double),
+        ("slots", c_int64),
+        ("held", c_int64),
+        ("width", c_int64),
+        ("next", c_int64),
+        ("last", c_int64),
+        ("pause", c_int64),
+        ("slot", c_void_p),
+        ("hold", c_void_p),
+        ("row", c_void_p),
+        ("table", c_void_p),
+        ("made", c_void_p),
+        ("doing", c_void_p),
+        ("place", c_int64),
+        ("phase", c_int64),
+        ("move", c_int64),
+        ("called", c_int64),
+        ("moving", c_int64),
+        ("status", c_int32),
+    )
+
+
+class Steps(Protocol):
+    """A component that C can step; one that cannot has no `slot`, or gives the reason."""
+
+    def slot(self) -> Slot | str:
+        """Itself for C, after its initialization; or why not."""
+
+    def came_to(self, t: float) -> None:
+        """C has stepped it to `t` [s]."""
+
+    def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
+        """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
+
+
+class NotCompiled(Exception):
+    """Why there is no loop in C."""
+
+
+@cache
+def library() -> Any:
+    """The loop, compiled once and kept in the user's cache. Raises NotCompiled."""
+    if compiler() is None:
+        raise NotCompiled("no C compiler")
+    try:
+        run = loaded(SOURCE.read_text(encoding="utf-8")).run
+    except (OSError, subprocess.SubprocessError) as error:
+        raise NotCompiled(f"the C compiler fails: {' '.join(str(error).split())[:200]}") from None
+    run.argtypes, run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
+    return run
+
+
+def move(function: Any, exchange: Exchange, row: Row) -> Move:
+    """One of FMI's functions that get and set, for these variables."""
+    direct = exchange.kind.ctype is ctypes.c_double
+    place = ctypes.addressof(row) + 8 * exchange.places.start
+    values = place if direct else ctypes.addressof(exchange.buffer)
+    low, high = exchange.kind.low, exchange.kind.high
+    pointer = ctypes.cast(function, c_void_p)
+    bounds = (0.0, 0.0) if low is None or high is None else (float(low), float(high))
+    references = ctypes.addressof(exchange.vrs)
+    kind = TYPES[exchange.kind.ctype]
+    return Move(pointer, references, len(exchange.vrs), exchange.count, values, place, *bounds, kind)
+
+
+def fmu_slot(
+    version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], finite: int, time: float
+) -> Slot:
+    """An FMU that is at `time` [s]; `finite` of the first values got must be so."""
+    put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
+    slot = Slot(version, ctypes.cast(step, c_void_p), instance, every=1, time=time, finite=finite)
+    slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
+    slot.keeping = put, get
+    return slot
+
+
+def transfer(row: Row, origin: int, to: int, links: Sequence[Link] = (), every: int = 1) -> Transfer:
+    """From one place of the row to another."""
+    chain, first = (Link * len(links))(*links), ctypes.addressof(row)
+    made = Transfer(first + 8 * origin, first + 8 * to, every, len(chain), ctypes.addressof(chain))
+    made.keeping = chain, [getattr(link, "keeping", None) for link in links]
+    return made
+
+
+def link(
+    kind: Does,
+    window: tuple[int, int] = (0, 0),
+    *,
+    a: float = 0.0,
+    b: float = 0.0,
+    values: Any = None,
+    marks: Any = None,
+    kept: Any = None,
+    count: int = 0,
+) -> Link:
+    """A link; buffers of doubles (`values`, `kept`) and bytes (`marks`) are kept with it, not copied."""
+    made = Link(kind, *window, a, b, _address(values), _address(marks), _address(kept), count)
+    made.keeping = values, marks, kept
+    return made
+
+
+def _address(buffer: Any) -> int | None:
+    """Where a buffer begins."""
+    return None if not buffer else ctypes.addressof(ctypes.c_char.from_buffer(buffer))
+
+
+class Loop:
+    """A system in C, from its first step on.
+
+    slots:       in the order in which they step, each with the transfers made right before it
+    held:        transfers made at the end of a step
+    row, table:  the signals, and the rows of all communication points, that of point 0 filled
+    made, doing: one counter each, for who watches
+    """
+
+    def __init__(
+        self,
+        slots: Sequence[tuple[Slot, Sequence[Transfer]]],
+        held: Sequence[Transfer],
+        row: Row,
+        table: Array,
+        begin: float,
+        h: float,
+        made: Any,
+        doing: Any,
+    ) -> None:
+        self._run = library()
+        pulls = [(Transfer * len(transfers))(*transfers) for _, transfers in slots]
+        for (slot, _), pull in zip(slots, pulls, strict=True):
+            slot.pulls, slot.pull = len(pull), ctypes.addressof(pull)
+        self.slots, hold = (Slot * len(slots))(*(slot for slot, _ in slots)), (Transfer * len(held))(*held)
+        self._keeping = slots, pulls, held, hold, row, table, made, doing
+        self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), 1, 0, NEVER)
+        plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
+        plan.row, plan.table = ctypes.addressof(row), table.ctypes.data
+        plan.made, plan.doing = _address(made), _address(doing)
+
+    def prepare(self, slot: int, values: Array, since: int) -> None:
+        """Give a slot of version 0 its values, a row for each point from `since` on; they are not copied."""
+        self.slots[slot].prepared, self.slots[slot].since = values.ctypes.data, since
+
+    def run(self, last: int, pause: int = NEVER) -> Why:
+        """Go on until point `last` has its row, or until Python is asked; at `pause` before its row is kept."""
+        self.plan.last, self.plan.pause = last, pause
+        return Why(self._run(ctypes.byref(self.plan)))

@@ -1,0 +1,25 @@
+"""What `cosim identify` is given: a protocol of a bench, or logs of a craft and what they are to tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.identification.craft import read_craft
+from cosim.identification.protocol import read_protocol
+from cosim.kinds import PROTOCOL, kind_of, refuse_other
+from cosim.yaml_file import YamlFile
+
+
+def craft_file(path: Path) -> YamlFile | None:
+    """The file where it is about logs of a craft in place of a bench."""
+    refuse_other(path, kind_of(path), PROTOCOL)
+    yaml = YamlFile(path)
+    return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
+
+
+def check_protocol(path: Path) -> None:
+    """InputError with every fault of a protocol of a bench, or of logs of a craft and what they are to tell."""
+    if (yaml := craft_file(path)) is None:
+        read_protocol(path)
+        return
+    read_craft(yaml)

@@ -1,0 +1,168 @@
+"""A moment of a scenario: the scenario is run, and what the model was told there takes it to its state at that time."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.linearization.linear import Point
+from cosim.linearization.parameters import read_value
+from cosim.linearization.point import AT, Moment
+from cosim.linearization.source import EquationSource, Source
+from cosim.results import Results
+from cosim.simulation.packaged import is_ssp
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
+from plant.integrate import Stepper
+
+SLACK = 1e-9  # [s]
+AGREE = 1e-6  # of an output's range, within which the model and the component are one
+
+
+class Along:
+    """Points of a model along a run; an FMU is flown itself, in the place of the component.
+
+    component: in the scenario, where several would do
+    """
+
+    def __init__(self, source: Source, moment: Moment, component: str = "") -> None:
+        self.notes: list[str] = []
+        self._source, self._moment = source, moment
+        record = [] if isinstance(source, EquationSource) else list(source.states)
+        _check(moment, component)
+        with tempfile.TemporaryDirectory(prefix="cosim-linearize-") as folder:
+            self._results, self._manifest = _run(moment.scenario, Path(folder))
+            self._name = self._component(component)
+            if record:
+                patterns = [f"{self._name}.{state}" for state in record]
+                record = [*self._recorded(), *patterns]
+                flown = f"components.{self._name}.fmu={json.dumps(str(source.files[0].resolve()))}"
+                overrides = [f"record={json.dumps(record, ensure_ascii=False)}", flown]
+                self._results, self._manifest = _run(moment.scenario, Path(folder), overrides)
+        self._rows = self._rows_of(moment.times)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Start values and parameters that the scenario gives the component."""
+        return dict(self._manifest["scenario"]["components"].get(self._name, {}).get("start") or {})
+
+    def points(self, source: Source) -> list[Point]:
+        """One a time; the source knows the parameters that the scenario gives."""
+        self._source = source
+        inputs = self._columns(source.inputs)
+        if isinstance(source, EquationSource):
+            states = self._driven(source, inputs)
+        else:
+            states = self._columns(self._source.states)
+            if names := ", ".join(np.array(self._source.states)[np.isnan(states).all(axis=0)]):
+                raise InputError([Fault(AT, 0, 0, f"{self._name} of {self._moment.scenario} records no {names}")])
+        return [Point(float(self._results.time[k]), states[k], inputs[k]) for k in self._rows]
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _component(self, asked: str) -> str:
+        """The component whose inputs and outputs are the model's; InputError where there is none, or a choice."""
+        columns = set(self._results.columns)
+        owners = dict.fromkeys(c.partition(".")[0] for c in self._results.columns)
+        wanted = (*self._source.inputs, *self._source.outputs)
+        fitting = [o for o in owners if all(f"{o}.{n}" in columns for n in wanted)]
+        if asked in fitting or (len(fitting) == 1 and not asked):
+            return asked or fitting[0]
+        if asked or not fitting:
+            whom = asked or f"no component of {self._moment.scenario}"
+            lacking = [n for n in wanted if f"{asked}.{n}" not in columns] if asked else list(wanted)
+            told = f"{', '.join(lacking[:8])}{', …' if len(lacking) > 8 else ''}"
+            message = f"{whom} has not the inputs and outputs of {self._source.title} ({told})"
+            raise InputError([Fault(AT, 0, 0, message)])
+        raise InputError([Fault(AT, 0, 0, f"{' and '.join(fitting)} would do; say which as --component NAME")])
+
+    def _recorded(self) -> list[str]:
+        return list(self._manifest["scenario"].get("record") or ())
+
+    def _columns(self, names: Sequence[str]) -> Array:
+        columns = [f"{self._name}.{n}" for n in names]
+        none = np.full(len(self._results.time), np.nan)
+        found = [self._results[c] if c in self._results.columns else none for c in columns]
+        return np.column_stack(found) if found else np.zeros((len(self._results.time), 0))
+
+    def _rows_of(self, times: Array) -> list[int]:
+        """The communication point of each time, or the last before it."""
+        have, slack = self._results.time, SLACK
+        _check_times(self._moment, float(have[0]), float(have[-1]))
+        rows = np.searchsorted(have, times + slack * np.maximum(1.0, np.abs(times)), side="right") - 1
+        if (np.abs(have[rows] - times) > 1e-6).any():
+            self.notes.append("between communication points the last one before is taken")
+        return [int(k) for k in rows]
+
+    def _driven(self, source: EquationSource, inputs: Array) -> Array:
+        """States of the equations under the component's inputs, from its start values; noted where outputs differ."""
+        stepper, time = Stepper(source.model), self._results.time
+        memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
+        units = {**memories, **{n: source.units[n] for n in source.states}}
+        starts = {n.removesuffix("_start"): str(v) for n, v in self.given.items() if n.endswith("_start")}
+        values = {n: read_value(v, units[n]) for n, v in starts.items() if n in units}
+        moment = stepper.start(float(time[0]), values)
+        states, shown = [np.array(moment.state, float)], [self._outputs(source, moment.state, time[0], inputs[0])]
+        for k in range(1, max(self._rows) + 1):
+            try:
+                moment = stepper.step(moment, tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1]))
+                shown.append(self._outputs(source, moment.state, time[k], inputs[k]))
+            except (ArithmeticError, ValueError) as error:
+                raise SimulationError(source.name, float(time[k]), f"the equations have no value: {error}") from None
+            states.append(np.array(moment.state, float))
+        self._compare(source, np.array(shown))
+        return np.array(states)
+
+    @staticmethod
+    def _outputs(source: EquationSource, state: Any, t: float, inputs: Array) -> Array:
+        return np.array(source._equations.output(float(t), state, tuple(inputs.tolist())), float)
+
+    def _compare(self, source: EquationSource, shown: Array) -> None:
+        """Say where the model is not what the component is."""
+        there = self._columns(source.outputs)[: len(shown)]
+        off = np.abs(there - shown).max(axis=0)
+        size = np.maximum(np.ptp(there, axis=0), 1e-3)
+        worst = int(np.argmax(off / size))
+        if off[worst] > AGREE * size[worst]:
+            unit = source.units.get(source.outputs[worst], "")
+            self.notes.append(
+                f"{self._name} is not this model: driven alike, {source.outputs[worst]} differs by up to "
+                f"{off[worst]:.3g} {unit}".rstrip()
+            )
+
+
+def _check(moment: Moment, component: str) -> None:
+    """What the scenario itself tells, before it is run: its times and the names in it."""
+    if not moment.scenario.is_file():
+        raise InputError([Fault(moment.scenario, 0, 0, "no such scenario")])
+    if is_ssp(moment.scenario):
+        return
+    scenario = ScenarioFile(moment.scenario).scenario
+    _check_times(moment, scenario.start_time, scenario.start_time + scenario.duration)
+    if component and component not in scenario.components:
+        message = f'{moment.scenario} has no component "{component}" ({", ".join(scenario.components)})'
+        raise InputError([Fault(Path("--component"), 0, 0, message)])
+
+
+def _check_times(moment: Moment, first: float, last: float) -> None:
+    outside = [t for t in moment.times.tolist() if not first - SLACK <= t <= last + SLACK]
+    if outside:
+        told = f"{outside[0]:g} s is not within {moment.scenario}, which runs from {first:g} to {last:g} s"
+        raise InputError([Fault(AT, 0, 0, told)])
+
+
+def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:
+    try:
+        outcome = run(scenario, folder, list(overrides), report=False)
+    except (InputError, FmuError, SimulationError) as error:
+        if isinstance(error, SimulationError):
+            error.left = None  # its folder goes with this command
+        raise
+    return outcome.results, outcome.manifest

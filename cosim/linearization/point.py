@@ -1,0 +1,106 @@
+"""`--at`: values of states and inputs, or a moment of a scenario."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.errors import Fault, InputError
+from cosim.linearization.linear import Point
+from cosim.linearization.parameters import NUMBER, read_value
+from cosim.linearization.source import Source
+from cosim.yaml_file import did_you_mean, short
+
+TIMES = re.compile(rf"({NUMBER})(?::({NUMBER}):({NUMBER}))?")
+SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
+MOST_TIMES = 100_000
+AT = Path("--at")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A scenario and the times in it [s]."""
+
+    scenario: Path
+    times: Array
+
+
+@dataclass(frozen=True)
+class Where:
+    """What `--at` says: values by name, as written, over those of a moment or of the start."""
+
+    values: Mapping[str, str]
+    moment: Moment | None
+
+
+def read_at(given: Sequence[str]) -> Where:
+    """`NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`; InputError."""
+    values: dict[str, str] = {}
+    moments: list[Moment] = []
+    faults: list[Fault] = []
+    for text in given:
+        head, at, tail = text.rpartition("@")
+        if at and (Path(head).suffix.lower() in SCENARIOS or "=" not in head):
+            try:
+                moments.append(Moment(Path(head), _times(tail)))
+            except ValueError as error:
+                faults.append(Fault(AT, 0, 0, f"{short(text)}: {error}"))
+            continue
+        for part in text.split(","):
+            name, sign, value = (piece.strip() for piece in part.partition("="))
+            if not (sign and name and value):
+                what = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
+                faults.append(Fault(AT, 0, 0, f"{short(text)} is {what}"))
+                break
+            values[name] = value
+    if len(moments) > 1:
+        faults.append(Fault(AT, 0, 0, f"{len(moments)} scenarios are named; name one"))
+    if faults:
+        raise InputError(faults)
+    return Where(values, moments[0] if moments else None)
+
+
+def _times(text: str) -> Array:
+    match = TIMES.fullmatch(text.strip())
+    if match is None:
+        raise ValueError("after @ stands a time in seconds, 2.5, or several, START:STOP:STEP, 0:10:0.5")
+    first = float(match[1])
+    if match[2] is None:
+        return np.array([first])
+    last, step = float(match[2]), float(match[3])
+    if not (last >= first and step > 0.0):
+        raise ValueError("START:STOP:STEP go forward, with a step above 0")
+    count = math.floor((last - first) / step + 1e-9) + 1
+    if count > MOST_TIMES:
+        raise ValueError(f"{count} times are more than {MOST_TIMES}; take a longer step")
+    return np.asarray(first + step * np.arange(count))
+
+
+def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
+    """The point with states and inputs as `--at` says; InputError with every name and value that does not fit."""
+    states, inputs, faults = point.states.copy(), point.inputs.copy(), []
+    known = (*source.states, *source.inputs)
+    for name, text in values.items():
+        if name not in known:
+            message = f'{source.title} has no state or input "{name}"{did_you_mean(name, known)}'
+            faults.append(Fault(AT, 0, 0, f"{message} (states: {', '.join(source.states) or 'none'}; "
+                                          f"inputs: {', '.join(source.inputs) or 'none'})"))  # fmt: skip
+            continue
+        try:
+            value = read_value(text, source.units.get(name, ""))
+        except ValueError as error:
+            faults.append(Fault(AT, 0, 0, f"{name}={short(text)}: {error}"))
+            continue
+        if name in source.states:
+            states[source.states.index(name)] = value
+        if name in source.inputs:
+            inputs[source.inputs.index(name)] = value
+    if faults:
+        raise InputError(faults)
+    return replace(point, states=states, inputs=inputs)

@@ -1,0 +1,150 @@
+"""The page of a linearisation: the point, poles, what inputs reach and outputs show, Bode plots, the matrices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.linearization.linear import Linear
+from cosim.linearization.outcome import Outcome
+from cosim.linearization.response import Response, frequencies, response
+from cosim.linearization.structure import Pole, Structure, poles
+from cosim.linearization.words import headline, number, pole_rows
+from cosim.report.panels import Panel, Trace
+from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, Tick, make_axis, make_plot
+from cosim.report.tables import Badge
+from cosim.report.template import render
+from cosim.text import counted, plain, written
+from cosim.version import __version__
+
+TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
+TOGETHER = 6  # curves in a panel
+MOST = 40  # panels
+LARGEST = 24  # columns of a matrix that is shown
+NOTHING = 1e-12  # of the largest response, below which an output does not answer
+
+
+def page(outcome: Outcome) -> str:
+    """One self-contained page, of the first where there are several times."""
+    linear, found = outcome.first, outcome.structure
+    times = [m.point.time for m in outcome.linear]
+    description = f"{outcome.title}: {linear.method}."
+    if len(times) > 1:
+        description += (
+            f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
+            "linear.json and linear.mat hold all."
+        )
+    bode = list(_bode(linear))
+    return render(
+        TEMPLATE,
+        {
+            "name": outcome.name, "description": description, "outcome": headline(found, linear),
+            "badges": _badges(linear, found), "notes": outcome.notes,
+            "states": _values(linear, linear.states, linear.point.states, linear.rates),
+            "inputs": _values(linear, linear.inputs, linear.point.inputs),
+            "time": plain(linear.point.time), "map": pole_map(found.poles) if found.poles else None,
+            "poles": pole_rows(found), "rank": (found.controllable, found.observable, len(linear.states)),
+            "condition": number(found.condition) if math.isfinite(found.condition) else "",
+            "bode": bode[:MOST], "left_out": max(0, len(bode) - MOST), "along": _along(outcome),
+            "matrices": [_matrix(linear, n) for n in "ABCD"], "largest": LARGEST, "version": __version__,
+        },
+    )  # fmt: skip
+
+
+def _badges(linear: Linear, found: Structure) -> list[Badge]:
+    sizes = [counted(len(group), noun) for group, noun in (
+        (linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))]  # fmt: skip
+    at_rest = not linear.rates.size or float(np.abs(linear.rates).max()) < 1e-6
+    return [
+        *map(Badge, sizes),
+        Badge(f"{'' if found.stable else 'not '}asymptotically stable", "good" if found.stable else "plain"),
+        Badge("equilibrium" if at_rest else "no equilibrium: f₀ is not zero", "good" if at_rest else "plain"),
+    ]  # fmt: skip
+
+
+def _values(linear: Linear, names: Sequence[str], values: Array, rates: Array | None = None) -> list[dict[str, str]]:
+    shown = [""] * len(names) if rates is None else [number(v) for v in rates]
+    return [
+        {"name": n, "unit": written(linear.unit(n)), "value": number(v), "rate": rate}
+        for n, v, rate in zip(names, values, shown, strict=True)
+    ]
+
+
+def _matrix(linear: Linear, name: str) -> dict[str, Any]:
+    matrix = getattr(linear, name)
+    rows = linear.states if name in "AB" else linear.outputs
+    columns = linear.states if name in "AC" else linear.inputs
+    return {
+        "name": name, "columns": columns, "fits": len(columns) <= LARGEST and len(rows) <= 4 * LARGEST,
+        "rows": [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)],
+    }  # fmt: skip
+
+
+def pole_map(found: Sequence[Pole]) -> Plot:
+    """Poles as crosses in the complex plane."""
+    real = np.array([p.value.real for p in found])
+    imag = np.array([p.value.imag for p in found])
+    reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
+    left, right = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
+    room = 0.06 * (right - left or reach)
+    x, y = make_axis(left - room, right + room, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
+    u, v = x.whole(real, WIDTH), HEIGHT - y.whole(imag, HEIGHT)
+    crosses = "".join(
+        f"M{a - 36} {b - 22}l72 44m-72 0l72-44" for a, b in zip(u.tolist(), v.tolist(), strict=True)
+    )  # fmt: skip
+    axis = int(x.whole(np.zeros(1), WIDTH)[0])
+    curves = (Curve("poles", "s0", crosses, ""), Curve("imaginary axis", "reference", f"M{axis} 0v{HEIGHT}", ""))
+    told = ", ".join(f"{p.value:.4g}" for p in found)
+    zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
+    return Plot("Imaginary part of the poles", "rad/s", curves, "", "", (), "", x, y, zero, f"Poles at {told}.")
+
+
+def _bode(linear: Linear) -> Iterator[tuple[Plot, Plot]]:
+    """Magnitude and phase from each input to the outputs that answer it."""
+    omega = frequencies(linear)
+    g = response(linear, omega)
+    for k, name in enumerate(linear.inputs):
+        sizes = np.abs(g[:, k, :]).max(axis=1, initial=0.0)
+        answering = [i for i, size in enumerate(sizes) if size > NOTHING * max(float(sizes.max(initial=0.0)), 1e-300)]
+        for first in range(0, len(answering), TOGETHER):
+            yield _pair(linear, g, omega, k, name, answering[first : first + TOGETHER])
+
+
+def _pair(linear: Linear, g: Response, omega: Array, k: int, name: str, rows: Sequence[int]) -> tuple[Plot, Plot]:
+    x = log_axis(omega)
+    sizes, phases = [], []
+    for j, i in enumerate(rows):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            decibels = 20.0 * np.log10(np.abs(g[i, k]))
+            phase = np.degrees(np.unwrap(np.angle(g[i, k])))
+        sizes.append(Trace(linear.outputs[i], np.where(np.isfinite(decibels), decibels, np.nan), f"s{j}"))
+        phases.append(Trace(linear.outputs[i], phase, f"s{j}"))
+    over = "frequency in rad/s"
+    return (
+        make_plot(Panel(f"{name}: magnitude", "dB", sizes), np.log10(omega), x, over=over),
+        make_plot(Panel(f"{name}: phase", "°", phases), np.log10(omega), x, over=over),
+    )
+
+
+def log_axis(omega: Array) -> Axis:
+    """Decades."""
+    low, high = float(np.log10(omega[0])), float(np.log10(omega[-1]))
+    decades = range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)
+    every = max(1, len(decades) // 8)
+    ticks = tuple(Tick(100.0 * (d - low) / (high - low), f"{10.0**d:g}") for d in decades if d % every == 0)
+    return Axis(low, high, ticks)
+
+
+def _along(outcome: Outcome) -> Plot | None:
+    """Real parts of the poles over time, where there are several times."""
+    if len(outcome.linear) < 2:
+        return None
+    time = np.array([m.point.time for m in outcome.linear])
+    real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(time), -1)
+    traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
+    return make_plot(Panel("Real parts of the poles", "1/s", traces), time, make_axis(time[0], time[-1], 6))

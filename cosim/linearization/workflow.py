@@ -1,0 +1,177 @@
+"""A linearisation, in order: model or FMU → point → slopes → what is left of them → linear.json, .mat, .py, page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.errors import Fault, InputError
+from cosim.files import FilePath, atomic_write, check_writable
+from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
+from cosim.linearization.along import Along
+from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
+from cosim.linearization.linear import Linear, Point, chosen, missing_states, residualised
+from cosim.linearization.outcome import Outcome
+from cosim.linearization.parameters import with_parameters
+from cosim.linearization.point import moved, read_at
+from cosim.linearization.source import EquationSource, Source, settled
+from cosim.linearization.structure import structure
+from cosim.linearization.write import FILES, write
+from cosim.models.file import LoadedModel, load_model, named_model
+from cosim.models.refined import names_refine, refined_file
+from cosim.registry import BASE, MODELS
+from cosim.simulation.single import start_pairs
+from cosim.yaml_file import did_you_mean
+
+IDLE = "moves nothing at this point: a dead band or a stop, perhaps"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be kept of a linear model; all without.
+
+    fast: states that settle at once and are solved for
+    """
+
+    states: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+    outputs: Sequence[str] = ()
+    fast: Sequence[str] = ()
+
+
+def linearize(
+    model: FilePath,
+    out: FilePath | None = None,
+    *,
+    at: Sequence[str] = (),
+    set: Sequence[str] = (),
+    states: Sequence[str] = (),
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+    residualize: Sequence[str] = (),
+    component: str = "",
+    step: float | None = None,
+    report: bool = True,
+) -> Outcome:
+    """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
+
+    model:       base or another known name, a model.yaml, file.py:Class, a refine's folder, an FMU for model exchange
+    at:          NAME=VALUE of states and inputs, SCENARIO@TIME or SCENARIO@START:STOP:STEP; the start without
+    set:         NAME=VALUE of parameters
+    residualize: states that settle at once
+    component:   of the scenario, where several would do
+    step:        of central differences, for an FMU in place of its directional derivatives
+    Raises InputError, FmuError, SimulationError.
+    """
+    where, folder = read_at(at), None if out is None else Path(out)
+    asked = Asked(states, inputs, outputs, residualize)
+    with ExitStack() as stack:
+        source = _source(stack, Path(model), set, step)
+        asked = _checked(source, asked)
+        if folder is not None:
+            check_writable(folder, (*FILES, "report.html"), source.files)
+        notes: list[str] = []
+        if where.moment is None:
+            points = [source.start()]
+        else:
+            along = Along(source, where.moment, component)
+            source = source.given(along.given, set)
+            points, notes = along.points(source), along.notes
+        points = [moved(source, point, where.values) for point in points]
+        found = _linear(source, points, asked)
+    notes += [f"{name} {IDLE}" for name in _idle(found)]
+    if found[0].notes:
+        notes += [n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in notes]
+    outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
+    if folder is not None:
+        write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)
+        if report:
+            from cosim.linearization.report import page
+
+            with atomic_write(folder / "report.html") as stream:
+                stream.write(page(outcome))
+    return outcome
+
+
+def _idle(found: Sequence[Linear]) -> list[str]:
+    """Inputs that change neither rates nor outputs at any of the points."""
+    sizes = [np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in found]
+    return [n for n, size in zip(found[0].inputs, np.max(sizes, axis=0).tolist(), strict=True) if size == 0.0]
+
+
+def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
+    """The equations or the FMU that is named."""
+    text = str(path)
+    if text not in MODELS and text != BASE and ".py:" not in text:
+        kind = kind_of(path)
+        if kind == FMU:
+            return _fmu(stack, path, given, step)
+        refuse_other(path, None if names_refine(path) else kind, MODEL, FMU, CODE)
+    if step is not None:
+        told = "is of FMUs; equations are differentiated exactly, so leave it out"
+        raise InputError([Fault(Path("--step"), 0, 0, told)])
+    if text in MODELS:
+        loaded = LoadedModel(named_model(text), text)
+    else:
+        loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())
+    return EquationSource(replace(loaded, model=with_parameters(loaded.model, given)), text)
+
+
+def _fmu(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
+    from cosim.blocks.summary import read_fmus
+    from cosim.isolation.process import Worker
+
+    if step is not None and not 0.0 < step < 1.0:
+        raise InputError([Fault(Path("--step"), 0, 0, f"{step:g}: give a small number above 0, such as 1e-5")])
+    (description,) = read_fmus([path])
+    start = typed_values(path, description, start_pairs(path, given, description))
+    worker = stack.enter_context(Worker(*MODULES))
+    return ExchangeSource(worker, path, description, start, step)
+
+
+def _checked(source: Source, asked: Asked) -> Asked:
+    """Names as they are in the model, all where none are given; InputError with every one that is not."""
+    faults: list[Fault] = []
+    for option, names, known in (
+        ("states", asked.states, source.states), ("inputs", asked.inputs, source.inputs),
+        ("outputs", asked.outputs, source.outputs), ("residualize", asked.fast, source.states),
+    ):  # fmt: skip
+        for name in names:
+            if name not in known:
+                told = f'{source.title} has no {option.removesuffix("s").replace("residualize", "state")} "{name}"'
+                faults.append(Fault(Path(f"--{option}"), 0, 0, told + did_you_mean(name, known)))
+        faults += [
+            Fault(Path(f"--{option}"), 0, 0, f"{n} is named twice")
+            for n in dict.fromkeys(names)
+            if list(names).count(n) > 1
+        ]
+    faults += [
+        Fault(Path("--residualize"), 0, 0, f"{n} is to be kept by --states too; name it in one of them")
+        for n in asked.fast
+        if n in asked.states
+    ]
+    if faults:
+        raise InputError(faults)
+    rest = [n for n in source.states if n not in asked.fast]
+    return Asked(
+        asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)
+    )  # fmt: skip
+
+
+def _linear(source: Source, points: Sequence[Point], asked: Asked) -> list[Linear]:
+    """Slopes at every point, without what is not asked for."""
+    try:
+        whole = source.linear([settled(source, point, asked.fast) for point in points])
+        found = [residualised(each, asked.fast) for each in whole]
+    except ValueError as error:
+        raise InputError([Fault(Path("--residualize"), 0, 0, str(error))]) from None
+    lacking = list(dict.fromkeys(n for each in found for n in missing_states(each, asked.states)))
+    if lacking:
+        cure = "add them, or, where they settle at once, name them as --residualize"
+        told = f"what is kept depends on {', '.join(lacking)}; {cure}"
+        raise InputError([Fault(Path("--states"), 0, 0, told)])
+    return [chosen(each, asked.states, asked.inputs, asked.outputs) for each in found]

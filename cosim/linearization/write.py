@@ -1,0 +1,120 @@
+"""A linear model as files: linear.json, linear.mat for MATLAB and Octave, linear.py for python-control."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.files import atomic_write
+from cosim.linearization.linear import Linear
+from cosim.linearization.structure import Structure
+from cosim.version import __version__
+from fmus.files import draft_of
+
+FILES = ("linear.json", "linear.mat", "linear.py")
+HEADER = 116  # bytes of text at the beginning of a .mat, in which scipy writes the time of day
+SCRIPT = '''"""The linear model of linear.json beside this file, for python-control: `from linear import system`."""
+
+import json
+from pathlib import Path
+
+import control
+
+content = json.loads(Path(__file__).with_name("linear.json").read_text(encoding="utf-8"))
+systems = [
+    control.ss(
+        m["A"], m["B"], m["C"], m["D"],
+        states=content["states"], inputs=content["inputs"], outputs=content["outputs"], remove_useless_states=False,
+    )
+    for m in content["models"]
+]
+system = systems[0]
+'''
+
+
+def write(
+    folder: Path, name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
+) -> None:
+    """All of them, each whole or not at all."""
+    with atomic_write(folder / "linear.json") as stream:
+        json.dump(content(name, title, linear, structure, notes), stream, indent=1, ensure_ascii=False, allow_nan=False)
+        stream.write("\n")
+    with draft_of(folder / "linear.mat") as draft:
+        draft.write_bytes(mat(linear))
+    with atomic_write(folder / "linear.py") as stream:
+        stream.write(SCRIPT)
+
+
+def content(
+    name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
+) -> dict[str, Any]:
+    """linear.json: matrices as lists of rows, one model a time."""
+    first = linear[0]
+    return {
+        "schema_version": 1,
+        "version": __version__,
+        "model": name,
+        "title": title,
+        "method": first.method,
+        "notes": list(notes),
+        "states": list(first.states),
+        "inputs": list(first.inputs),
+        "outputs": list(first.outputs),
+        "units": {n: first.unit(n) for n in (*first.states, *first.inputs, *first.outputs)},
+        "models": [
+            {
+                "time": m.point.time,
+                "x0": m.point.states.tolist(), "u0": m.point.inputs.tolist(), "y0": m.values.tolist(),
+                "f0": m.rates.tolist(),
+                "A": m.A.tolist(), "B": m.B.tolist(), "C": m.C.tolist(), "D": m.D.tolist(),
+            }
+            for m in linear
+        ],
+        "structure": _plain(structure),
+    }  # fmt: skip
+
+
+def _plain(structure: Structure) -> dict[str, Any]:
+    def number(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    poles = [
+        {
+            "real": p.value.real, "imag": p.value.imag, "count": p.count, "jordan_blocks": list(p.blocks),
+            "natural_frequency": p.natural_frequency, "damping_ratio": number(p.damping_ratio),
+            "time_constant": number(p.time_constant), "controllable": p.controllable, "observable": p.observable,
+        }
+        for p in structure.poles
+    ]  # fmt: skip
+    rest = {k: v for k, v in asdict(structure).items() if k != "poles"}
+    return {"poles": poles, **rest, "condition": number(structure.condition)}
+
+
+def mat(linear: Sequence[Linear]) -> bytes:
+    """MATLAB's format 5: A, B, C, D, x0, u0, y0, f0 and names; of several times, the last axis is that of `time`."""
+    from scipy.io import savemat
+
+    def stacked(matrices: Sequence[Any]) -> Any:
+        return np.asarray(matrices[0]) if len(matrices) == 1 else np.stack(matrices, axis=-1)
+
+    first = linear[0]
+    values: dict[str, Any] = {n: stacked([getattr(m, n) for m in linear]) for n in "ABCD"}
+    columns = {
+        "x0": [m.point.states for m in linear], "u0": [m.point.inputs for m in linear],
+        "y0": [m.values for m in linear], "f0": [m.rates for m in linear],
+    }  # fmt: skip
+    values |= {n: np.array(rows).T for n, rows in columns.items()}
+    values["time"] = np.array([[m.point.time for m in linear]])
+    names = {"states": first.states, "inputs": first.inputs, "outputs": first.outputs}
+    values |= {n: np.array(list(group), dtype=object) for n, group in names.items()}
+    stream = io.BytesIO()
+    savemat(stream, values)
+    title = f"MATLAB 5.0 MAT-file, by cosim {__version__}".encode().ljust(HEADER)
+    return title + stream.getvalue()[HEADER:]

@@ -1,0 +1,160 @@
+"""Many runs of one system at once: the master's loop on a row of signals with a column a run.
+
+As `cosim.simulation.master` does: values are exchanged in initialization until none changes, then each stage pulls,
+steps and is read; steps are counted. No run's values reach another's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.blocks.noise import samples_of, stream
+from cosim.simulation.master import EXACT_SWEEPS
+from cosim.simulation.system import System
+from cosim.simulation.wiring import Transfer
+from cosim.sweeps.compiled import WIDTH
+from cosim.sweeps.twins import Kind, Twin, kind_of, merged
+
+Starts = Mapping[str, Mapping[str, Any]]  # component → variable → value
+LIMIT = 1 << 28  # bytes of rows and noise that are held at once
+
+
+def kinds_of(system: System) -> dict[str, Kind] | str:
+    """How twins of every component are made; or why the runs are made through FMUs, in words."""
+    if system.events:
+        return "events change parameters while it runs"
+    if system.apart or system.beside:
+        return "signals are no doubles, or a component has a process of its own"
+    if any(stage.every != 1 for stage in system.stages):
+        return "components have steps of their own"
+    if any(t.faults or t.items is not None for t in _transfers(system)):
+        return "faults are injected, or enumerations connected"
+    found = {stage.component.name: kind_of(stage.component) for stage in system.stages}
+    missing = [name for name, kind in found.items() if kind is None]
+    if missing:
+        return f"{', '.join(missing)}: no equations of an FMU of this kind are known here"
+    return {name: kind for name, kind in found.items() if kind is not None}
+
+
+def most_at_once(system: System, steps: int, kept: int) -> int:
+    """How many runs fit into memory at once, a multiple of the width of compiled code."""
+    noisy = sum(t.noise is not None for t in _transfers(system))
+    return max(WIDTH, min(1024, LIMIT // (8 * (steps + 1) * (kept + noisy + 1)) // WIDTH * WIDTH))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What is the same for all runs: the system, how its twins are made, steps and their length [s].
+
+    compiled: equations are compiled, where they can be
+    """
+
+    system: System
+    kinds: Mapping[str, Kind]
+    steps: int
+    h: float
+    compiled: bool = True
+
+    def run(self, starts: Sequence[Starts], seeds: Sequence[int], kept: Sequence[int]) -> Array:
+        """Rows of the signals in the places `kept`, shape (steps + 1, kept, runs); NaN and infinity where a run fails.
+
+        starts: of each run the start values of each component, all of them
+        """
+        table = np.empty((self.steps + 1, len(kept), len(starts)))
+        groups: dict[Any, list[int]] = {}
+        for k, start in enumerate(starts):
+            pattern = tuple(kind.pattern(start.get(name, {})) for name, kind in self.kinds.items())
+            groups.setdefault(pattern, []).append(k)
+        with np.errstate(all="ignore"):
+            for members in groups.values():
+                one = _Together(self, [starts[k] for k in members], [seeds[k] for k in members])
+                if len(groups) == 1:
+                    return one.rows(kept)
+                table[:, :, members] = one.rows(kept)
+        return table
+
+
+class _Together:
+    """Runs whose effects are awake alike."""
+
+    def __init__(self, batch: Batch, starts: Sequence[Starts], seeds: Sequence[int]) -> None:
+        count = len(starts)
+        padded = -(-count // WIDTH) * WIDTH
+        starts = [*starts, *[starts[-1]] * (padded - count)]
+        self.system, self.steps, self.h, self.count = batch.system, batch.steps, batch.h, count
+        system = batch.system
+        self.row = np.zeros((len(system.columns), padded))
+        self.twins: list[tuple[str, Twin]] = []
+        first = {name: k for k, name in reversed([*enumerate(c.partition(".")[0] for c in system.columns)])}
+        for stage in system.stages:
+            c = stage.component
+            given = merged([start.get(c.name, {}) for start in starts])
+            twin = batch.kinds[c.name].make(given, padded, compiled=batch.compiled)
+            at = first.get(c.name, 0)
+            split, end = at + len(c.inputs), at + len(c.inputs) + len(c.outputs)
+            twin.begin(self.row[at:split], self.row[split:end], system.start)
+            self.twins.append((c.name, twin))
+        seeds = [*seeds, *[seeds[-1]] * (padded - count)]
+        self.samples = {t.name: self._noise(t, seeds) for t in _transfers(system) if t.noise is not None}
+
+    def _noise(self, transfer: Transfer, seeds: Sequence[int]) -> Array:
+        """What noise adds, shape (steps + 1, runs): of each run as in the run by itself."""
+        made = np.empty((len(seeds), self.steps + 1))
+        assert transfer.noise is not None
+        variance, bias = transfer.noise.variance, transfer.noise.bias
+        for k, seed in enumerate(seeds[: self.count]):
+            made[k] = samples_of(stream(seed, transfer.name), variance, bias, self.steps + 1)
+        made[self.count :] = made[self.count - 1]
+        return np.ascontiguousarray(made.T)
+
+    def rows(self, kept: Sequence[int]) -> Array:
+        """Run from beginning to end; shape (steps + 1, kept, runs)."""
+        table = np.empty((self.steps + 1, len(kept), self.count))
+        pulls = {s.component.name: s.pulls for s in self.system.stages}
+        self._settle(pulls)
+        self._keep(table, 0, kept)
+        h, begin = self.h, self.system.start
+        next_t = begin
+        for k in range(1, self.steps + 1):
+            t, next_t = next_t, begin + k * h
+            for stage, (name, twin) in zip(self.system.stages, self.twins, strict=True):
+                self._transfer(pulls[name], k)
+                twin.advance(t, h if stage.component.nominal_step else next_t - t)
+            self._transfer(self.system.held, k)
+            self._keep(table, k, kept)
+        return table
+
+    def _settle(self, pulls: Mapping[str, Sequence[Transfer]]) -> None:
+        for _ in range(EXACT_SWEEPS * (len(self.twins) + 1)):
+            before = self.row.copy()
+            for name, twin in self.twins:
+                self._transfer(pulls[name], 0)
+                twin.settle()
+            self._transfer(self.system.held, 0)
+            if np.array_equal(before, self.row, equal_nan=True):
+                return
+
+    def _transfer(self, transfers: Sequence[Transfer], k: int) -> None:
+        row = self.row
+        for t in transfers:
+            target = row[t.target]
+            if t.factor != 1.0 or t.offset != 0.0:
+                np.multiply(row[t.source], t.factor, out=target)
+                target += t.offset
+            else:
+                target[:] = row[t.source]
+            if t.noise is not None:
+                target += self.samples[t.name][k]
+
+    def _keep(self, table: Array, k: int, kept: Sequence[int]) -> None:
+        for place, column in enumerate(kept):
+            table[k, place] = self.row[column, : self.count]
+
+
+def _transfers(system: System) -> list[Transfer]:
+    return [*system.held, *(t for stage in system.stages for t in stage.pulls)]

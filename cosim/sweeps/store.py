@@ -1,0 +1,162 @@
+"""Where runs are kept: one by one in a database while a sweep lasts, in one Parquet file when it has ended."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.errors import Fault, InputError
+from cosim.sweeps.runs import Made
+from fmus.files import draft_of
+
+if TYPE_CHECKING:
+    import pyarrow
+
+DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
+GROUP = 4096  # runs that are written at a time
+MADE, CHECKED = "made", "checked"
+COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
+
+
+class Database:
+    """Context: runs made so far, whole or not at all, also where the process is killed."""
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.path = folder / DATABASE
+        try:
+            self._base = sqlite3.connect(self.path)
+            self._base.execute("PRAGMA synchronous = NORMAL")
+            for table in (MADE, CHECKED):
+                self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
+            self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
+            self._base.commit()
+        except sqlite3.Error as error:
+            raise InputError(
+                [Fault(self.path, 0, 0, f"is no database of a sweep: {error}; --force begins anew")]
+            ) from None
+        before = self.get("key")
+        if before is not None and before != key:
+            self._base.close()
+            message = "holds the runs of another sweep; give another folder as --out, or begin anew by --force"
+            raise InputError([Fault(self.path, 0, 0, message)])
+        self.put("key", key)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._base.close()
+
+    def get(self, name: str) -> str | None:
+        """What was kept under a name."""
+        row = self._base.execute("SELECT content FROM sweep WHERE key = ?", (name,)).fetchone()
+        return None if row is None else str(row[0])
+
+    def put(self, name: str, content: str) -> None:
+        """Keep a text under a name."""
+        with self._base:
+            self._base.execute("DELETE FROM sweep WHERE key = ?", (name,))
+            self._base.execute("INSERT INTO sweep VALUES (?, ?)", (name, content))
+
+    def add(self, runs: Iterable[Made], table: str = MADE) -> None:
+        """Keep runs, all of them or none."""
+        rows = [
+            (m.run, m.status, m.through, np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(),
+             m.signals.tobytes(), len(m.signals))
+            for m in runs
+        ]  # fmt: skip
+        with self._base:
+            self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+
+    def there(self, table: str = MADE) -> set[int]:
+        """Numbers of the runs that are kept."""
+        return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
+
+    def runs(self, table: str = MADE) -> Iterator[Made]:
+        """All of them, in order; there may be more than memory holds."""
+        rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
+        for run, status, through, figures, met, signals, count in rows:
+            shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
+            values = tuple(np.frombuffer(figures).tolist())
+            yield Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
+
+    def remove(self) -> None:
+        """Close it and take it away."""
+        self._base.close()
+        self.path.unlink(missing_ok=True)
+
+
+def write_table(
+    path: Path, runs: Iterable[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str],
+    signals: Sequence[str], about: Mapping[str, Any],
+) -> None:  # fmt: skip
+    """One row a run: its number, what varied, how it went, each criterion's value and whether it is met, each signal.
+
+    A signal is a list of values at the times that stand in the metadata, as JSON under `cosim`.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    types: dict[str, Any] = {"run": pa.int64()}
+    design = {name: _of_one_type(values) for name, values in design.items()}
+    types |= {name: pa.array(values).type for name, values in design.items()}
+    types |= {"status": pa.string(), "through": pa.string()}
+    for name in criteria:
+        types |= {name: pa.float64(), f"{name} met": pa.bool_()}
+    types |= {name: pa.list_(pa.float64()) for name in signals}
+    schema = pa.schema(list(types.items()), {"cosim": json.dumps(about)})
+    left = iter(runs)
+    with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
+        while part := list(itertools.islice(left, GROUP)):
+            columns = _columns(part, design, criteria, signals)
+            arrays = [pa.array(columns[name], kind) for name, kind in types.items()]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+
+def _columns(
+    runs: Sequence[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str], signals: Sequence[str]
+) -> dict[str, list[Any]]:
+    """Values of some runs, by column."""
+    found: dict[str, list[Any]] = {name: [values[m.run] for m in runs] for name, values in design.items()}
+    found |= {"run": [m.run for m in runs], "status": [m.status for m in runs], "through": [m.through for m in runs]}
+    for k, name in enumerate(criteria):
+        found[name] = [_number(m.values[k]) if m.status == "ok" else None for m in runs]
+        found[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in runs]
+    for k, name in enumerate(signals):
+        found[name] = [m.signals[k] if m.status == "ok" else None for m in runs]
+    return found
+
+
+def _of_one_type(values: Sequence[Any]) -> list[Any]:
+    """Values as one column holds them: numbers as they are or as floats, a mixture as text."""
+    kinds = {type(v) for v in values}
+    if len(kinds) == 1:
+        return list(values)
+    return [float(v) for v in values] if kinds == {int, float} else [json.dumps(v) for v in values]
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else value
+
+
+def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
+    """The table that a sweep left, and what stands in its metadata. Raises OSError, ValueError."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
+
+
+def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array:
+    """A signal of every run that has it, or of `most` of them evenly spread, shape (runs, times)."""
+    column = table.column(name).drop_null()
+    if most is not None and len(column) > most:
+        column = column.take(np.linspace(0, len(column) - 1, most).astype(int))
+    return np.array(column.to_pylist(), dtype=float) if len(column) else np.empty((0, 0))

@@ -1,0 +1,284 @@
+"""Components evaluated for many runs at once: sources, models by the equations that their FMU carries, and controllers.
+
+A twin does what its FMU does, on arrays with a value a run. `twin_of` gives None where there is none: then the runs are
+made through the FMU.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.interface import Component
+from cosim.blocks.sources import Source
+from cosim.registry import MODELS, TWINS, resolve
+from cosim.sweeps.compiled import stepping
+from fmus.archive import unpack
+from plant.quantities import parameters_of
+
+Given = Mapping[str, Any]  # variable → value, or an array with one for each run
+
+
+class Twin(Protocol):
+    """What the loop over steps asks of a component; `inputs` and `outputs` are views of its rows, (signals, runs)."""
+
+    def begin(self, inputs: Array, outputs: Array, t: float) -> None:
+        """Take the views, and the start values of inputs that nothing feeds."""
+
+    def settle(self) -> None:
+        """Outputs of initialization, from the inputs."""
+
+    def advance(self, t: float, h: float) -> None:
+        """Step from `t` to `t + h` [s] and write the outputs."""
+
+
+Maker = Callable[[Given, int], Twin]
+
+
+class Kind(Protocol):
+    """How twins of one component are made."""
+
+    def pattern(self, given: Given) -> Hashable:
+        """Runs whose patterns are equal are made together; of a run's values."""
+
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+        """A twin of so many runs; `compiled`: where it can be."""
+
+
+def kind_of(component: Component) -> Kind | None:
+    """How twins of a component are made; None where there are none."""
+    if isinstance(component, Source):
+        return _SourceKind(component)
+    if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
+        return None
+    if (place := TWINS.get(component.description.modelName)) is not None:
+        found: Kind = resolve(place)()
+        return found if _fits(component, found) else None
+    if (model := model_of(component.path, component.description.modelName)) is not None:
+        kind = _ModelKind(component, *model)
+        return kind if _fits(component, kind) else None
+    return None
+
+
+def _fits(component: FmuBlock, kind: Any) -> bool:
+    """The FMU has the inputs and outputs of the twin, in its order, and nothing more is recorded of it."""
+    return [s.name for s in component.inputs] == kind.input_names(component) and [
+        s.name for s in component.outputs
+    ] == list(kind.outputs)
+
+
+# -- sources -----------------------------------------------------------------------------------------
+
+
+class _SourceKind:
+    def __init__(self, source: Source) -> None:
+        self.source = source
+
+    def pattern(self, given: Given) -> Hashable:
+        return ()
+
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+        return _SourceTwin(self.source)
+
+
+class _SourceTwin:
+    """The same for every run."""
+
+    def __init__(self, source: Source) -> None:
+        self.functions = source.functions
+
+    def begin(self, inputs: Array, outputs: Array, t: float) -> None:
+        self.outputs, self.t = outputs, t
+
+    def settle(self) -> None:
+        for row, function in zip(self.outputs, self.functions, strict=True):
+            row[:] = function(self.t)
+
+    def advance(self, t: float, h: float) -> None:
+        self.t = t + h
+        self.settle()
+
+
+# -- models ------------------------------------------------------------------------------------------
+
+
+@cache
+def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
+    """The model in an FMU, the stepper and the namespace of arrays that go with it; None where there is none.
+
+    An FMU in Python carries its equations; a native one of a model that is known has those of here.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            script = archive.read("resources/slavemodule.txt").decode().strip()
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+        return _known_model(name)
+    folder = unpacked(path) / "resources"
+    if not (folder / script.removesuffix("_slave") / "plant" / "integrate.py").is_file():
+        return None  # of somebody else
+    sys.path.insert(0, str(folder))
+    try:
+        slave = getattr(importlib.import_module(script), name, None)
+        package = script.removesuffix("_slave")
+        model = getattr(slave, "model", None)
+        if model is None:
+            return None
+        integrate, spaces = (importlib.import_module(f"{package}.plant.{n}") for n in ("integrate", "namespaces"))
+        return model, integrate.Stepper, spaces.arrays()
+    except Exception:  # whatever the file of another does: the runs are made through the FMU, which says it
+        return None
+    finally:
+        sys.path.remove(str(folder))
+
+
+@cache
+def unpacked(path: Path) -> Path:
+    """Where an FMU is unpacked as long as this process lives."""
+    kept = tempfile.TemporaryDirectory(prefix="cosim-fmu-", ignore_cleanup_errors=True)
+    _KEPT.append(kept)
+    unpack(path, Path(kept.name))
+    return Path(kept.name)
+
+
+_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _known_model(name: str) -> tuple[Any, Any, Any] | None:
+    from plant.integrate import Stepper
+    from plant.namespaces import arrays
+
+    for known in MODELS.values():
+        if f"{known.model.rpartition(':')[2]}Plant" == name:
+            return resolve(known.model)(), Stepper, arrays()
+    return None
+
+
+class _ModelKind:
+    """A model of equations, integrated as its FMU does."""
+
+    def __init__(self, block: FmuBlock, model: Any, stepper: Any, namespace: Any) -> None:
+        model = model.with_values(_differing(model, block.description))
+        self.block, self.model, self.stepper, self.namespace = block, model, stepper, namespace
+        self.outputs = tuple(q.name for q in model.outputs)
+        catalogue = {kind.name: parameters_of(kind) for kind in model.catalogue}
+        self.neutral = {
+            f"{name}.{p.name}": p.neutral for name, own in catalogue.items() for p in own if p.neutral is not None
+        }
+
+    def input_names(self, block: FmuBlock) -> list[str]:
+        """Inputs in the order in which the block has them: those that are fed come first."""
+        names = [q.name for q in self.model.inputs]
+        self.order = [names.index(s.name) for s in block.inputs if s.name in names]
+        return [names[k] for k in self.order] if len(self.order) == len(names) else []
+
+    def pattern(self, given: Given) -> Hashable:
+        """Which effects act, and what is no number."""
+        awake = {
+            name.partition(".")[0] for name, neutral in self.neutral.items() if given.get(name, neutral) != neutral
+        }
+        return frozenset(awake), tuple(sorted((n, v) for n, v in given.items() if isinstance(v, (bool, str))))
+
+    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+        return _ModelTwin(self, given, compiled)
+
+
+def _differing(model: Any, description: Any) -> dict[str, Any]:
+    """Defaults that an FMU declares for parameters and that are not the model's own, as of a native FMU."""
+    present = {e.name: e for e in model.effects}
+    found: dict[str, Any] = {}
+    for variable in description.modelVariables:
+        declared = model.declared.get(variable.name)
+        if declared is None or variable.causality != "parameter" or variable.start is None:
+            continue
+        effect, _, name = variable.name.rpartition(".")
+        owner = present.get(effect) if effect else model
+        own = getattr(owner, name, declared.default)
+        given = variable.start == "true" if isinstance(own, bool) else float(variable.start)
+        if given != own:
+            found[variable.name] = given
+    return found
+
+
+class _ModelTwin:
+    def __init__(self, kind: _ModelKind, given: Given, compiled: bool) -> None:
+        self.kind, self.to_compile = kind, compiled
+        names = {q.name for q in kind.model.inputs}
+        starts = {n.removesuffix("_start"): v for n, v in given.items() if n.endswith("_start")}
+        values = {n: v for n, v in given.items() if not n.endswith("_start") and n not in names}
+        self.given = {n: v for n, v in given.items() if n in names}
+        self.starts = starts
+        self.model = kind.model.with_values(values)
+        self.stepper = kind.stepper(self.model, kind.namespace)
+
+    def begin(self, inputs: Array, outputs: Array, t: float) -> None:
+        order = self.kind.order
+        self.inputs, self.outputs = inputs, outputs
+        for place, k in enumerate(order):
+            name = self.model.inputs[k].name
+            inputs[place] = self.given.get(name, self.model.start_command()[k])
+        self.command = tuple(inputs[order.index(k)] for k in range(len(order)))
+        moment = self.stepper.start(t, self.starts)
+        self.state = np.empty((len(moment.state), inputs.shape[1]))
+        for row, value in zip(self.state, moment.state, strict=True):
+            row[:] = value
+        self.t, self.memory = t, moment.memory
+        self.sorted = None if order == sorted(order) else np.argsort(order)
+        self.compiled = stepping(self.model, inputs.shape[1]) if self.to_compile else None
+
+    def settle(self) -> None:
+        values = self.stepper.output(self.t, tuple(self.state), self.command)
+        for row, value in zip(self.outputs, values, strict=True):
+            row[:] = value
+
+    def advance(self, t: float, h: float) -> None:
+        # what remembers commands keeps them, and the rows change
+        command = tuple(row.copy() for row in self.command) if self.memory else self.command
+        if self.compiled is None:
+            moment = self._moment(t)
+            after = self.stepper.step(moment, command, h)
+            for row, value in zip(self.state, after.state, strict=True):
+                row[:] = value
+            self.memory, self.t = after.memory, after.t
+            self.settle()
+            return
+        n = self.compiled.substeps(h)
+        dt = h / n
+        if not self.memory:
+            self.compiled.step(t, dt, n, self.state, self._in_order(), self.outputs)
+        else:  # what shapes a command does so substep by substep
+            acting = np.empty(self.inputs.shape)
+            for k in range(n):
+                shaped, self.memory = self.stepper.shape(t + k * dt, dt, command, self.memory)
+                for row, value in zip(acting, shaped, strict=True):
+                    row[:] = value
+                self.compiled.step(t + k * dt, dt, 1, self.state, acting, None)
+            self.compiled.output(t + h, self.state, self._in_order(), self.outputs)
+        self.t = t + h
+
+    def _in_order(self) -> Array:
+        """Inputs in the order of the model."""
+        return self.inputs if self.sorted is None else np.ascontiguousarray(self.inputs[self.sorted])
+
+    def _moment(self, t: float) -> Any:
+        moment = self.stepper.start(t, {})
+        return type(moment)(t, tuple(self.state), self.memory)
+
+
+def merged(rows: Sequence[Given]) -> dict[str, Any]:
+    """Values of several runs as one: a number where all are equal, else an array."""
+    found: dict[str, Any] = {}
+    for name in rows[0]:
+        values = [row[name] for row in rows]
+        same = all(v == values[0] for v in values)
+        found[name] = values[0] if same or isinstance(values[0], (str, bool)) else np.array(values, dtype=float)
+    return found

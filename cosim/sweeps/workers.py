@@ -1,0 +1,191 @@
+"""Who makes the runs: worker processes of this machine, or those of a dask scheduler, each with a process for FMUs."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+from cosim.errors import CosimError, Fault, InputError, SimulationError
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.sweeps.runs import Asked, Job, Made, Way, error_of, failed, made
+from cosim.yaml_file import YamlFile
+
+MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
+ANSWER = 5  # [s] that a dask scheduler may take to answer
+AHEAD = 4  # chunks that are asked for beyond those being made
+
+_idle: list[Worker] = []  # of this process
+_all: list[Worker] = []
+_lock = threading.Lock()
+_stopping = threading.Event()
+
+
+class Makers(Protocol):
+    """Make chunks of runs, side by side."""
+
+    count: int
+
+    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
+        """A future of the runs."""
+
+    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+        """Wait for one or more; those that are done, and the others."""
+
+
+def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
+    """Make runs in a worker process, which is kept for the next; a run that ends it has failed."""
+    with _lock:
+        worker = _idle.pop() if _idle else None
+        if worker is None:
+            worker = Worker(*MODULES)
+            _all.append(worker)
+    try:
+        return _called(worker, job, chunk, way, limits, goals)
+    finally:
+        with _lock:
+            _idle.append(worker)
+
+
+def _called(
+    worker: Worker, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int
+) -> list[Made]:
+    if _stopping.is_set():
+        raise RuntimeError("the sweep is being stopped")
+    try:
+        found: list[Made] = worker.call(made, job, chunk, way, watch=job.watched.watch(limits))
+        return found
+    except SimulationError as error:  # it crashed, or a limit is exceeded
+        if len(chunk) == 1:
+            return [failed(chunk[0].run, error_of(error), goals, way)]
+    except CosimError:
+        raise
+    return [run for one in chunk for run in _called(worker, job, [one], way, limits, goals)]
+
+
+def _end_workers(*, kill: bool) -> None:
+    """End the processes of this one."""
+    with _lock:
+        workers = list(_all)
+        _all.clear()
+        _idle.clear()
+    for worker in workers:
+        worker.end(kill=kill)
+
+
+class Local:
+    """Processes of this machine."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        _stopping.clear()
+        self._pool = ThreadPoolExecutor(count)  # each waits for a process
+
+    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
+        """A future of the runs."""
+        return self._pool.submit(apart, job, chunk, way, limits, goals)
+
+    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+        """Wait for one or more."""
+        finished, others = wait(pending, return_when=FIRST_COMPLETED)
+        return set(finished), set(others)
+
+    def end(self, *, kill: bool) -> None:
+        """End the processes."""
+        if kill:
+            _stopping.set()  # or a thread would take the end of its process for that of a run
+        self._pool.shutdown(wait=not kill, cancel_futures=True)
+        _end_workers(kill=kill)
+
+
+class Here:
+    """This process, for a debugger."""
+
+    count = 1
+
+    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
+        """A future that is done."""
+        future: Future[Any] = Future()
+        future.set_result(made(job, chunk, way))
+        return future
+
+    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+        """All of them."""
+        return pending, set()
+
+
+class Dask:
+    """Workers of a dask scheduler; they see the files of this machine under the same names."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self.count = max(1, sum(client.nthreads().values()))
+
+    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
+        """A future of the runs."""
+        return self._client.submit(apart, job, list(chunk), way, limits, goals, pure=False)
+
+    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+        """Wait for one or more."""
+        from distributed import wait as wait_for
+
+        finished, others = wait_for(pending, return_when="FIRST_COMPLETED")
+        return set(finished), set(others)
+
+
+@contextmanager
+def makers(workers: int | None, dask: Any, *, in_process: bool = False) -> Iterator[Makers]:
+    """Those of a dask client, of this process, or so many processes of this machine."""
+    if dask is not None:
+        try:
+            yield Dask(dask)
+        finally:
+            _end_workers(kill=False)  # of a cluster within this process
+        return
+    if in_process:
+        yield Here()
+        return
+    local = Local(workers or os.cpu_count() or 1)
+    try:
+        yield local
+    except BaseException:
+        local.end(kill=True)
+        raise
+    local.end(kill=False)
+
+
+@contextmanager
+def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[Any]:
+    """A client of the scheduler at an address, None without one; InputError where nobody answers."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError([place("dask.distributed is not installed; pip install 'cosim-hovercraft[dask]'")]) from None
+    import logging
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said by us
+    try:
+        client = Client(address, timeout=ANSWER)
+    except (OSError, ValueError, TypeError) as error:
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        message = f"no dask scheduler answers at {address} within {ANSWER} s ({why}); start one by `dask scheduler`"
+        raise InputError([place(message)]) from None
+    with client:
+        if not client.nthreads():
+            raise InputError(
+                [place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")]
+            )
+        yield client
+
+
+def fault_of(yaml: YamlFile, given: str | None) -> Callable[[str], Fault]:
+    """Where the fault of an address stands: in the file, or in the option."""
+    return lambda text: yaml.fault(("dask",), text) if given is None else Fault(Path("--dask"), 0, 0, text)

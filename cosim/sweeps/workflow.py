@@ -1,0 +1,243 @@
+"""`cosim sweep`, in order: file → design → arrays checked against FMUs → runs → sweep.parquet, sweep.json, report."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
+from cosim.files import FilePath, atomic_write, check_writable
+from cosim.simulation.folder import folder_named
+from cosim.simulation.scenario import Criterion
+from cosim.sweeps.batch import kinds_of
+from cosim.sweeps.outcome import Swept, criterion_names
+from cosim.sweeps.outcome import apart as apart_of
+from cosim.sweeps.reading import Sweep, read_sweep
+from cosim.sweeps.runs import MOST_ROWS, Made, Way, sampled_rows
+from cosim.sweeps.statistics import share
+from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
+from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
+from cosim.text import counted, plain
+from cosim.version import __version__
+
+RECORD, REPORT = "sweep.json", "report.html"
+REPEATED = 20  # random runs that are made through the FMUs too
+EQUAL = 1e-9  # of max(1, largest value), within which they agree
+CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}  # runs a job; the same whoever makes them, so that bytes are
+TOLD = 20  # failures
+SCHEMA_VERSION = 1
+Progress = Callable[[int, int], None]
+
+
+def sweep(
+    path: FilePath, out: FilePath | None = None, *, workers: int | None = None, dask: str | None = None,
+    report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
+) -> Swept:  # fmt: skip
+    """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
+
+    What an earlier call that was stopped has made is gone on with; `force` begins anew.
+    workers: processes, one a core without; dask: address of a scheduler, over that of the file
+    Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
+    """
+    study = read_sweep(Path(path))
+    folder = folder_named(study.name) if out is None else Path(out)
+    read = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
+    check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
+    address = study.file.dask if dask is None else dask
+    with ExitStack() as stack:
+        client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
+        if force:
+            for name in (DATABASE, TABLE, RECORD, REPORT):
+                (folder / name).unlink(missing_ok=True)
+        left = _left(folder, study.key)
+        count = 0
+        if left is None:
+            base = stack.enter_context(Database(folder, study.key))
+            one = _Sweep(study, folder, base, progress)
+            left, count = one.made(workers, client, in_process=in_process)
+    swept = Swept(study, folder, left, count)
+    if report:
+        from cosim.sweeps.report import page
+
+        with atomic_write(folder / REPORT) as stream:
+            stream.write(page(swept))
+    if left["failed"] == left["runs"]:
+        raise SweepFailed(f"all {counted(study.count, 'run')} failed; run 0: {left['failures'][0]['why']}")
+    return swept
+
+
+def _left(folder: Path, key: str) -> dict[str, Any] | None:
+    """What a sweep that has ended left here; InputError where it was another."""
+    try:
+        _, about = read_table(folder / TABLE)
+        record: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if about.get("key") != key:
+        message = "holds another sweep, or one of other FMUs; give another folder as --out, or begin anew by --force"
+        raise InputError([Fault(folder / TABLE, 0, 0, message)])
+    return record
+
+
+class _Sweep:
+    """One call: what is there, what is still to be made."""
+
+    def __init__(self, study: Sweep, folder: Path, base: Database, progress: Progress | None) -> None:
+        self.study, self.folder, self.base, self.progress = study, folder, base, progress
+        self.goals = [g for _, _, g in study.scenario.goals]
+        self.seconds = 0.0
+        self.count = 0
+
+    def made(self, workers: int | None, client: Any, *, in_process: bool) -> tuple[dict[str, Any], int]:
+        """The record, and how many runs were made now."""
+        try:
+            with makers(workers, client, in_process=in_process) as who:
+                way, why = self._way(who)
+                self._make(who, range(self.study.count), way, MADE)
+        except (KeyboardInterrupt, Terminated) as stop:
+            there = len(self.base.there())
+            message = f"{there} of {counted(self.study.count, 'run')} are kept in {self.base.path}"
+            error = SweepStopped(f"stopped: {message}; the same command goes on with them")
+            if isinstance(stop, Terminated):
+                error.exit_code = Terminated.exit_code
+            raise error from None
+        record = self._record(way, why)
+        names = [c["name"] for c in record["criteria"]]
+        about = {
+            "key": self.study.key,
+            "times": record["times"],
+            "units": record["units"],
+            "signals": self.study.job.signals,
+        }
+        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, self.study.job.signals, about)
+        with atomic_write(self.folder / RECORD) as stream:
+            json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
+            stream.write("\n")
+        self.base.remove()
+        return record, self.count
+
+    def _way(self, who: Makers) -> tuple[Way, str]:
+        """How runs are made, and why not on arrays: those repeated through the FMUs must agree."""
+        known = self.base.get("way")
+        if known is not None:
+            way, why = json.loads(known)
+            return way, why
+        kinds = kinds_of(self.study.system)
+        way, why = ("fmus", kinds) if isinstance(kinds, str) else ("arrays", "")
+        if way == "arrays":
+            repeated = self._repeated()
+            self._make(who, repeated, "fmus", CHECKED)
+            job = replace(self.study.job, whole=True)
+            future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
+            on_arrays = next(iter(who.done({future})[0])).result()
+            apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
+            if not apart <= EQUAL:
+                way, why = "fmus", f"on arrays runs are {plain(apart, 2)} apart from those through the FMUs"
+        self.base.put("way", json.dumps([way, why]))
+        return way, why  # type: ignore[return-value]
+
+    def _repeated(self) -> list[int]:
+        """Random runs that are made through the FMUs too."""
+        rng = np.random.default_rng([self.study.file.seed, 0xC4EC])
+        found = rng.choice(self.study.count, min(REPEATED, self.study.count), replace=False)
+        return sorted(int(k) for k in found)
+
+    def _make(self, who: Makers, runs: Iterable[int], way: Way, table: str) -> None:
+        """Make what is not there yet, chunk by chunk, and keep each."""
+        there = self.base.there(table)
+        limits = self.study.scenario.limits
+        size = 1 if way == "fmus" and limits is not None else CHUNK[way]
+        chunks: dict[int, list[int]] = {}
+        for run in runs:
+            if run not in there:
+                chunks.setdefault(run // size, []).append(run)
+        job = self.study.job if table == MADE else replace(self.study.job, whole=True)
+        begun, done, total = time.perf_counter(), len(there), len(there) + sum(map(len, chunks.values()))
+        waiting, pending = list(reversed(chunks.values())), set[Any]()
+        while waiting or pending:
+            while waiting and len(pending) < who.count + AHEAD:
+                asked = [self.study.asked(run) for run in waiting.pop()]
+                pending.add(who.submit(job, asked, way, limits if way == "fmus" else None, len(self.goals)))
+            finished, pending = who.done(pending)
+            for future in finished:
+                found: list[Made] = future.result()
+                self.base.add(found, table)
+                done += len(found)
+                if table == MADE:
+                    self.count += len(found)
+            if self.progress is not None and table == MADE:
+                self.progress(done, total)
+        if table == MADE:
+            self.seconds = time.perf_counter() - begun
+
+    def _record(self, way: Way, why: str) -> dict[str, Any]:
+        study, scenario = self.study, self.study.scenario
+        count = through = failed = 0
+        failures: list[dict[str, Any]] = []
+        met = np.zeros(len(scenario.goals), int)
+        for m in self.base.runs():
+            count, through = count + 1, through + (m.through == "fmus")
+            if m.status == "ok":
+                met += np.array(m.met, int)
+            else:
+                failed += 1
+                failures += [{"run": m.run, "why": m.status}] if failed <= TOLD else []
+        shares = [share(int(hits), count - failed) for hits in met]
+        rows = sampled_rows(scenario.steps, study.job.samples)
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "cosim_version": __version__,
+            "name": study.name,
+            "key": study.key,
+            "sweep": json.loads(study.file.model_dump_json(by_alias=True, exclude_none=True)),
+            "scenario": study.resolved,
+            "runs": count,
+            "failed": failed,
+            "failures": failures,
+            "way": way,
+            "why": why,
+            "through_fmus": through,
+            "runs_a_second": float(f"{self.count / self.seconds:.3g}") if self.count else None,
+            "check": self._checked(count, way, why),
+            "times": [scenario.start_time + scenario.step * k for k in rows],
+            "units": {name: study.system.units.get(name, "") for name in study.job.signals},
+            "criteria": [
+                {"name": name, "max": goal.max, "unit": _unit(kind, goal, study),
+                 "met": s.hits, "of": s.of, "ci95": [s.low, s.high]}
+                for name, (kind, _, goal), s in zip(criterion_names(study), scenario.goals, shares, strict=True)
+            ],
+        }  # fmt: skip
+
+    def _checked(self, count: int, way: Way, why: str) -> dict[str, Any]:
+        """How far the runs that are kept are from those repeated through the FMUs."""
+        if way == "fmus":
+            because = f": {why}" if why else ""
+            return {"runs": count, "apart": 0.0, "sentence": f"every run was made through the FMUs{because}"}
+        checked, steps = {m.run: m for m in self.base.runs(CHECKED)}, self.study.scenario.steps
+        columns = [self.study.system.columns.index(name) for name in self.study.job.signals]
+        mine, theirs = sampled_rows(steps, self.study.job.samples), sampled_rows(steps, MOST_ROWS)
+        both = sorted({*mine} & {*theirs})
+        at = [mine.index(k) for k in both], [theirs.index(k) for k in both]
+        apart = 0.0
+        for kept in (m for m in self.base.runs() if m.run in checked):
+            other = checked[kept.run]
+            if kept.status == other.status == "ok":
+                other = replace(other, signals=other.signals[np.ix_(columns, at[1])])
+                kept = replace(kept, signals=kept.signals[:, at[0]])
+            apart = max(apart, apart_of(kept, other))
+        agree = "agree" if apart <= EQUAL else "DO NOT AGREE"
+        repeated = f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}"
+        sentence = f"{repeated}: at most {plain(apart, 2)} of max(1, largest value) apart; {plain(EQUAL, 1)} is allowed"
+        return {"runs": len(checked), "apart": apart if np.isfinite(apart) else None, "sentence": sentence}
+
+
+def _unit(kind: str, goal: Criterion, study: Sweep) -> str:
+    unit = study.system.units.get(goal.of, "")
+    return {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)

@@ -1,0 +1,92 @@
+"""`cosim linearize`: a model about a point."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.verbs.terminal import Json, Open, say, say_json, show, table, warn
+
+if TYPE_CHECKING:
+    from cosim.linearization.outcome import Outcome
+
+NAMES = "comma between them, repeatable"
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command."""
+    app.command()(linearize)
+
+
+def linearize(
+    model: Annotated[
+        str, typer.Argument(help="base, bench, a model.yaml, file.py:Class, a refine's folder, or an FMU.")
+    ],
+    at: Annotated[
+        list[str] | None,
+        typer.Option("--at", help="NAME=VALUE,… of states and inputs, SCENARIO@TIME, or SCENARIO@START:STOP:STEP."),
+    ] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE of a parameter; repeatable.")] = None,
+    states: Annotated[
+        list[str] | None, typer.Option("--states", help=f"States that are kept, in order; {NAMES}.")
+    ] = None,
+    inputs: Annotated[list[str] | None, typer.Option("--inputs", help=f"Inputs that are kept; {NAMES}.")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--outputs", help=f"Outputs that are kept; {NAMES}.")] = None,
+    residualize: Annotated[
+        list[str] | None, typer.Option("--residualize", help=f"States that settle at once and are solved for; {NAMES}.")
+    ] = None,
+    component: Annotated[str, typer.Option("--component", help="Of the scenario, where several would do.")] = "",
+    step: Annotated[
+        float | None, typer.Option("--step", help="Of central differences, in place of an FMU's own slopes; 1e-5.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
+    ] = Path("linearized"),
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    as_json: Json = False,
+) -> None:
+    """Linearise a model about a point: A, B, C, D, poles, rank; linear.json, linear.mat, linear.py and report.html."""
+    from cosim.linearization.workflow import linearize as linearize_model
+
+    outcome = linearize_model(
+        model, out, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs), outputs=_names(outputs),
+        residualize=_names(residualize), component=component, step=step, report=report,
+    )  # fmt: skip
+    for note in outcome.notes:
+        warn(note)
+    if as_json:
+        from cosim.linearization.write import content
+
+        say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
+    else:
+        _tell(outcome, out)
+    if report and open_:
+        show(out / "report.html")
+
+
+def _names(given: list[str] | None) -> list[str]:
+    return [name.strip() for text in given or () for name in text.split(",") if name.strip()]
+
+
+def _tell(outcome: Outcome, out: Path) -> None:
+    from cosim.linearization.words import HEAD, headline, matrix_lines, pole_table
+
+    m = outcome.first
+    for name in "ABCD":
+        rows = m.states if name in "AB" else m.outputs
+        header, *cells = matrix_lines(name, getattr(m, name), rows, m.states if name in "AC" else m.inputs) or [[name]]
+        for line in table(header, cells) if cells else []:
+            say(line)
+    for line in table(HEAD, pole_table(outcome.structure)):
+        say(line)
+    say(headline(outcome.structure, m))
+    several = (
+        f", {len(outcome.linear)} times from {m.point.time:g} s on; above is the first"
+        if len(outcome.linear) > 1
+        else ""
+    )
+    say(f"by {m.method}{several}")
+    say(f"linear model: {out / 'linear.json'}, linear.mat, linear.py; report: {out / 'report.html'}")

@@ -1,0 +1,83 @@
+"""`cosim sweep`: many runs of one scenario."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.verbs.terminal import MANNER, Json, Open, progress_bar, say, say_json, say_more, show, warn
+
+EVERY = 10.0  # [s] between lines of those who asked for more
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command."""
+    app.command()(sweep)
+
+
+def sweep(
+    study: Annotated[Path, typer.Argument(help="A sweep.yaml: a scenario, and what varies in it.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the sweep without.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; one a core without.")] = None,
+    dask: Annotated[
+        str | None, typer.Option("--dask", help="Address of a dask scheduler, such as tcp://host:8786.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Annotated[bool, typer.Option("--force", help="Begin anew, whatever an earlier sweep left there.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run a scenario many times: sweep.parquet, sweep.json and report.html; one that was stopped is gone on with."""
+    from cosim.sweeps.workflow import sweep as run_sweep
+
+    with _progress() as progress:
+        swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
+    if "DO NOT" in swept.record["check"]["sentence"]:
+        warn(swept.record["check"]["sentence"])
+    if as_json:
+        say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
+    else:
+        for line in swept.sentences:
+            say(line)
+        if swept.made < swept.record["runs"]:
+            say(f"made now: {swept.made}, there before: {swept.record['runs'] - swept.made}")
+        say(f"runs:   {swept.folder / 'sweep.parquet'}")
+        if report:
+            say(f"report: {swept.folder / 'report.html'}")
+    if report and open_:
+        show(swept.folder / "report.html")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar with the time left on a terminal; lines for those who asked for more."""
+    with progress_bar("sweeping") as bar:
+        begun = told = time.monotonic()
+        first: int | None = None
+
+        def advance(done: int, total: int) -> None:
+            nonlocal told, first
+            if bar is not None:
+                bar(done * 1000, total * 1000)  # a short sweep may take long
+            now = time.monotonic()
+            if MANNER.verbose and (first is None or now - told >= EVERY or done == total):
+                say_more(f"{done} of {total} runs{left_in_words(done - (first or 0), total - done, now - begun)}")
+                told = now
+            first = done if first is None else first
+
+        yield advance
+
+
+def left_in_words(made: int, left: int, elapsed: float) -> str:
+    """The time that is left at the rate so far; nothing before there is one."""
+    if made <= 0 or left <= 0:
+        return ""
+    seconds = elapsed * left / made
+    return f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"

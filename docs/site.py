@@ -1,0 +1,124 @@
+"""Builds the site into docs/_site: reports for the gallery, pages by Sphinx, then every link is tried.
+
+`python docs/site.py [--external] [--no-gallery]`; --external tries links to other sites too, --no-gallery keeps the
+reports of the last time.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+DOCS = Path(__file__).resolve().parent
+ROOT, MADE, SITE = DOCS.parent, DOCS / "_made", DOCS / "_site"
+SLOW = "--set criteria={settling_time: {of: Tank.level, to: 1.5, band: 0.02, max: 100}}"
+TANKS = (
+    "build/Tank.fmu build/Controller.fmu --out tanks.yaml",
+    "--set components.Controller.start.gain=0.1 --set components.Controller.start.reset=0.004",
+)
+REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; command
+    ("", "build --out build"),
+    ("run", "run scenarios/manoeuvre.yaml --out results/run"),
+    ("", f"init {TANKS[0]}"),
+    ("two-fmus", "run tanks.yaml --out results/two-fmus"),
+    ("missed", f"run tanks.yaml {shlex.quote(SLOW[:5])} {shlex.quote(SLOW[6:])} --out results/missed"),
+    ("failed", "run tanks.yaml --set components.Tank.start.area=0 --out results/failed"),
+    ("", f"run tanks.yaml {TANKS[1]} --out results/firm"),
+    ("compare", "compare results/two-fmus results/firm --out results/compare"),
+    ("replay", "replay examples/tanks/e1.csv --plant build/Tank.fmu --out results/replay"),
+    ("refine", "refine examples/tanks/study.yaml --out results/refine"),
+    ("identify", "identify examples/bench/protocol.yaml --out results/identify"),
+)
+
+
+def gallery() -> None:
+    """Each report by its command, in a folder of its own; a run that is to miss or to fail does so."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    (MADE / "gallery").mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for part in ("scenarios", "examples"):
+            shutil.copytree(ROOT / part, folder / part)
+        build = "import sys; from pythonfmu.__main__ import cli_main; cli_main()"
+        for slave in ("tank", "level_control"):
+            command = ["build", "-f", f"examples/tanks/{slave}.py", "--dest", "build"]
+            subprocess.run([sys.executable, "-c", build, *command], cwd=folder, check=True, capture_output=True)
+        subprocess.run([sys.executable, "examples/tanks/make_logs.py"], cwd=folder, check=True, capture_output=True)
+        for page, words in REPORTS:
+            print(f"cosim {words}", flush=True)
+            command = [sys.executable, "-m", "cosim.cli", *shlex.split(words)]
+            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+            wanted = {"missed": 5, "failed": 4}.get(page, 0)
+            if done.returncode != wanted:
+                sys.exit(f"cosim {words}: exit code {done.returncode}, not {wanted}\n{done.stderr}")
+            if page:
+                shutil.copy(folder / "results" / page / "report.html", MADE / "gallery" / f"{page}.html")
+
+
+class Page(HTMLParser):
+    """What a page links to, what it loads, and the places in it that can be linked to."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loads: list[str] = []
+        self.places: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Keeps links and places."""
+        given = {name: value or "" for name, value in attrs}
+        self.places |= {given[name] for name in ("id", "name") if name in given}
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        elif tag in ("script", "img", "link", "iframe", "source"):
+            self.loads += [given[name] for name in ("src", "href") if given.get(name)]
+
+
+def faults(site: Path) -> list[str]:
+    """Links that lead nowhere within a site, and what it would load from elsewhere."""
+    pages = {path: Page(path) for path in sorted(site.rglob("*.html"))}
+    found = []
+    for path, page in pages.items():
+        where = path.relative_to(site)
+        for link in (*page.links, *page.loads):
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                if link in page.loads and parts.scheme != "data":
+                    found.append(f"{where} loads {link}")
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            target = target / "index.html" if target.is_dir() else target
+            if not target.exists():
+                found.append(f"{where}: {link} leads nowhere")
+            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].places:
+                found.append(f"{where}: {link}: no such place in {target.relative_to(site)}")
+    return found
+
+
+def main() -> int:
+    """Reports, pages, links."""
+    if "--no-gallery" not in sys.argv[1:]:
+        gallery()
+    shutil.rmtree(SITE, ignore_errors=True)
+    sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(MADE.parent / "_site.doctrees")]
+    subprocess.run([*sphinx, "-b", "html", str(DOCS), str(SITE)], check=True)
+    if "--external" in sys.argv[1:]:
+        subprocess.run([*sphinx, "-b", "linkcheck", str(DOCS), str(SITE) + ".links"], check=True)
+    found = faults(SITE)
+    print(
+        "\n".join(found)
+        or f"{len(list(SITE.rglob('*.html')))} pages, every link leads somewhere: {SITE / 'index.html'}"
+    )
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

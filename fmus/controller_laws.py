@@ -1,0 +1,86 @@
+"""Controllers beside the LQR as FMI slaves: the same estimator and ports under another law, swapped by one line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from controller.laws import IntegralFeedback, Law
+from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
+from fmus.ports import Port, Value
+
+Dependencies = Mapping[str, Sequence[str]]
+INTEGRALS = (
+    Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
+    Port("psi_integral", "output", 0.0, "rad.s", "integral of the error of the measured heading"),
+)
+LATERAL = (
+    Port("y_hat", "output", 0.0, "m", "estimated drift to the right"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the filter believes in"),
+    Port("iterations", "output", 0.0, "1", "iterations of the solver at this sample"),
+    Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
+)
+Y_REF = Port("y_ref", "input", 0.0, "m", "reference of the drift to the right", optional=True)
+Y_START = Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts")
+
+
+def extended(ports: Sequence[Port], *more: Port) -> tuple[Port, ...]:
+    """Ports and further ones, each after the others of its causality."""
+    every = (*ports, *more)
+    return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
+
+
+class HovercraftPolesController(HovercraftController):
+    """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
+
+    The tilts together drive the one axis, their difference the other, so that the gain of each is unique; at most two
+    poles are equal, one in either axis.
+    """
+
+    settings = PlacedSettings()
+    ports = controller_ports(settings)
+
+
+class HovercraftIntegralController(HovercraftController):
+    """LQR with integrals of the errors of what is measured: of x by fixes, of ψ by the IMU."""
+
+    settings = IntegralSettings()
+    ports = extended(controller_ports(settings), *INTEGRALS)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """State feedback with integrals."""
+        return IntegralFeedback(settings)
+
+
+class HovercraftPredictiveController(HovercraftController):
+    """Predictive control with limits of tilt and duty; holds y as well, given fixes. Needs daqp in its host too."""
+
+    settings = PredictiveSettings()
+    ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """The predictive law; its solver is loaded here, for the other controllers go without."""
+        from controller.predictive import PredictiveLaw
+
+        return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
+
+
+def integral_dependencies() -> tuple[Dependencies, Dependencies]:
+    """What outputs depend on at a sample, and in initialization mode."""
+    tilts = DEPENDENCIES["tilt_right"]
+    # whether a tilt saturates decides about both integrals
+    at_sample = {**DEPENDENCIES, "x_integral": tilts, "psi_integral": tilts}
+    return at_sample, {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()}
+
+
+def predictive_dependencies() -> tuple[Dependencies, Dependencies]:
+    """What outputs depend on at a sample, and in initialization mode: commands on all there is."""
+    ports = HovercraftPredictiveController.ports
+    inputs = tuple(p.name for p in ports if p.causality == "input")
+    parameters = (p.name for p in ports if p.causality == "parameter" and p.kind == "Real")
+    known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
+    solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
+    at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
+    return at_sample, at_start

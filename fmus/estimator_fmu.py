@@ -1,0 +1,187 @@
+"""Estimators as FMI slaves with one set of inputs and outputs, so that one takes the place of another by one line.
+
+They need numpy, scipy and filterpy in the Python that hosts them, as the controller does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from controller.extended import ExtendedFilter, ExtendedSettings
+from controller.gains import Settings
+from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
+from fmus.ports import Port, Value, parameter_port
+from fmus.slave import Slave
+from plant.hovercraft import DUTY_NOMINAL, Hovercraft
+from plant.quantities import Parameter, parameters_of
+
+STARTS = {"x_hat": "m", "vx_hat": "m/s", "psi_hat": "rad", "psi_dot_hat": "rad/s", "a_hat": "m/s2"}
+SIGNALS = (
+    Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
+    Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
+    Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
+    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
+    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
+    Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
+    Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
+    Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
+    Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
+    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
+    Port("x_hat", "output", 0.0, "m", "estimated distance along the craft's own axis"),
+    Port("vx_hat", "output", 0.0, "m/s", "estimated forward velocity"),
+    Port("psi_hat", "output", 0.0, "rad", "estimated heading"),
+    Port("psi_dot_hat", "output", 0.0, "rad/s", "estimated yaw rate"),
+    Port("a_hat", "output", 0.0, "m/s2", "estimated thrust acceleration"),
+    Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
+    Port("x_sigma", "output", 0.0, "m", "standard deviation of x_hat the estimator believes in"),
+    Port("psi_sigma", "output", 0.0, "rad", "standard deviation of psi_hat the estimator believes in"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
+    Port(
+        "nis",
+        "output",
+        0.0,
+        "1",
+        "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right",
+    ),
+)
+INPUTS = tuple(p.name for p in SIGNALS if p.causality == "input")
+OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
+MEASURED = ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix")
+# A command is taken as it acted until the sample, so no output depends on that of the same time.
+DEPENDENCIES = dict.fromkeys(OUTPUTS, MEASURED)
+NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
+
+
+def start_ports() -> tuple[Port, ...]:
+    """Where the estimate starts."""
+    return tuple(
+        Port(f"{n}_start", "parameter", 0.0, unit, f"start value of {n}; the estimator knows where it starts")
+        for n, unit in STARTS.items()
+    )
+
+
+def filter_ports() -> tuple[Port, ...]:
+    """Variables of the linear filters and of double integration: the controller's numbers without its gains."""
+    settings = Settings()
+    numbers = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
+    return (
+        *SIGNALS,
+        *(parameter_port(p, getattr(settings, p.name)) for p in numbers),
+        Port("estimator", "parameter", settings.estimator, "", f"estimator: {', '.join(OBSERVERS)}"),
+        *start_ports(),
+    )
+
+
+def extended_ports() -> tuple[Port, ...]:
+    """Variables of the extended filter: the plant's numbers, its noise, in which axes its fixes are."""
+    model, settings = Hovercraft(), ExtendedSettings()
+    return (
+        *SIGNALS,
+        *(parameter_port(p, getattr(model, p.name)) for p in NUMBERS),
+        *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(ExtendedSettings)),
+        Port(
+            "axes", "parameter", settings.axes, "", "fixes are along the craft's own axes, or the world's: own, world"
+        ),
+        *start_ports(),
+    )
+
+
+def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
+    """At the start an estimate is what it is told; a of the plant's equations depends on the plant's numbers too."""
+    known: dict[str, tuple[str, ...]] = {n: (f"{n}_start",) for n in STARTS}
+    if any(p.name == "axes" for p in ports):
+        known["a_hat"] = tuple(p.name for p in ports if p.causality == "parameter")
+    return {n: known.get(n, ()) for n in OUTPUTS}
+
+
+class Estimator(Slave):
+    """A communication step is one sample, and one other than `sample_time` is refused."""
+
+    sample: float
+    running: Any
+
+    def advance(self, t: float, h: float) -> None:
+        """One sample."""
+        if abs(h - self.sample) > 1e-6 * self.sample:
+            raise ValueError(f"step of {h} s; the estimator is sampled at {self.sample} s (parameter sample_time)")
+        *both, x_meas, y_meas, fix = self.inputs
+        self.running.step(both[:3], both[3:], fix, (x_meas, y_meas))
+        self._publish()
+
+    def snapshot(self) -> Any:
+        """Estimate, covariance, last fix."""
+        return self.running.snapshot()
+
+    def restore(self, snapshot: Any) -> None:
+        """Bit for bit."""
+        self.running.restore(snapshot)
+
+    def _publish(self) -> None:
+        self.set_outputs([*self.running.estimate, *self.running.sigma, self.running.nis])
+
+
+class HovercraftFilter(Estimator):
+    """Kalman filter of the thesis in three variants, or double integration: parameter `estimator`."""
+
+    ports: ClassVar[tuple[Port, ...]] = filter_ports()
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Estimate at `*_hat_start`, P = 0, no update."""
+        names = {p.name for p in parameters_of(Settings)}
+        chosen = str(given.get("estimator", Settings().estimator))
+        if chosen not in OBSERVERS:
+            raise ValueError(f"estimator is {chosen!r}; it is one of {', '.join(OBSERVERS)}")
+        values: dict[str, Any] = {n: v for n, v in given.items() if n in names}
+        values.pop("estimator", None)
+        integrating = chosen == DOUBLE_INTEGRATION
+        if not integrating:
+            values["estimator"] = chosen
+        settings = replace(Settings(), **values)
+        start = [float(given.get(f"{n}_start", 0.0)) for n in STARTS]
+        self.sample = settings.sample_time
+        self.running = (DoubleIntegration if integrating else LinearFilter)(settings, start, self.inputs[-1])
+        self._publish()
+
+
+class HovercraftEkf(Estimator):
+    """Extended Kalman filter on the plant's equations."""
+
+    ports: ClassVar[tuple[Port, ...]] = extended_ports()
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Estimate at `*_hat_start`, P = 0, no update. Both propellers are tilted so that a is a_hat_start."""
+        from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
+
+        faults, numbers = [], {p.name: v for p in NUMBERS if (v := given.get(p.name)) is not None}
+        own: dict[str, Any] = {
+            p.name: v for p in parameters_of(ExtendedSettings) if (v := given.get(p.name)) is not None
+        }
+        model, settings = Hovercraft(), ExtendedSettings()
+        try:
+            model = model.with_values(numbers)
+        except ValueError as error:
+            faults.append(str(error))
+        try:
+            settings = replace(settings, **own, axes=str(given.get("axes", "own")))
+        except ValueError as error:
+            faults.append(str(error))
+        if faults:
+            raise ValueError("; ".join(faults))
+        start = {n.removesuffix("_hat"): float(given.get(f"{n}_start", 0.0)) for n in STARTS}
+        tilt = level_tilt(model, start.pop("a"))
+        start |= {"tilt_right": tilt, "tilt_left": tilt}
+        self.sample = settings.sample_time
+        self.running = ExtendedFilter(model, settings, vars(printed), start, self.inputs[-1])
+        self._publish()
+
+
+def level_tilt(model: Hovercraft, a: float) -> float:
+    """The tilt [rad] of both propellers at which the hovering craft's thrust acceleration is a [m/s²]; at most ±90°."""
+    from plant.integrate import Stepper
+
+    stepper = Stepper(model)
+    outputs = dict(zip((q.name for q in model.outputs), stepper.output(0.0, model.start(), ()), strict=True))
+    return math.asin(max(-1.0, min(1.0, a * model.mass / (outputs["thrust_right"] + outputs["thrust_left"]))))

@@ -1,0 +1,53 @@
+"""What makes the FMUs of the craft's estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fmus.build import Recipe
+from fmus.description import Description
+from fmus.documentation import documented
+from fmus.ports import Port
+
+DESIGNING = ("controller/synthesis.py", "controller/designer.py")  # what an estimator does without
+
+
+def filter_recipe() -> Recipe:
+    """The linear filters and double integration."""
+    from controller.kalman import discrete_model
+    from controller.observers import DoubleIntegration, LinearFilter
+    from fmus.estimator_fmu import HovercraftFilter
+
+    about = _about("Estimators of the hovercraft: three Kalman filters, double integration", HovercraftFilter.ports)
+    text = documented(LinearFilter, discrete_model, DoubleIntegration, HovercraftFilter)
+    slave = ("estimator_fmu", "HovercraftFilter")
+    return Recipe(slave, ("plant", "controller"), about, text, without=DESIGNING)
+
+
+def extended_recipe() -> Recipe:
+    """The extended Kalman filter; its Jacobians are printed now, so that it needs no sympy."""
+    from controller.extended import Craft, ExtendedFilter
+    from fmus.estimator_fmu import HovercraftEkf
+
+    about = _about("Extended Kalman filter of the hovercraft on the plant's equations", HovercraftEkf.ports)
+    text = documented(ExtendedFilter, Craft, HovercraftEkf)
+    slave = ("estimator_fmu", "HovercraftEkf")
+    printed = (("controller/printed.py", jacobians()),)
+    return Recipe(slave, ("plant", "controller"), about, text, without=DESIGNING, printed=printed)
+
+
+def jacobians() -> str:
+    """∂f/∂x of the craft and ∂a_x/∂x, as a Python module; kept in the user's cache."""
+    from fmus.native.cache import fingerprint, kept
+    from plant.hovercraft import Hovercraft
+    from plant.symbolic.jacobian import printed_jacobians
+
+    code = fingerprint(("plant", "plant.effects", "plant.symbolic"))
+    return str(kept(f"jacobians of the hovercraft, a_x {code}", lambda: printed_jacobians(Hovercraft(), ("ax",))))
+
+
+def _about(text: str, ports: Sequence[Port]) -> Description:
+    from fmus.estimator_fmu import DEPENDENCIES, initial_dependencies
+
+    starting = initial_dependencies(ports)
+    return Description(text, ports, DEPENDENCIES, starting, 0.02, 10.0, variable_step=False, sampled="sample_time")

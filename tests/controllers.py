@@ -1,0 +1,269 @@
+"""Four controllers against each other: `python -m tests.controllers [SEEDS]` prints the tables of docs/controllers.md.
+
+Plain functions, the same loop and laws that the FMUs carry: Fig 6.2 on the true state, the manoeuvre of App. G and the
+regulator under each effect and each sensor error of the catalogue at its `typical` size, with and without fixes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.gains import Settings
+from controller.laws import IntegralFeedback, Law, Seen, StateFeedback
+from controller.loop import Loop
+from controller.predictive import PredictiveLaw
+from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from cosim.blocks.profile import Change, Profile, profile_function
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from plant.integrate import Moment, Stepper
+from plant.namespaces import SCALAR
+from plant.quantities import Parameter, parameters_of
+
+STEP = 0.02  # [s], Fig 4.8
+LAWS: dict[str, tuple[Settings, Callable[[Any], Law]]] = {
+    "LQR": (Settings(), StateFeedback),
+    "poles": (PlacedSettings(), StateFeedback),
+    "LQI": (IntegralSettings(), IntegralFeedback),
+    "MPC": (PredictiveSettings(), PredictiveLaw),
+}
+OUTPUTS = [q.name for q in Hovercraft.outputs]
+MEASURED = [OUTPUTS.index(name) for name in ("psi", "psi_dot", "ax")]
+NOISE = np.sqrt([SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")])
+X, Y, PSI = (OUTPUTS.index(name) for name in ("x", "y", "psi"))
+FIX_EVERY, FIX_NOISE = 5, 0.01  # samples, [m]: 10 Hz, of the variance the filter is told
+LEGS = ((5.0, "psi"), (10.0, "x"), (17.0, "psi"), (22.0, "x"), (26.0, "psi"))  # App. G: when each command ends
+WITHIN = {"x": 0.15, "psi": math.radians(15)}  # 10 % of 1.5 m, 15°
+Array = NDArray[np.float64]
+References = Callable[[float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What was flown: times, true x, y, ψ, references, commands (δ_R, δ_L, α_R, α_L), seconds in the law."""
+
+    time: Array
+    pose: Array
+    wanted: Array
+    command: Array
+    spent: float
+    settings: Settings
+
+    def settled(self, column: int, band: float) -> float:
+        """When it was last outside the band [s]."""
+        outside = np.flatnonzero(np.abs(self.pose[:, column] - self.wanted[:, column]) > band)
+        return float(self.time[outside[-1]]) if len(outside) else 0.0
+
+    @property
+    def effort(self) -> float:
+        """∫ |α_R| + |α_L| dt [rad s]."""
+        return float(np.abs(self.command[:, 2:]).sum() * STEP)
+
+    @property
+    def saturated(self) -> float:
+        """Share of the samples in which a tilt is at its limit."""
+        return float((np.abs(self.command[:, 2:]).max(axis=1) >= self.settings.tilt_max - 1e-6).mean())
+
+
+def manoeuvre(t: float) -> tuple[float, float]:
+    """References of App. G as in scenarios/manoeuvre.yaml."""
+    return X_OF(t), PSI_OF(t)
+
+
+X_OF = profile_function(Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)]))
+PSI_OF = profile_function(
+    Profile(
+        changes=[
+            Change(at=1, to=-math.pi / 2),
+            Change(at=10, to=math.pi / 2, rate=math.pi / 4),
+            Change(at=22, to=0.0),
+        ]
+    )
+)
+
+
+def regulate(t: float) -> tuple[float, float]:
+    """References of Fig 6.2: the origin."""
+    return 0.0, 0.0
+
+
+def fly(
+    name: str,
+    references: References = regulate,
+    duration: float = 10.0,
+    *,
+    start: Mapping[str, float] | None = None,
+    craft: Hovercraft | None = None,
+    sensor: Any = None,
+    seed: int | None = None,
+    fixes: bool = False,
+    truth: bool = False,
+) -> Flight:
+    """One flight: seed None for no noise, fixes of x and y at 10 Hz, truth for a law that is given the true state."""
+    settings, make = LAWS[name]
+    stepper, law = Stepper(craft or Hovercraft()), make(settings)
+    begin = start or {}
+    moment = stepper.start(0.0, begin)
+    x_hat = [begin.get(n, 0.0) for n in ("x", "vx", "psi", "psi_dot")] + [0.0]
+    if isinstance(law, PredictiveLaw) and "y" in begin and not fixes:
+        law.observer.x[0] = begin["y"]
+    loop = Loop(settings, x_hat, *references(0.0), law=law)
+    rng = None if seed is None else np.random.default_rng(seed)
+    rows: list[tuple[float, ...]] = []
+    fix, at, spent = 0, (0.0, 0.0), 0.0
+    for k in range(round(duration / STEP)):
+        command = (*law.duties, *loop.command)
+        x_ref, psi_ref = references(k * STEP)
+        there = stepper.output(moment.t, moment.state, command)
+        rows.append((k * STEP, there[X], there[Y], there[PSI], x_ref, 0.0, psi_ref, *command))
+        moment = stepper.step(moment, command, STEP)
+        there = stepper.output(moment.t, moment.state, command)
+        noise = np.zeros(5) if rng is None else rng.normal(size=5)
+        measured = [there[j] for j in MEASURED]
+        if sensor is not None:
+            read = sensor.readings(SCALAR, moment.t, dict(zip(OUTPUTS, there, strict=True)))
+            measured = [read.get(OUTPUTS[j], there[j]) for j in MEASURED]
+        measured = [float(m + s * e) for m, s, e in zip(measured, NOISE, noise, strict=False)]
+        if fixes and (k + 1) % FIX_EVERY == 0:
+            fix, at = fix + 1, (float(there[X] + FIX_NOISE * noise[3]), float(there[Y] + FIX_NOISE * noise[4]))
+        x_ref, psi_ref = references((k + 1) * STEP)
+        began = time.perf_counter()
+        if truth:
+            seen = Seen(x_ref, psi_ref, psi=there[PSI], x_meas=at[0], y_meas=at[1], fix=fix, started=True)
+            loop.command = law.command(_true(moment, there, settings), seen)
+        else:
+            loop.step(measured, x_ref, psi_ref, fix, at[0], y_meas=at[1])
+        spent += time.perf_counter() - began
+    table = np.array(rows)
+    return Flight(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7:], spent, settings)
+
+
+def _true(moment: Moment, outputs: Sequence[float], p: Settings) -> list[float]:
+    """(x, vx, ψ, ψ̇, (F_Rx + F_Lx)/m) of the plant."""
+    s = dict(zip((q.name for q in Hovercraft.base_states), moment.state, strict=False))
+    push = outputs[OUTPUTS.index("ax")] + p.friction / p.mass * s["vx"]
+    return [s["x"], s["vx"], s["psi"], s["psi_dot"], push]
+
+
+def typical(kind: Any) -> dict[str, float]:
+    """The parameters of an effect at their typical size; those that only shape it as they are."""
+    return {p.name: size(p) for p in parameters_of(kind) if p.typical is not None}
+
+
+def size(p: Parameter) -> float:
+    """The typical size of a parameter, off its neutral value."""
+    neutral, typical = float(p.neutral or 0.0), float(p.typical or 0.0)
+    return neutral + typical if neutral else typical
+
+
+def conditions() -> dict[str, dict[str, Any]]:
+    """Nothing, each effect and each sensor error at its typical size, by name."""
+    found: dict[str, dict[str, Any]] = {"none": {}}
+    for kind in Hovercraft.catalogue:
+        found[kind.name] = {
+            "craft": Hovercraft().with_values({f"{kind.name}.{n}": v for n, v in typical(kind).items()})
+        }
+    for kind in Hovercraft.sensors:
+        if not kind.late and set(kind.affected()) <= {"psi", "psi_dot", "ax"}:  # the camera is no sensor of theirs
+            found[kind.name] = {"sensor": kind(**typical(kind))}
+    return found
+
+
+OFF = {"x": 1.0, "psi": 1.0}  # Fig 6.2
+
+
+def figure_6_2() -> dict[str, tuple[float, float, float]]:
+    """Settling of x and ψ within 0.02 [s] and the largest tilt [deg], on the true state, without noise."""
+    flights = {name: fly(name, start=OFF, truth=True) for name in LAWS}
+    return {
+        name: (f.settled(0, 0.02), f.settled(2, 0.02), math.degrees(np.abs(f.command[:, 2:]).max()))
+        for name, f in flights.items()
+    }
+
+
+def app_g(name: str, seeds: Iterable[int], *, fixes: bool = False) -> dict[str, float]:
+    """The manoeuvre with noise: worst error of x [m], ψ [deg] where a command ends, overshoot, effort, saturation."""
+    flights = [fly(name, manoeuvre, 26.0, seed=seed, fixes=fixes) for seed in seeds]
+    worst = {"x": 0.0, "psi": 0.0}
+    for f in flights:
+        for end, what in LEGS:
+            column, row = {"x": 0, "psi": 2}[what], round(end / STEP) - 1
+            worst[what] = max(worst[what], abs(f.pose[row, column] - f.wanted[row, column]))
+    leg = slice(round(5 / STEP), round(10 / STEP))
+    return {
+        "x": worst["x"],
+        "psi": math.degrees(worst["psi"]),
+        "settled": float(np.mean([_leg_settled(f, leg) for f in flights])),
+        "overshoot": float(np.mean([100 * max(0.0, f.pose[leg, 0].max() - 1.5) / 1.5 for f in flights])),
+        "effort": float(np.mean([f.effort for f in flights])),
+        "saturated": float(np.mean([100 * f.saturated for f in flights])),
+    }
+
+
+def _leg_settled(f: Flight, leg: slice) -> float:
+    """Since the step of 1.5 m, when x was last more than 10 % of it off [s]."""
+    outside = np.flatnonzero(np.abs(f.pose[leg, 0] - f.wanted[leg, 0]) > WITHIN["x"])
+    return float((outside[-1] + 1) * STEP) if len(outside) else 0.0
+
+
+def robustness(name: str, condition: Mapping[str, Any], seeds: Iterable[int], *, fixes: bool) -> Array:
+    """RMS of x [m] and ψ [rad] over the last 3 s of the regulator, each seed a row."""
+    flights = (fly(name, start=OFF, seed=seed, fixes=fixes, **condition) for seed in seeds)
+    last = -round(3.0 / STEP)
+    return np.array([[math.sqrt(float(np.mean(f.pose[last:, c] ** 2))) for c in (0, 2)] for f in flights])
+
+
+def cost(rounds: int = 5) -> dict[str, float]:
+    """Time of a sample of estimator and law over that of the LQR: medians, interleaved."""
+    spent: dict[str, list[float]] = {name: [] for name in LAWS}
+    for k in range(rounds):
+        for name in LAWS:
+            spent[name].append(fly(name, start=OFF, seed=k).spent)
+    return {name: float(np.median(spent[name]) / np.median(spent["LQR"])) for name in LAWS}
+
+
+def main(seeds: int) -> int:
+    """Print the tables; 1 where a controller misses App. G's 10 % or 15° in a seed."""
+    every, missed = range(1, seeds + 1), []
+    print("Fig 6.2 on the true state      settled x [s]   ψ [s]   largest tilt [deg]")
+    for name, (x, psi, tilt) in figure_6_2().items():
+        print(f"{name:30} {x:13.2f} {psi:7.2f} {tilt:20.1f}")
+    ratio = cost()
+    for fixes in (False, True):
+        said = "with fixes at 10 Hz" if fixes else "IMU alone"
+        print(f"\nApp. G, {said}, {seeds} seeds")
+        print("       worst |x| [m]  worst |ψ| [deg]  settled [s]  overshoot [%]  effort [rad s]  saturated [%]  time")
+        for name in LAWS:
+            r = app_g(name, every, fixes=fixes)
+            print(
+                f"{name:6} {r['x']:13.3f} {r['psi']:16.2f} {r['settled']:12.2f} {r['overshoot']:14.1f}"
+                f" {r['effort']:15.2f} {r['saturated']:14.1f} {ratio[name]:5.1f}"
+            )
+            if r["x"] > WITHIN["x"] or r["psi"] > 15:
+                missed.append(f"{name}, {said}")
+    for fixes in (False, True):
+        said = "with fixes at 10 Hz" if fixes else "IMU alone"
+        print(
+            f"\nRMS of x [cm] and ψ [deg] over the last 3 s of the regulator, {said}: mean and worst of {seeds} seeds"
+        )
+        print(f"{'':25}" + "".join(f"{name + ' x':>14}{'ψ':>12}" for name in LAWS))
+        for effect, condition in conditions().items():
+            cells = ""
+            for name in LAWS:
+                r = robustness(name, condition, every, fixes=fixes)
+                x, psi = 100 * r[:, 0], np.degrees(r[:, 1])
+                cells += f"{x.mean():8.1f}{x.max():6.1f}{psi.mean():6.2f}{psi.max():6.2f}"
+            print(f"{effect:25}{cells}", flush=True)
+    print(f"missed App. G's 10 % or 15°: {'; '.join(missed) or 'none'}")
+    return int(bool(missed))
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 20))

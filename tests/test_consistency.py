@@ -1,0 +1,112 @@
+"""Estimators held against what they believe: NEES and NIS over Monte Carlo runs."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from controller.monte_carlo import CASES, Case, squares_of
+from cosim.cli import app
+from cosim.estimation.consistency import Consistency, consistency, consistency_of
+
+
+def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:
+    squares = np.random.default_rng(1).chisquare(4, (50, 400))
+    assert consistency_of(squares, 4, white=True).verdict == "consistent"
+    assert consistency_of(squares, 4).share == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / 400))
+    twice, half = consistency_of(2.0 * squares, 4), consistency_of(0.5 * squares, 4)
+    assert (twice.verdict, half.verdict) == ("optimistic", "pessimistic")
+    assert twice.factor == pytest.approx(2.0, rel=0.03)  # the mean of 20 000 χ² with 4 is 4 ± 0.02
+    assert twice.sentence == f"optimistic: square errors are {twice.factor:.3g} times larger than it believes"
+    assert "smaller than it believes" in half.sentence
+
+
+def test_a_verdict_of_95_percent_is_wrong_for_about_5_percent() -> None:
+    draws = np.random.default_rng(2).chisquare(3, (400, 20, 10))
+    wrong = np.mean([consistency_of(d, 3, white=True).verdict != "consistent" for d in draws])
+    assert wrong == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 400))
+
+
+def test_squares_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        consistency_of(np.array([[1.0, math.nan]]), 1)
+    with pytest.raises(ValueError, match="one at least"):
+        consistency_of(np.zeros((0, 3)), 1)
+
+
+def level(q_told: float, r_told: float) -> tuple[Consistency, Consistency]:
+    """A tank's level that wanders by N(0, 0.04), read with N(0, 1): NEES and NIS of a filter told other variances."""
+    rng, runs, times = np.random.default_rng(3), 60, 200
+    x, x_hat, P = np.zeros(runs), np.zeros(runs), 0.0
+    nees, nis = [], []
+    for _ in range(times):
+        x = x + rng.normal(0.0, 0.2, runs)
+        P += q_told
+        innovation, S = x + rng.normal(0.0, 1.0, runs) - x_hat, P + r_told
+        x_hat, P = x_hat + P / S * innovation, P - P * P / S
+        nees.append((x_hat - x) ** 2 / P)
+        nis.append(innovation**2 / S)
+
+    def settled(squares: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        return np.array(squares[50:]).T
+
+    return consistency_of(settled(nees), 1), consistency_of(settled(nis), 1, white=True)
+
+
+@pytest.mark.parametrize(
+    ("q_told", "r_told", "verdict"),
+    [(0.04, 1.0, "consistent"), (0.004, 1.0, "optimistic"), (0.04, 4.0, "pessimistic"), (0.4, 1.0, "pessimistic")],
+)
+def test_a_filter_of_another_system_is_judged_by_what_it_is_told(q_told: float, r_told: float, verdict: str) -> None:
+    assert [c.verdict for c in level(q_told, r_told)] == [verdict, verdict]
+
+
+def judged(case: Case, runs: int, steps: int) -> dict[str, Consistency]:
+    found = squares_of(case, runs, steps, np.random.default_rng(5))
+    return {name: consistency_of(v, n, white=name != "NEES") for name, (v, n) in found.items()}
+
+
+@pytest.mark.parametrize("fixes", [False, True])
+def test_consistent_on_the_linear_model_disturbed_with_v_is_within_the_95_percent_region(fixes: bool) -> None:
+    found = judged(Case("", "linear", "consistent", fixes), 30, 200)
+    assert {name: c.verdict for name, c in found.items()} == dict.fromkeys(found, "consistent")
+    assert len(found) == 2 + fixes
+
+
+@pytest.mark.parametrize("fixes", [False, True])
+def test_the_extended_filter_on_the_plant_disturbed_with_its_q_is_within_the_95_percent_region(fixes: bool) -> None:
+    found = judged(Case("", "disturbed", "extended", fixes), 15, 120)
+    assert {name: c.verdict for name, c in found.items()} == dict.fromkeys(found, "consistent")
+    assert found["NEES"].degrees == 12
+
+
+def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong() -> None:
+    memoryless = judged(Case("", "linear", "appendix_f"), 15, 200)
+    assert memoryless["NEES"].verdict == memoryless["NIS"].verdict == "optimistic"
+    # the plant has no disturbances at all, so with V of eq 5.47 errors are smaller than what is believed
+    undisturbed = judged(Case("", "plant", "consistent"), 15, 200)
+    assert undisturbed["NEES"].verdict == undisturbed["NIS"].verdict == "pessimistic"
+
+
+def test_the_command_prints_every_case_with_its_verdict() -> None:
+    done = CliRunner().invoke(app, ["consistency", "--runs", "2", "--steps", "100", "--json"])
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.output)
+    assert [*dict.fromkeys(r["case"] for r in rows)] == [*dict.fromkeys(c.title for c in CASES)]
+    assert {r["verdict"] for r in rows} <= {"consistent", "optimistic", "pessimistic"}
+
+
+def test_the_same_random_numbers_give_the_same_squares() -> None:
+    once, again = (squares_of(CASES[1], 3, 100, np.random.default_rng(8)) for _ in range(2))
+    assert {n: v.tolist() for n, (v, _) in once.items()} == {n: v.tolist() for n, (v, _) in again.items()}
+
+
+def test_too_few_runs_are_refused() -> None:
+    assert CliRunner().invoke(app, ["consistency", "--runs", "1"]).exit_code == 2
+    with pytest.raises(ValueError, match="at least 2 runs, 100 steps"):
+        consistency(1, 50)

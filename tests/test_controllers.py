@@ -1,0 +1,415 @@
+"""Pole placement, integrals and prediction: what each law does, by itself, in its FMU, and designed by a scenario."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_are, solve_discrete_are
+from scipy.optimize import lsq_linear
+
+from controller.design_model import design_model
+from controller.full_model import INPUTS, STATES, full_model, held
+from controller.gains import Settings
+from controller.horizon import NAMES, Problem, condensed, predicted, weights
+from controller.laws import IntegralFeedback, Seen
+from controller.loop import Loop
+from controller.placement import POLES, check_controllable, placed_gain
+from controller.predictive import PredictiveLaw
+from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, roll_numbers_of
+from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from cosim.errors import InputError
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
+from fmus.build import build
+from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe
+from plant.hovercraft import Hovercraft
+from plant.symbolic.linearize import linearize
+from tests.controllers import LAWS, WITHIN, conditions, figure_6_2, fly, manoeuvre
+from tests.hosts_fmpy import Instance
+
+ROOT = Path(__file__).resolve().parent.parent
+STEP = 0.02
+MPC = PredictiveSettings()
+RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe}
+REST = Seen(0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("laws")
+    return {name: build(recipe(), folder / f"controller-{name}.fmu") for name, recipe in RECIPES.items()}
+
+
+@pytest.fixture
+def flown(project: Path, fmus: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The project with all controllers built, from the folder of its scenarios."""
+    for path in fmus.values():
+        shutil.copy(path, project / "build" / path.name)
+    monkeypatch.chdir(project / "scenarios")
+    return project
+
+
+# -- pole placement -----------------------------------------------------------------------------
+
+
+def test_the_poles_stand_where_they_are_asked_for() -> None:
+    A, B = design_model(Settings())
+    for poles in (POLES, (-1.5, -3 + 1j, -3 - 1j, -4 + 2j, -4 - 2j)):
+        placed = np.linalg.eigvals(A - B @ placed_gain(Settings(), poles))
+        # a double pole is found to the root of a rounding
+        np.testing.assert_allclose(np.sort_complex(placed), np.sort_complex(np.array(poles, dtype=complex)), atol=1e-6)
+
+
+def test_the_frozen_gain_is_the_placed_one() -> None:
+    assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(PlacedSettings().gain_matrix)
+
+
+def test_poles_drive_each_axis_alone() -> None:
+    K = placed_gain(Settings(), (-1.0, -2.0, -9.0, -3.0, -8.0))
+    np.testing.assert_array_equal(K[0, [0, 1, 4]], K[1, [0, 1, 4]])
+    np.testing.assert_array_equal(K[0, [2, 3]], -K[1, [2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("poles", "words"),
+    [
+        ((0.5, -4, -11, -4, -5), "0.5 rad/s is not stable"),
+        ((-2, -4, -11, 0.0, -5), "0 rad/s is not stable"),
+        ((-2, -4, -4, -5, -6), "-4 stands twice in the forward axis"),
+        ((-2, -4, -11, -5, -5), "-5 stands twice in the turning axis"),
+        ((-2, -4 + 1j, -11, -4 - 1j, -5), "-4+1j needs -4-1j in the same axis"),
+    ],
+)
+def test_poles_that_cannot_be_are_refused(poles: tuple[complex, ...], words: str) -> None:
+    with pytest.raises(ValueError, match=r"rad/s|axis") as refusal:
+        placed_gain(Settings(), poles)
+    assert words in str(refusal.value)
+
+
+def test_an_uncontrollable_pair_is_named_by_its_pole_and_states() -> None:
+    A, B = design_model(Settings())
+    with pytest.raises(ValueError, match=r"no input moves the pole 0 rad/s, of psi"):
+        check_controllable(A, np.vstack([B[:3], 0 * B[3:4], B[4:]]))
+    with pytest.raises(ValueError, match=r"no input moves the pole -11\.3"):
+        check_controllable(A, np.vstack([B[:4], 0 * B[4:]]))
+    check_controllable(A, B)
+
+
+# -- integrals ----------------------------------------------------------------------------------
+
+
+def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_riccati_equation() -> None:
+    K, K_i = integral_gain(Settings())
+    p = IntegralSettings()
+    assert pytest.approx(K, rel=1e-9) == np.array(p.gain_matrix)
+    assert pytest.approx(K_i, rel=1e-9) == np.array(p.integral_matrix)
+    A, B = design_model(p)
+    both = np.block([[A, np.zeros((5, 2))], [np.eye(5)[[0, 2]], np.zeros((2, 2))]])
+    B = np.vstack([B, np.zeros((2, 2))])
+    P = solve_continuous_are(both, B, np.diag([*Q_THESIS, 0.3, 0.05]), np.diag(R_THESIS))
+    np.testing.assert_allclose(B.T @ P, np.hstack([K, K_i]), rtol=1e-6, atol=1e-7)  # R = I
+
+
+@pytest.mark.parametrize("weights_of", [(0.0, 0.05), (0.3, -1.0)])
+def test_an_integral_without_weight_is_refused(weights_of: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="Q_integral"):
+        integral_gain(Settings(), Q_integral=weights_of)
+
+
+def test_integrals_stand_still_while_a_tilt_is_saturated() -> None:
+    law = IntegralFeedback(IntegralSettings())
+    far = Seen(5.0, 0.0, started=True)
+    assert law.command([0.0] * 5, far) == (law.limit, law.limit)
+    assert law.integrals == (0.0, 0.0)
+    near = far._replace(x_ref=0.01)
+    law.command([0.0] * 5, near)
+    assert law.integrals[0] == pytest.approx(-0.01 * STEP)
+
+
+def test_the_measured_position_has_no_steady_error_with_fixes_and_keeps_one_with_the_imu_alone() -> None:
+    tilted = Hovercraft().with_values({"table_tilt.x": 0.003})
+    left = {
+        (name, fixes): abs(float(f.pose[-250:, 0].mean()))
+        for name in ("LQR", "LQI")
+        for fixes in (False, True)
+        for f in [fly(name, duration=30.0, craft=tilted, fixes=fixes)]
+    }
+    assert left["LQI", True] < 1e-3 < 0.03 < left["LQR", True]  # no noise here
+    assert left["LQI", False] > 1.0  # 0.003·g is felt by nobody: dead reckoning is off by metres
+
+
+# -- prediction ---------------------------------------------------------------------------------
+
+
+def test_the_predicted_model_is_the_linearised_plant_entry_by_entry() -> None:
+    craft = Hovercraft().with_values(
+        {"mass": 0.8, "lag": 0.1, "table_roll_stiffness": 3.0, "yaw_damping.coefficient": 0.004}
+    )
+    linear = linearize(craft)
+    p = PredictiveSettings(**{**numbers_of(craft), **roll_numbers_of(craft), "duty_max": 9.0})
+    A, B = full_model(p)
+    assert linear.states[:14] == STATES
+    assert linear.inputs == INPUTS
+    np.testing.assert_allclose(A, linear.A[:14, :14], atol=1e-9)
+    np.testing.assert_allclose(B, linear.B[:14], atol=1e-9)
+
+
+def test_the_declared_numbers_of_prediction_are_those_of_the_craft() -> None:
+    numbers = roll_numbers_of(Hovercraft())
+    assert numbers == pytest.approx({name: getattr(MPC, name) for name in numbers}, rel=1e-7)
+
+
+def test_the_solver_finds_what_another_one_does() -> None:
+    problem = Problem(MPC)
+    cost = condensed(MPC, problem.scale)
+    root = np.linalg.cholesky(cost.H).T  # ½·U'·H·U + q'·U = ½·|root·U + root⁻ᵀ·q|² + …
+    for seed in range(5):
+        z = np.random.default_rng(seed).normal(size=len(NAMES)) * 0.3
+        target = -np.linalg.solve(root.T, cost.f @ z)
+        best = lsq_linear(root, target, (problem.low, problem.high), tol=1e-12).x
+        found = problem.solve(z, problem.cold())
+        assert found.solved
+        np.testing.assert_allclose(found.command, problem.scale * best[:4], atol=1e-6)
+
+
+def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
+    free = replace(MPC, prediction_step=0.1, horizon=0.1)  # one step, then the cost to go: exactly the LQR
+    F, G = held(*predicted(free), 0.1)
+    Q, R = (0.1 * w for w in weights(free))
+    P = solve_discrete_are(F, G, Q, R)
+    K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
+    z = 1e-2 * np.random.default_rng(0).normal(size=len(NAMES))
+    np.testing.assert_allclose(Problem(free).solve(z, Problem(free).cold()).command, -K @ z, atol=1e-9)
+
+
+def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
+    rng, law, p = np.random.default_rng(6), PredictiveLaw(MPC), MPC
+    for k in range(60):
+        seen = Seen(*rng.normal(size=3), x_meas=0.0, y_meas=float(rng.normal()), fix=k // 5, started=True)
+        tilts = law.command(rng.normal(size=5).tolist(), seen)
+        assert max(map(abs, tilts)) <= p.tilt_max
+        assert p.duty_min <= min(law.duties) <= max(law.duties) <= p.duty_max
+
+
+def test_a_limit_of_iterations_leaves_a_command_within_the_limits_and_says_so() -> None:
+    law = PredictiveLaw(replace(MPC, iterations_max=2.0))
+    tilts = law.command([3.0, 0.0, 1.0, 0.0, 0.0], REST)
+    assert not law.solved
+    assert law.outputs()[2:] == [2.0, 0.0]
+    assert 0.0 < max(map(abs, tilts)) <= MPC.tilt_max
+
+
+def test_a_limit_of_speed_is_kept_where_it_can_be_and_given_up_where_it_cannot() -> None:
+    limited = PredictiveLaw(replace(MPC, speed_max=0.2))
+    # beyond the limit from the start: there is no solution without slack, yet a command, and it brakes
+    tilts = limited.command([0.0, 0.6, 0.0, 0.0, 0.0], Seen(2.0, 0.0))
+    assert limited.solved
+    assert sum(tilts) == pytest.approx(-2 * MPC.tilt_max, abs=1e-3)
+    assert sum(PredictiveLaw(MPC).command([0.0, 0.6, 0.0, 0.0, 0.0], Seen(2.0, 0.0))) > 0
+
+
+def test_what_is_restored_goes_on_bit_for_bit() -> None:
+    def steps(loop: Loop, first: int) -> list[Any]:
+        rng = np.random.default_rng(first)
+        return [
+            (
+                loop.step(rng.normal(size=3) * 0.1, 0.5, 0.2, k // 3, 0.1, y_meas=0.05),
+                loop.law.duties,
+                loop.law.outputs(),
+            )
+            for k in range(first, first + 15)
+        ]
+
+    for settings, make in LAWS.values():
+        loop = Loop(settings, [0.0] * 5, 1.0, 0.5, law=make(settings))
+        steps(loop, 0)
+        kept = json.dumps(loop.snapshot())
+        once = steps(loop, 15)
+        again = Loop(settings, [0.0] * 5, 0.0, 0.0, law=make(settings))
+        again.restore(json.loads(kept))
+        assert steps(again, 15) == once
+        loop.restore(json.loads(kept))
+        assert steps(loop, 15) == once
+
+
+def test_the_predictive_law_holds_y_with_fixes() -> None:
+    start = {"y": 0.2}
+    held_back = fly("MPC", start=start, fixes=True, duration=8.0)
+    assert np.abs(held_back.pose[-50:, 1]).max() < 0.01
+    assert held_back.command[:, :2].min() >= 6.0
+    assert held_back.command[:, :2].max() <= 7.0
+    assert np.abs(fly("LQR", start=start, fixes=True, duration=8.0).pose[-50:, 1]).min() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"duty_min": 6.5}, "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
+        ({"horizon": 0.1, "prediction_step": 0.2}, "1 to 1000 steps"),
+        ({"weight_tilt": 0.0}, "above 0"),
+        ({"tilt_max": 0.0}, "tilt_max is above 0"),
+    ],
+)
+def test_a_prediction_without_solution_is_refused(given: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match="mass") as refusal:
+        PredictiveSettings(mass=-1.0, **given)
+    assert words in str(refusal.value)
+
+
+# -- all of them --------------------------------------------------------------------------------
+
+
+def test_figure_6_2_of_each_law() -> None:
+    found = figure_6_2()
+    assert found["LQR"][:2] == pytest.approx((3.22, 1.86))  # as printed for the 12° saturation
+    assert found["poles"][0] < found["LQR"][0]
+    assert all(tilt == pytest.approx(12.0, abs=1e-9) for _, _, tilt in found.values())
+    assert all(x < 7.0 and psi < 5.0 for x, psi, _ in found.values())
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_manoeuvre_of_app_g_is_within_10_percent_and_15_degrees(name: str) -> None:
+    f = fly(name, manoeuvre, 26.0, seed=1)
+    for end, column, what in ((5, 2, "psi"), (10, 0, "x"), (17, 2, "psi"), (22, 0, "x"), (26, 2, "psi"), (26, 0, "x")):
+        row = round(end / STEP) - 1
+        assert abs(f.pose[row, column] - f.wanted[row, column]) < WITHIN[what], (end, what)
+
+
+def test_conditions_are_every_effect_and_every_error_of_the_inertial_sensors() -> None:
+    names = {kind.name for kind in (*Hovercraft.catalogue, *Hovercraft.sensors)} - {"camera_latency"}
+    assert set(conditions()) == {"none", *names}
+    assert conditions()["accelerometer_scale"]["sensor"].value == 1.1
+
+
+@pytest.mark.parametrize(
+    ("name", "of"), [("pole", PlacedSettings()), ("lqi", IntegralSettings()), ("mpc", PredictiveSettings())]
+)
+def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: Settings) -> None:
+    make = dict(zip(RECIPES, list(LAWS.values())[1:], strict=True))[name][1]
+    loop, rng = Loop(of, [0.3, 0.0, -0.2, 0.0, 0.0], 0.1, 0.2, 2.0, law=make(of)), np.random.default_rng(5)
+    names = ("psi", "psi_dot", "ax", "x_ref", "psi_ref", "x_meas", "y_meas", "fix")
+    with Instance(fmus[name]) as controller:
+        start = {"x_hat_start": 0.3, "psi_hat_start": -0.2, "x_ref": 0.1, "psi_ref": 0.2, "fix": 2.0}
+        got = [list(controller.initialize(start).outputs().values())]
+        want = [[*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()]]
+        for k in range(60):
+            row = (*(0.1 * rng.normal(size=5)).tolist(), 0.2, 0.1, float(2 + k // 5))
+            loop.step(row[:3], *row[3:5], row[7], row[5], y_meas=row[6])
+            want.append([*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()])
+            state = controller.serialized()
+            got.append(list(controller.step(STEP * k, STEP, dict(zip(names, row, strict=True))).values()))
+            if k % 20 == 10:  # taken back, hot start and all, it commands the same again
+                controller.restore(state)
+                assert list(controller.step(STEP * k, STEP, dict(zip(names, row, strict=True))).values()) == got[-1]
+    assert got == want
+
+
+def test_the_fmus_are_sound_and_say_which_law_they_are(fmus: dict[str, Path]) -> None:
+    from fmpy.validation import validate_fmu
+
+    from fmus.sampled import law_of
+
+    for path in fmus.values():
+        assert validate_fmu(str(path)) == []
+    assert {name: law_of(path) for name, path in fmus.items()} == {
+        "pole": "poles",
+        "lqi": "integral",
+        "mpc": "predictive",
+    }
+
+
+def test_one_line_swaps_the_controller_and_the_design_follows(flown: Path) -> None:
+    for name in RECIPES:
+        swap = [f"components.controller.fmu=../build/controller-{name}.fmu", "criteria={}", "duration=4"]
+        outcome = run("regulate.yaml", flown / name, swap, report=False, in_process=True)
+        assert abs(outcome.results["plant.x"][-1]) < 0.15
+        assert abs(outcome.results["plant.psi"][-1]) < 0.05
+    again = run("regulate.yaml", flown / "again", swap, report=False, in_process=True)
+    first, second = ((folder / "results.csv").read_bytes() for folder in (outcome.folder, again.folder))
+    assert first == second  # the predictive one: same seed, same bytes
+
+
+def test_each_law_is_designed_for_a_refined_craft(flown: Path) -> None:
+    Path("model.yaml").write_text("parameters: {mass: 0.9, ixx: 0.012, izz: 0.02}\n", encoding="utf-8")
+    for name in RECIPES:
+        swap = f"components.controller.fmu=../build/controller-{name}.fmu"
+        found = []
+        for design in ("{}", "{model: model.yaml}"):
+            file = ScenarioFile(Path("regulate.yaml"), [swap, f"design={design}"])
+            found.append(designed_values(file)["controller"])
+            assert file.faults == []
+        assert (found[1]["mass"], found[1]["izz"]) == (0.9, 0.02)
+        changed = "ixx" if name == "mpc" else "k_1_4"
+        assert found[1][changed] != found[0].get(changed)
+
+
+@pytest.mark.parametrize(
+    ("name", "design", "words"),
+    [
+        ("pole", "{poles: [1, -4, -11, -4, -5]}", "poles: 1 rad/s is not stable"),
+        ("pole", "{poles: [-2, -4, -11, -4+1j, -5]}", "poles: -4+1j needs -4-1j"),
+        ("pole", "{poles: [-2, -4, -11, fast, -5]}", "'fast' is no number"),
+        ("pole", "{poles: [-2, -4]}", "poles"),
+        ("lqi", "{Q_integral: [0, 1]}", "Q_integral"),
+        ("mpc", "{duty_limits: [6.5, 7]}", "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
+        ("mpc", "{Q: [0, 1, 1, 1, 0]}", "no position is left to itself"),
+        ("mpc", "{R: [1, 2]}", "one weight for both"),
+    ],
+)
+def test_a_design_that_cannot_be_is_a_fault_of_the_scenario(flown: Path, name: str, design: str, words: str) -> None:
+    text = Path("regulate.yaml").read_text(encoding="utf-8").replace("controller.fmu", f"controller-{name}.fmu")
+    start, end = text.index("design:"), text.index("components:")
+    Path("faulty.yaml").write_text(f"{text[:start]}design: {design}\n\n{text[end:]}", encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        run("faulty.yaml", flown / "never", report=False)
+    (fault,) = refusal.value.faults
+    assert words in str(fault)
+    assert refusal.value.exit_code == 2
+    assert fault.line == 9
+    assert not (flown / "never").exists()
+
+
+def test_start_values_that_leave_no_solution_are_a_fault_at_their_place(flown: Path) -> None:
+    text = Path("regulate.yaml").read_text(encoding="utf-8").replace("controller.fmu", "controller-mpc.fmu")
+    Path("faulty.yaml").write_text(text.replace("tilt_max: 12 deg", "duty_min: 6.5"), encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        run("faulty.yaml", flown / "never", report=False)
+    (fault,) = refusal.value.faults
+    assert "no duty of 6.5 to 7 % holds the craft" in str(fault)
+    assert "duty_min" in text.replace("tilt_max: 12 deg", "duty_min: 6.5").splitlines()[fault.line - 1]
+
+
+def test_a_report_says_why_an_integral_without_fixes_leaves_an_error(flown: Path) -> None:
+    swap = "components.controller.fmu=../build/controller-lqi.fmu"
+    run("regulate.yaml", flown / "blind", [swap, "duration=1", "criteria={}"], in_process=True)
+    page = (flown / "blind" / "report.html").read_text(encoding="utf-8")
+    assert "A push that the accelerometer does not feel, such as a tilt of the table" in page
+
+
+def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) -> None:
+    integral = run("hold.yaml", flown / "lqi", in_process=True)
+    assert integral.missed == []
+    assert abs(integral.results["plant.y"][-1]) > 1.0
+    assert "so none stays" in (flown / "lqi" / "report.html").read_text(encoding="utf-8")
+    swap = "components.controller.fmu=../build/controller-mpc.fmu"
+    predictive = run("hold.yaml", flown / "mpc", [swap, "duration=20"], report=False, in_process=True)
+    assert [c["of"] for c in predictive.missed] == ["plant.x"]  # off by what the tilt pushes: it has no integral
+    assert abs(predictive.results["plant.y"][-1]) < 0.1
+
+
+def test_a_scheduler_cuts_the_inputs_off(flown: Path) -> None:
+    """App. G: after a stated time every input of the craft is disconnected, whatever the controller commands."""
+    inputs = ("duty_right", "duty_left", "tilt_right", "tilt_left")
+    cut = ", ".join(f"{{on: plant.{name}, kind: stuck, value: 0, from: 0.5}}" for name in inputs)
+    settings = ["duration=2", "criteria={}", f"faults=[{cut}]"]
+    results = run("regulate.yaml", flown / "cut", settings, report=False, in_process=True).results
+    assert results["plant.thrust_right"][25] > 2.0  # [N], t = 0.5 s
+    assert results["plant.thrust_right"][-1] < 1e-6  # 17 lags later
+    assert np.abs(results["controller.tilt_right"][-50:]).max() > 0.01  # it still commands

@@ -1,0 +1,132 @@
+"""Fixes: a sensor that measures now and then, answers late, and loses some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import InputError
+from cosim.results import Results
+from cosim.simulation.export import export_ssp
+from cosim.simulation.master import simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+
+LEVEL = """name: level
+duration: {duration}
+step: 0.1
+seed: 3
+algorithm: {algorithm}
+components:
+  filling:
+    block: reference
+    signals: {{level: {{unit: m, changes: [{{at: 0, to: {duration}, rate: 1}}]}}}}
+  sonar:
+    block: fix
+    rate: 2
+    latency: {latency}
+    dropout: {dropout}
+    signals: {signals}
+connections:
+  - {{from: filling.level, to: sonar.level}}
+"""
+ALONE = "{level: {unit: m}}"
+NOISY = "{level: {unit: m, noise: {variance: 4e-4, bias: 0.1}}}"
+
+
+def run(folder: Path, signals: str = ALONE, *overrides: str, latency: float = 0.0, dropout: float = 0.0,
+        algorithm: str = "gauss-seidel", duration: int = 10) -> Results:  # fmt: skip
+    path = folder / "level.yaml"
+    text = LEVEL.format(latency=latency, dropout=dropout, algorithm=algorithm, signals=signals, duration=duration)
+    path.write_text(text, encoding="utf-8")
+    file = ScenarioFile(path, overrides)
+    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+
+
+@pytest.mark.parametrize(("latency", "late"), [(0.0, 0), (0.3, 3), (0.25, 3), (0.7, 7)])
+def test_a_fix_is_held_until_the_next_and_known_after_its_latency(tmp_path: Path, latency: float, late: int) -> None:
+    results = run(tmp_path, latency=latency)
+    k = np.arange(101)
+    latest = (k - late) // 5  # a fix every fifth communication point, 2 Hz at 0.1 s
+    assert results["sonar.fix"].tolist() == np.maximum(0, latest + 1).tolist()
+    # the level rises by 1 m/s: what was measured is the time of the fix
+    assert results["sonar.level_meas"] == pytest.approx(np.maximum(0, latest) * 0.5, abs=1e-12)
+
+
+def test_under_jacobi_a_fix_is_of_the_step_before_as_what_any_component_sees(tmp_path: Path) -> None:
+    results = run(tmp_path, algorithm="jacobi")
+    assert results["sonar.level_meas"][6] == pytest.approx(0.4)
+    assert results["sonar.fix"][6] == 2.0
+
+
+def test_fixes_have_the_noise_they_are_given_and_none_where_noise_is_off(tmp_path: Path) -> None:
+    results = run(tmp_path, NOISY, duration=1000)
+    error = results["sonar.level_meas"][::5] - results["filling.level"][::5]
+    # standard errors at 2000 fixes: σ/√n = 4.5e-4 of the mean, σ²·√(2/n) = 1.3e-5 of the variance; four of each
+    assert error.mean() == pytest.approx(0.1, abs=1.8e-3)
+    assert error.var() == pytest.approx(4e-4, abs=5e-5)
+    silent = run(tmp_path, NOISY, "noise=off")
+    assert silent["sonar.level_meas"][::5] == pytest.approx(silent["filling.level"][::5], abs=1e-12)
+
+
+def test_lost_fixes_are_not_counted_and_what_came_last_is_held(tmp_path: Path) -> None:
+    results = run(tmp_path, dropout=0.3, duration=1000)
+    counted = results["sonar.fix"]
+    assert counted[-1] == pytest.approx(2001 * 0.7, abs=4 * (2001 * 0.3 * 0.7) ** 0.5)  # four standard deviations
+    same = np.diff(counted) == 0
+    assert (np.diff(results["sonar.level_meas"])[same] == 0).all()
+    assert set(np.diff(counted)) == {0.0, 1.0}
+
+
+def test_what_is_lost_changes_no_error_of_the_others(tmp_path: Path) -> None:
+    whole, some = run(tmp_path, NOISY), run(tmp_path, NOISY, dropout=0.4)
+    came = np.flatnonzero(np.diff(some["sonar.fix"])) + 1
+    assert 3 < len(came) < 20
+    assert some["sonar.level_meas"][came].tolist() == whole["sonar.level_meas"][came].tolist()
+
+
+def test_another_signal_changes_no_error_and_the_same_seed_gives_the_same(tmp_path: Path) -> None:
+    more = NOISY[:-1] + ", warmth: {unit: K, noise: {variance: 1}}}"
+    one, both, again = (run(tmp_path, signals) for signals in (NOISY, more, more))
+    assert both["sonar.level_meas"].tolist() == one["sonar.level_meas"].tolist()
+    assert both["sonar.warmth_meas"].tolist() == again["sonar.warmth_meas"].tolist()
+    assert both["sonar.warmth_meas"].std() > 0.5
+    assert run(tmp_path, NOISY, "seed=4")["sonar.level_meas"].tolist() != one["sonar.level_meas"].tolist()
+
+
+def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as told:
+        run(tmp_path, "{level: {unit: m}, fix: {}, level_meas: {unit: m}}", "components.sonar.rate=20")
+    said = str(told.value)
+    assert "rate is 20 Hz, communication points come at 10 Hz; use at most 10 Hz, or a shorter step" in said
+    assert '"fix" is the name under which their number goes out' in said
+    assert '"level_meas" is the name under which the fixes of another signal go out' in said
+    assert "level.yaml:15" in said
+    with pytest.raises(InputError, match="less than or equal to 1"):
+        run(tmp_path, dropout=1.5)
+    with pytest.raises(InputError, match="unit mismatch"):
+        run(tmp_path, "{level: {unit: K}}")
+
+
+def test_a_signal_that_nothing_feeds_is_told(tmp_path: Path) -> None:
+    run(tmp_path)
+    file = ScenarioFile(tmp_path / "level.yaml", ["components.sonar.signals.warmth={unit: K}"])
+    assert "not connected, so its fixes are of 0: sonar.warmth" in build_system(file).warnings
+
+
+def test_the_page_says_that_fixes_are_noisy_how_often_and_how_late_they_come(tmp_path: Path) -> None:
+    run(tmp_path, NOISY, latency=0.3, dropout=0.1)
+    done = cosim.run(tmp_path / "level.yaml", tmp_path / "out", in_process=True)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "noise on" in page
+    assert "fix, 2 Hz, 0.3 s late, 0.1 lost" in page
+    assert done.report == tmp_path / "out" / "report.html"
+
+
+def test_an_ssp_holds_no_fixes(tmp_path: Path) -> None:
+    run(tmp_path)
+    with pytest.raises(InputError, match="fixes are not what an SSP can hold"):
+        export_ssp(tmp_path / "level.yaml", tmp_path / "level.ssp")

@@ -1,0 +1,172 @@
+"""Noise from 20 s at rest (5.44-5.46) and friction from the distance covered (§5.5), from logs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.checks import check_files
+from cosim.errors import InputError
+from cosim.identification.noise import squared, variance
+from cosim.identification.workflow import identify
+from cosim.models.file import read_model
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from plant.integrate import Stepper
+from tests.logs import write_log
+from tests.tank import MODEL, OUTLET
+
+IMU = ("psi", "psi_dot", "ax")
+RUN = 3.0  # [s]
+
+
+def noisy(rng: np.random.Generator, rows: int) -> dict[str, np.ndarray]:
+    return {n: np.sqrt(SENSOR_VARIANCE[n]) * rng.standard_normal(rows) for n in IMU}
+
+
+def at_rest(path: Path, seed: int, seconds: float = 20.0) -> Path:
+    time = 0.02 * np.arange(round(seconds / 0.02) + 1)
+    return write_log(path, {"time": time, **noisy(np.random.default_rng(seed), time.size)})
+
+
+def flown(path: Path, seed: int, friction: float) -> float:
+    """A run forward; what the tape measure says of it, to a centimetre."""
+    craft, rng = Hovercraft(friction=friction), np.random.default_rng(seed)
+    time = 0.02 * np.arange(round(RUN / 0.02) + 1)
+    tilt = np.where((time >= 0.2) & (time < 1.6), 0.09 + 0.01 * seed, 0.0)
+    stepper, names = Stepper(craft), [q.name for q in craft.outputs]
+    moment, rows = stepper.start(0.0), []
+    for k, angle in enumerate(tilt.tolist()):
+        command = (craft.duty_nominal, craft.duty_nominal, angle, angle)
+        rows.append(stepper.output(moment.t, moment.state, command))
+        if k + 1 < time.size:
+            moment = stepper.step(moment, command, 0.02)
+    shown = dict(zip(names, np.array(rows).T, strict=True))
+    noise = noisy(rng, time.size)
+    commands = dict(
+        zip((q.name for q in craft.inputs), (craft.duty_nominal, craft.duty_nominal, tilt, tilt), strict=True)
+    )
+    columns = {n: np.broadcast_to(v, time.shape) for n, v in commands.items()}
+    write_log(path, {"time": time, **columns, **{n: shown[n] + noise[n] for n in IMU}})
+    return float(shown["x"][-1]) + 0.005 * float(rng.standard_normal())
+
+
+def protocol(folder: Path, **content: object) -> Path:
+    path = folder / "craft.yaml"
+    path.write_text(json.dumps({"schema_version": 1, "name": "a craft", **content}))
+    return path
+
+
+def test_noise_and_friction_come_back_from_logs(tmp_path: Path) -> None:
+    at_rest(tmp_path / "rest.csv", 1)
+    covered = [flown(tmp_path / f"run{k}.csv", k, friction=0.32) for k in range(3)]
+    files = [f"run{k}.csv" for k in range(3)]
+    asked = {"parameter": "friction", "output": "x", "covered": covered, "files": files}
+    path = protocol(tmp_path, rest={"files": ["rest.csv"]}, distance=asked)
+    outcome = identify(path, tmp_path / "out")
+    found = outcome.estimates
+    for name in IMU:
+        e = found[f"rest.{name}"]
+        # 1001 rows: χ² gives ± 9 % at 95 %; five standard errors are 22 %
+        assert e.value == pytest.approx(SENSOR_VARIANCE[name], rel=0.22)
+        assert e.low < e.value < e.high
+    friction = found["distance.friction"]
+    assert friction.value == pytest.approx(0.32, abs=0.02)  # 5 mm of some 1.5 m, three runs
+    assert friction.low < 0.32 < friction.high
+    # the observer is told the accelerations and relies little on c: what it needs is off by more
+    assert abs(friction.thesis - 0.32) > abs(friction.value - 0.32)
+    left = read_model(tmp_path / "out" / "model.yaml")
+    assert left.model.friction == friction.value  # type: ignore[attr-defined]
+    assert json.loads((tmp_path / "out" / "identify.json").read_text())["estimates"]["rest.ax"]["unit"] == "m2/s4"
+    assert "Distance covered" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert check_files([path]) == []
+
+
+def test_the_interval_of_a_variance_holds_it_in_95_of_100() -> None:
+    rng, time = np.random.default_rng(2), 0.02 * np.arange(1001)
+    held = 0
+    for _ in range(400):
+        e = variance("ax", "m/s2", [(time, 0.2 * rng.standard_normal(time.size))])
+        held += e.low <= 0.04 <= e.high
+    assert 0.92 <= held / 400 <= 0.98  # 95 % ± three standard errors of 1.1 %
+
+
+def test_a_drift_is_not_taken_for_noise() -> None:
+    rng, time = np.random.default_rng(3), 0.02 * np.arange(1001)
+    e = variance("psi", "rad", [(time, 0.005 * rng.standard_normal(time.size) + 0.001 * time)])
+    assert e.value == pytest.approx(2.5e-5, rel=0.22)
+    assert e.thesis > 1.5 * e.value  # eq 5.44 about the mean has the drift in it
+
+
+def test_rows_that_follow_one_another_widen_the_interval() -> None:
+    rng, time = np.random.default_rng(4), 0.02 * np.arange(1001)
+    white = rng.standard_normal(time.size)
+    slow = np.convolve(white, [0.5, 0.5], mode="same")
+    widths = [(e.high - e.low) / e.value for e in (variance("v", "V", [(time, v)]) for v in (white, slow))]
+    assert widths[1] > 1.1 * widths[0]
+
+
+def test_units_are_squared() -> None:
+    assert [squared(u) for u in ("rad", "m/s2", "N.m", "rad/s", "1", "")] == [
+        "rad2",
+        "m2/s4",
+        "N2.m2",
+        "rad2/s2",
+        "1",
+        "1",
+    ]
+
+
+def test_a_tank_s_area_is_found_from_how_far_it_fell(tmp_path: Path) -> None:
+    (tmp_path / "tank.py").write_text(MODEL, encoding="utf-8")
+    time, fallen = 0.5 * np.arange(81), []
+    for k, area in enumerate((0.70, 0.71, 0.69)):
+        level, inflow = [1.0], np.where(time > 10.0, 0.004 * (k + 1), 0.0)
+        for q in inflow[:-1]:  # Euler's method, finely
+            h = level[-1]
+            for _ in range(200):
+                h += (q - OUTLET * np.sqrt(h)) / area * 0.5 / 200
+            level.append(h)
+        write_log(tmp_path / f"{k}.csv", {"time": time, "inflow": inflow, "level": np.array(level)})
+        fallen.append(level[-1] - level[0])
+    asked = {"parameter": "area", "output": "level", "covered": fallen, "files": ["0.csv", "1.csv", "2.csv"]}
+    found = identify(protocol(tmp_path, model="tank.py:Tank", distance=asked), tmp_path / "out", report=False).estimates
+    assert found["distance.area"].value == pytest.approx(0.70, abs=2e-3)
+    assert np.isnan(found["distance.area"].thesis)  # its observer is of a craft
+
+
+def refused(path: Path, out: Path) -> str:
+    with pytest.raises(InputError) as error:
+        identify(path, out)
+    assert error.value.exit_code == 2
+    assert not (out / "model.yaml").exists()
+    return str(error.value)
+
+
+def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
+    at_rest(tmp_path / "short.csv", 1, seconds=0.5)
+    time = 0.02 * np.arange(501)
+    write_log(tmp_path / "moving.csv", {"time": time, "psi": 0.001 * np.sin(7 * time) + 0.1 * time})
+    asked = {"parameter": "frictoin", "output": "z", "covered": [1.5, 1.5], "files": ["none.csv"]}
+    text = refused(protocol(tmp_path, rest={"files": ["short.csv"]}, distance=asked), tmp_path / "out")
+    for part in (
+        'has no parameter "frictoin"; did you mean "friction"?', 'has no output "z"', "1 are too few",
+        "2 distances for 1 files", "no such file: none.csv",
+    ):  # fmt: skip
+        assert part in text
+    assert ":1:" in text  # with its place
+    text = refused(protocol(tmp_path, rest={"files": ["short.csv", "moving.csv"]}), tmp_path / "out")
+    assert "26 rows of psi at rest, and it takes 50" in text
+    assert "psi moves by" in text
+    assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
+
+
+def test_a_distance_that_no_friction_gives_is_said(tmp_path: Path) -> None:
+    for k in range(3):
+        flown(tmp_path / f"{k}.csv", k, 0.25)
+    asked = {"parameter": "friction", "output": "x", "covered": -1.5, "files": ["0.csv", "1.csv", "2.csv"]}
+    text = refused(protocol(tmp_path, distance=asked), tmp_path / "out")
+    assert "-1.5 is covered with no friction" in text
+    assert "is the distance or the sign of a command wrong?" in text

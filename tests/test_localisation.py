@@ -1,0 +1,386 @@
+"""Localisation, §5.6 and §7.1: double integration, the Kalman filters, fixes, the extended filter."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from numpy.typing import NDArray
+
+import cosim
+from controller.design_model import design_model, measurement_matrix
+from controller.extended import STATES, ExtendedFilter, ExtendedSettings
+from controller.gains import Settings
+from controller.loop import Loop
+from controller.observers import LinearFilter
+from cosim.outcomes import Run
+from fmus.build import build
+from fmus.estimator_fmu import INPUTS, OUTPUTS
+from fmus.estimator_recipes import extended_recipe, filter_recipe, jacobians
+from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
+from plant.model import Equations, Model, Values
+from plant.namespaces import Namespace
+from plant.quantities import Quantity, parameter
+from plant.symbolic.jacobian import loaded, printed_jacobians
+from plant.symbolic.linearize import linearize
+from tests.conftest import ROOT
+from tests.hosts_fmpy import Instance, description_of, refused
+
+STEP, TEN_DEGREES = 0.02, math.radians(10)
+BOTH = pytest.mark.parametrize("name", ["filter.fmu", "ekf.fmu"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, plant_fmu: Path, controller_fmu: Path) -> Path:
+    """scenarios/ and build/ with the estimators beside plant and controller."""
+    made = tmp_path_factory.mktemp("localisation")
+    shutil.copytree(ROOT / "scenarios", made / "scenarios")
+    (made / "build").mkdir()
+    for fmu in (plant_fmu, controller_fmu):
+        shutil.copy(fmu, made / "build" / fmu.name)
+    build(filter_recipe(), made / "build" / "filter.fmu")
+    build(extended_recipe(), made / "build" / "ekf.fmu")
+    return made
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> Mapping[str, Run]:
+    """Each scenario of this chapter, run once."""
+    names = ("localisation_rest", "localisation", "localisation_fixes")
+    return {n: cosim.run(folder / "scenarios" / f"{n}.yaml", folder / n, report=False, in_process=True) for n in names}
+
+
+def off(made: Run, estimator: str, name: str = "x") -> NDArray[np.float64]:
+    return np.asarray(made[f"{estimator}.{name}_hat"] - made[f"plant.{name}"])
+
+
+# -- Figs 5.5-5.7 -------------------------------------------------------------------------------
+
+
+def test_double_integration_drifts_away_at_rest_and_the_filter_does_not(flown: Mapping[str, Run]) -> None:
+    rest = flown["localisation_rest"]
+    assert np.abs(off(rest, "integration")).max() > 0.5  # [m], of a craft that never moved (Fig 5.5)
+    assert np.abs(off(rest, "filter")).max() < 0.01
+    # white noise integrated twice: σ = σ_a·Δt²·√(n³/3)
+    n = len(rest.time) - 1
+    assert rest["integration.x_sigma"][-1] == pytest.approx(math.sqrt(0.04479 * n**3 / 3) * STEP**2, rel=2e-3)
+    assert abs(off(rest, "integration")[-1]) < 3 * rest["integration.x_sigma"][-1]
+
+
+def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_integration_does_not(
+    flown: Mapping[str, Run],
+) -> None:
+    moved = flown["localisation"]  # 30 cm, Figs 5.6 and 5.7
+    assert not moved.missed
+    distance = moved["plant.x"][-1]
+    assert distance == pytest.approx(0.3, abs=0.01)
+    for estimator in ("appendix_f", "lagged", "extended"):
+        assert abs(off(moved, estimator)[-1]) < 0.1 * distance
+        assert np.abs(off(moved, estimator, "psi")).max() < TEN_DEGREES
+    assert abs(off(moved, "integration")[-1]) > distance
+
+
+def test_of_the_three_variants_the_one_that_observes_speed_is_the_worst_with_the_v_of_the_thesis(
+    flown: Mapping[str, Run],
+) -> None:
+    # V says that the model of ẋ is off by 1 cm/s a sample, so `consistent` believes −(c/m)·ẋ of a noisy accelerometer
+    worst = {e: abs(off(flown["localisation"], e)[-1]) for e in ("appendix_f", "lagged", "consistent")}
+    assert worst["consistent"] > 10 * max(worst["appendix_f"], worst["lagged"])
+
+
+def test_the_estimator_beside_the_controller_is_the_one_within_it(flown: Mapping[str, Run]) -> None:
+    moved = flown["localisation"]
+    for name in ("x", "vx", "psi", "psi_dot", "a"):
+        assert moved[f"appendix_f.{name}_hat"].tolist() == moved[f"controller.{name}_hat"].tolist()
+    assert moved["appendix_f.x_sigma"].tolist() == moved["controller.x_sigma"].tolist()
+
+
+# -- §7.1: fixes --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("estimator", "within"),
+    [
+        ("by_camera", 0.05),
+        ("by_camera_extended", 0.05),
+        ("by_beacon", 0.3),
+        ("by_ultrasound", 0.05),
+        ("by_infrared", 0.1),
+    ],
+)
+def test_fixes_of_any_kind_find_a_start_that_nobody_told(
+    flown: Mapping[str, Run], estimator: str, within: float
+) -> None:
+    found = flown["localisation_fixes"]
+    settled = found.time > 15
+    assert abs(off(found, estimator)[0]) == 0.5
+    # about three of the standard deviations that it believes in
+    assert np.abs(off(found, estimator)[settled]).max() < within
+    sigma = found[f"{estimator}.x_sigma"]
+    assert sigma[settled].max() == pytest.approx(sigma[(found.time > 5) & ~settled].max(), rel=0.5)  # P has settled
+
+
+def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[str, Run]) -> None:
+    found = flown["localisation_fixes"]
+    sigma = found["without.x_sigma"]
+    assert (np.diff(sigma) > 0).all()
+    assert np.abs(off(found, "without")[found.time > 5]).min() > 0.1
+    assert np.abs(off(found, "by_camera")[found.time > 5]).max() < 0.1
+
+
+def test_scenarios_of_this_chapter_meet_their_criteria(flown: Mapping[str, Run]) -> None:
+    assert {n: made.missed for n, made in flown.items()} == {n: [] for n in flown}
+    assert [w for made in flown.values() for w in made.warnings if "not connected" in w] == []
+
+
+def test_a_latency_that_the_filter_is_told_of_costs_nothing() -> None:
+    # 1 m/s, fixes 0.1 s old: a filter that takes them for new is off by about v·T
+    def error(latency: float) -> float:
+        estimator = LinearFilter(Settings(fix_latency=latency, estimator="lagged"), (0.0, 1.0, 0.0, 0.0, 0.0))
+        x, v = 0.0, 1.0
+        for k in range(300):
+            x, v = x + STEP * v, v  # a push that makes up for friction
+            push = 0.25 * v / (2 * 2.4973)
+            estimator.step((0.0, 0.0, 0.25 / 0.705 * v), (0, 0, push, push), float(k // 5), (x - 0.1 * v, 0.0))
+        return estimator.estimate[0] - x
+
+    assert abs(error(0.1)) < 0.01
+    assert error(0.0) < -0.05
+
+
+# -- eqs 5.48-5.53 ------------------------------------------------------------------------------
+
+
+def test_the_observability_matrix_is_that_of_eq_5_49() -> None:
+    A, _ = design_model(Settings())
+    observability = control.obsv(A, measurement_matrix(Settings(), "appendix_f"))
+    expected = np.zeros((15, 5))
+    expected[0, 2] = expected[1, 3] = expected[3, 3] = 1.0
+    expected[[2, 5, 8, 11, 14], 4] = 1.0, -11.31, 128.0, -1448.0, 16375.0
+    np.testing.assert_allclose(observability, expected, rtol=5e-4)  # four digits printed
+    assert np.linalg.matrix_rank(observability) == 3
+
+
+def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> None:
+    A, _ = design_model(Settings(lag=0.12))  # τ of the print, which App G has too
+    V = np.array(
+        [
+            [0.01504, -0.3534, 0.3384, 0, 0],
+            [-0.1253, 0.1253, 0, 0, 0],
+            [0, 0, 0, 1, 0],
+            [0, 0, 0, 0, 1],
+            [1, 0, 0, 0, 0],
+        ]
+    )  # 5.51
+    J = np.linalg.solve(V, A @ V)
+    expected = np.zeros((5, 5))
+    expected[0, 0], expected[1, 1], expected[3, 4] = -8.333, -0.3546, 1.0
+    np.testing.assert_allclose(J, expected, atol=4e-3)  # 5.50, by four digits of V
+    inverse = np.linalg.inv(V)
+    assert inverse[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
+    assert inverse[1, [1, 4]] == pytest.approx([8.333 - 0.3546, 1.0], rel=1e-3)  # 7.978
+    assert inverse[2, [0, 1, 4]] == pytest.approx([2.955, 8.333, 1.0], rel=1e-3)
+    seen = measurement_matrix(Settings(), "appendix_f") @ V
+    assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
+
+
+def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str, Run]) -> None:
+    rest = flown["localisation_rest"]
+    for name, printed in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
+        readings = rest[f"filter.{name}"]
+        mean = readings.sum() / len(readings)  # 5.45
+        found = ((readings - mean) ** 2).sum() / (len(readings) - 1)  # 5.44
+        assert found == pytest.approx(printed, rel=4 * math.sqrt(2 / 1000))  # four standard errors of 1001 readings
+
+
+# -- Jacobians and the extended filter ----------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pendulum(Model):
+    """A pendulum with a motor: l·θ̈ = −g·sin θ − d·θ̇ + u; it tells how high it is."""
+
+    base_states = (Quantity("angle", "rad", "θ"), Quantity("rate", "rad/s", "θ̇"))
+    inputs = (Quantity("push", "m/s2", "u"),)
+    outputs = (Quantity("height", "m", "l·(1 − cos θ)"),)
+
+    length: float = parameter(0.5, unit="m", bounds=(0.1, 10), doc="l")
+    damping: float = parameter(0.2, unit="m/s", bounds=(0, 10), doc="d")
+
+    def equations(self, m: Namespace) -> Equations:
+        """Bind them."""
+
+        def derivative(t: Any, state: Values, command: Values) -> Values:
+            angle, rate = state
+            return rate, (-9.81 * m.sin(angle) - self.damping * rate + command[0]) / self.length
+
+        return Equations(derivative, lambda t, state, command: (self.length * (1.0 - m.cos(state[0])),))
+
+
+MOVING = (0.3, -0.1, 0.2, 0.1, 0.7, 0.5, -0.2, 0.4, 0.01, 0.02, 2.2, 2.1, 0.15, -0.05)
+
+
+@pytest.mark.parametrize(
+    ("model", "outputs", "state", "command"),
+    [
+        (Hovercraft(), ("ax",), Hovercraft().start(), Hovercraft().start_command()),
+        (Hovercraft(mass=0.9, friction=0.4), ("ax", "phi"), MOVING, (6.5, 6.3, 0.1, -0.1)),
+        (Pendulum(), ("height",), (0.8, -0.3), (0.2,)),
+        (Pendulum(length=2.0), ("height",), (2.5, 1.0), (0.0,)),
+    ],
+)
+def test_printed_jacobians_are_the_linearised_model(
+    model: Model, outputs: tuple[str, ...], state: Values, command: Values
+) -> None:
+    printed = loaded(printed_jacobians(model, outputs))
+    linear = linearize(model, state, command)
+    numbers = [float(getattr(model, name)) for name in printed["PARAMETERS"]]
+    rows = [linear.outputs.index(name) for name in outputs]
+    for name, exact in (("state", linear.A), ("output", linear.C[rows])):
+        entries = [0.0] * len(printed[name.upper()])
+        printed[f"{name}_jacobian"](0.0, list(state), list(command), numbers, entries)
+        matrix = np.zeros(exact.shape)
+        for (i, j), entry in zip(printed[name.upper()], entries, strict=True):
+            matrix[i, j] = entry
+        np.testing.assert_allclose(matrix, exact, rtol=1e-11, atol=1e-11)  # rounding of two orders of summing
+
+
+def manoeuvre(extended: ExtendedFilter, *, wrong: float = 0.0) -> tuple[Any, Any, list[float]]:
+    """The craft turns right by 90°, flies 1.5 m, turns left; a camera sees it in world axes. x, x̂ and σ at the end."""
+    craft = Hovercraft()
+    stepper, names = Stepper(craft), [q.name for q in craft.outputs]
+    moment = stepper.start(0.0, {"x": wrong, "x_world": wrong})
+    loop = Loop(Settings(), (wrong, 0.0, 0.0, 0.0, 0.0), wrong, 0.0)
+    rng, sigma = np.random.default_rng(7), []
+    for k in range(1, 501):
+        command = (craft.duty_nominal, craft.duty_nominal, *loop.command)
+        moment = stepper.step(moment, command, STEP)
+        y = dict(zip(names, stepper.output(moment.t, moment.state, command), strict=True))
+        psi_ref = -0.5 * math.pi if k > 25 else 0.0
+        loop.step((y["psi"], y["psi_dot"], y["ax"]), wrong + (1.5 if k > 150 else 0.0), psi_ref)
+        noise = rng.normal(0.0, 1.0, 5) * np.sqrt([2.613e-5, 4.564e-4, 0.04479, 1e-4, 1e-4])
+        z = np.array([y[n] for n in ("psi", "psi_dot", "ax", "x_world", "y_world")]) + noise
+        extended.step(z[:3].tolist(), command, float(k // 5), z[3:].tolist())
+        sigma.append(extended.sigma[0])
+    return np.array(moment.state), extended.filter.x, sigma
+
+
+def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
+    settings = ExtendedSettings(axes="world")
+    extended = ExtendedFilter(Hovercraft(), settings, loaded(jacobians()), {})
+    x, x_hat, sigma = manoeuvre(extended, wrong=0.3)
+    error = dict(zip(STATES, x_hat - x, strict=True))
+    assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
+    assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
+    assert max(sigma[250:]) < 0.03
+    alone = ExtendedFilter(Hovercraft(), replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6),
+                           loaded(jacobians()), {})  # fmt: skip
+    _, x_hat, sigma = manoeuvre(alone, wrong=0.3)
+    assert abs(x_hat - x)[STATES.index("x_world")] > 0.25
+    assert max(sigma[250:]) > 0.3
+
+
+# -- the FMUs -----------------------------------------------------------------------------------
+
+
+def row(k: int) -> dict[str, float]:
+    t = STEP * k
+    moved = {"psi": 0.1 * math.sin(t), "psi_dot": 0.1 * math.cos(t), "ax": 0.3, "tilt_right": 0.05, "tilt_left": 0.04}
+    return {**moved, "x_meas": 0.15 * t * t, "y_meas": 0.01, "fix": float(k // 5)}
+
+
+@BOTH
+def test_estimators_have_one_set_of_ports_and_no_fault(folder: Path, name: str) -> None:
+    fmu = folder / "build" / name
+    assert validate_fmu(str(fmu)) == []
+    of = {c: tuple(v.name for v in description_of(fmu).modelVariables if v.causality == c) for c in ("input", "output")}
+    assert of == {"input": INPUTS, "output": OUTPUTS}
+    starts = {v.name for v in description_of(fmu).modelVariables if v.name.endswith("_hat_start")}
+    assert starts == {f"{n}_hat_start" for n in ("x", "vx", "psi", "psi_dot", "a")}
+
+
+@BOTH
+@pytest.mark.parametrize("estimator", ["consistent", "double_integration"])
+def test_a_restored_estimator_goes_on_bit_for_bit(folder: Path, name: str, estimator: str) -> None:
+    chosen: dict[str, Any] = {"estimator": estimator} if name == "filter.fmu" else {"axes": "world"}
+    with Instance(folder / "build" / name) as fmu:
+        first = fmu.initialize({**chosen, "x_hat_start": 0.2, "a_hat_start": 0.3}).outputs()
+        assert (first["x_hat"], first["x_sigma"]) == (0.2, 0.0)
+        assert first["a_hat"] == pytest.approx(0.3, rel=1e-12)  # a tilt, and back
+        for k in range(1, 12):
+            fmu.step(STEP * (k - 1), STEP, row(k))
+        state = fmu.serialized()
+        went = [fmu.step(STEP * (k - 1), STEP, row(k)) for k in range(12, 30)]
+        fmu.restore(state)
+        assert [fmu.step(STEP * (k - 1), STEP, row(k)) for k in range(12, 30)] == went
+    assert abs(went[-1]["x_hat"] - 0.2) > 1e-3
+
+
+def test_the_extended_fmu_is_the_plain_filter(folder: Path) -> None:
+    model, settings = Hovercraft(mass=0.8), ExtendedSettings(fix_latency=0.06, process_variance_vx=1e-6)
+    plain = ExtendedFilter(model, settings, loaded(jacobians()), {"x": 0.2})
+    given = {"mass": 0.8, "fix_latency": 0.06, "process_variance_vx": 1e-6, "x_hat_start": 0.2}
+    with Instance(folder / "build" / "ekf.fmu") as fmu:
+        fmu.initialize(given)
+        for k in range(1, 30):
+            at = row(k)
+            told = fmu.step(STEP * (k - 1), STEP, at)
+            duty = (model.duty_nominal, model.duty_nominal)
+            sensors = (at["psi"], at["psi_dot"], at["ax"])
+            plain.step(sensors, (*duty, at["tilt_right"], at["tilt_left"]), at["fix"], (at["x_meas"], at["y_meas"]))
+            assert list(told.values()) == pytest.approx(
+                [*plain.estimate, *plain.sigma, plain.nis], rel=1e-12, abs=1e-15
+            )
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("filter.fmu", {"estimator": "kalman"}, "it is one of appendix_f, lagged, consistent, double_integration"),
+        ("ekf.fmu", {"axes": "room", "mass": 99.0}, "20] kg; axes is 'room'; it is one of own, world"),
+        ("ekf.fmu", {"measurement_variance_y": -1.0}, "measurement_variance_y is -1.0; it lies in"),
+    ],
+)  # fmt: skip
+def test_what_an_estimator_cannot_take_is_told_with_what_it_can(
+    folder: Path, name: str, values: dict[str, Any], said: str
+) -> None:
+    assert said in refused(folder / "build" / name, values, lambda fmu: fmu.outputs())
+
+
+@BOTH
+def test_an_estimator_is_sampled_and_refuses_another_step(folder: Path, name: str) -> None:
+    def call(fmu: Instance) -> None:
+        fmu.call("exitInitializationMode")
+        fmu.step(0.0, 0.05)
+
+    assert "the estimator is sampled at 0.02 s (parameter sample_time)" in refused(folder / "build" / name, {}, call)
+
+
+def test_inputs_for_fixes_are_recorded_and_told_only_where_something_feeds_them(
+    folder: Path, flown: Mapping[str, Run]
+) -> None:
+    without = cosim.run(folder / "scenarios" / "regulate.yaml", set={"duration": 0.2}, in_process=True)
+    ports = {f"controller.{n}" for n in ("x_meas", "y_meas", "fix")}
+    assert not ports & set(without.names)
+    assert without.warnings == []
+    fed = flown["localisation_fixes"]
+    assert ports & set(fed.names) == {"controller.x_meas", "controller.fix"}
+    given = {"duration": 0.2, "components.controller.start.fix": 1}
+    assert "controller.fix" in cosim.run(folder / "scenarios" / "regulate.yaml", set=given, in_process=True).names
+
+
+def test_a_manifest_repeats_a_run_with_fixes_to_the_byte(folder: Path, tmp_path: Path) -> None:
+    scenario, short = folder / "scenarios" / "localisation_fixes.yaml", {"duration": 0.6, "criteria": {}}
+    cosim.run(scenario, tmp_path / "first", set=short, report=False)
+    cosim.run(tmp_path / "first" / "manifest.json", tmp_path / "again", report=False, in_process=True)  # or in a worker
+    first, again = (tmp_path / name / "results.csv" for name in ("first", "again"))
+    assert first.read_bytes() == again.read_bytes()

@@ -1,0 +1,472 @@
+"""The stepping loop in C: what it calls and when, where it stops and goes on; its rows are the bytes of Python's."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import re
+import signal
+import sys
+from array import array
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from cosim.bench_native import native_figures
+from cosim.blocks.description import read_description
+from cosim.blocks.faults import disturbed
+from cosim.blocks.fmi import EXCHANGE, STEP2
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.kinds import FMI2, FMI3, Exchange
+from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.blocks.sources import Recorded
+from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, link, move, transfer
+from cosim.errors import Interrupted
+from cosim.isolation.rows import Rows
+from cosim.results import Results
+from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+from cosim.simulation.workflow import run
+from tests.deeds import deeds_fmu, deeds_scenario
+from tests.native import NEEDS_COMPILER
+from tests.typed import TYPED2, TYPED3, typed_fmu
+
+pytestmark = NEEDS_COMPILER
+
+
+class Counter:
+    """An FMU of Python whose output is its input plus the number of its steps; what it is told stands in `calls`."""
+
+    def __init__(self, row: Any, first: int, calls: list[Any], **status: int) -> None:
+        self.u, self.steps, self.calls, self.status = 0.0, 0, calls, status
+        self.functions = EXCHANGE(self.set), STEP2(self.step), EXCHANGE(self.get)
+        kind, one = FMI2["Real"], SimpleNamespace(name="v", valueReference=0, shape=())
+        self.exchanges = Exchange(kind, [one]), Exchange(kind, [one])
+        for k, exchange in enumerate(self.exchanges):
+            exchange.places = slice(first + k, first + k + 1)
+        puts, gets = ([move(f, e, row)] for f, e in zip(self.functions[::2], self.exchanges, strict=True))
+        self.slot = fmu_slot(2, self.functions[1], 1, puts, gets, 1, 0.0)
+        self.slot.keeping = self.slot.keeping, self  # C knows addresses alone
+
+    def set(self, c: int, references: int, n: int, values: int) -> int:
+        self.u = ctypes.c_double.from_address(values).value
+        return self.told("set", self.u)
+
+    def step(self, c: int, t: float, h: float, no: int) -> int:
+        self.steps += 1
+        return self.told("step", t, h)
+
+    def get(self, c: int, references: int, n: int, values: int) -> int:
+        ctypes.c_double.from_address(values).value = (
+            np.nan if self.status.get("nan") == self.steps else self.u + self.steps
+        )
+        return self.told("get")
+
+    def told(self, what: str, *values: float) -> int:
+        self.calls.append((what, *values))
+        return 1 if self.status.get(what) == self.steps else 0
+
+
+def loop_of(slots: list[tuple[Slot, list[Transfer]]], held: list[Transfer], row: Any, steps: int) -> tuple[Loop, Any]:
+    table, made, doing = np.zeros((steps + 1, len(row))), array("q", [1]), array("q", [-1])
+    return Loop(slots, held, row, table, 0.0, 0.5, made, doing), (table, made, doing)
+
+
+def test_a_step_puts_steps_gets_transfers_and_keeps_the_row() -> None:
+    row, calls = (ctypes.c_double * 4)(), list[Any]()
+    a, b = Counter(row, 0, calls), Counter(row, 2, calls)
+    loop, (table, made, _) = loop_of([(a.slot, []), (b.slot, [transfer(row, 1, 2)])], [transfer(row, 3, 0)], row, 2)
+    assert loop.run(2) == Why.FINISHED
+    one = [("set", 0.0), ("step", 0.0, 0.5), ("get",), ("set", 1.0), ("step", 0.0, 0.5), ("get",)]
+    assert calls == [*one, ("set", 2.0), ("step", 0.5, 0.5), ("get",), ("set", 4.0), ("step", 0.5, 0.5), ("get",)]
+    assert table.tolist() == [[0, 0, 0, 0], [2, 1, 1, 2], [6, 4, 4, 6]]
+    assert (made[0], [slot.time for slot in loop.slots]) == (3, [1.0, 1.0])
+
+
+@pytest.mark.parametrize(("what", "place"), [("set", 0), ("step", 1), ("get", 2)])
+def test_what_was_judged_is_not_called_again(what: str, place: int) -> None:
+    row, calls = (ctypes.c_double * 2)(), list[Any]()
+    steps_before = 1 if what == "set" else 2  # of the second point
+    counter = Counter(row, 0, calls, **{what: steps_before})
+    loop, (table, made, _) = loop_of([(counter.slot, [])], [], row, 3)
+    assert loop.run(3) == Why.STATUS
+    assert (loop.plan.status, loop.plan.called, loop.plan.next, made[0]) == (1, place, 2, 2)
+    assert len(calls) == 3 + 1 + place
+    assert loop.run(3) == Why.FINISHED
+    assert [call[0] for call in calls] == ["set", "step", "get"] * 3
+    assert table[:, 1].tolist() == [0, 1, 2, 3]
+
+
+def test_an_output_that_is_not_finite_stops_before_its_row() -> None:
+    row, calls = (ctypes.c_double * 2)(), list[Any]()
+    loop, (table, made, _) = loop_of([(Counter(row, 0, calls, nan=2).slot, [])], [], row, 3)
+    assert (loop.run(3), made[0], loop.plan.place) == (Why.NOT_FINITE, 2, 0)
+    assert np.isnan(row[1])
+    assert table[2].tolist() == [0, 0]
+
+
+def test_python_is_asked_before_a_row_is_kept_and_may_change_it() -> None:
+    row, calls = (ctypes.c_double * 2)(), list[Any]()
+    loop, (table, made, _) = loop_of([(Counter(row, 0, calls).slot, [])], [], row, 3)
+    assert (loop.run(3, pause=2), made[0]) == (Why.PAUSED, 2)
+    row[1] = 20.0
+    assert loop.run(3) == Why.FINISHED
+    assert table[:, 1].tolist() == [0, 1, 20, 3]
+
+
+def test_prepared_values_and_longer_steps() -> None:
+    row, calls = (ctypes.c_double * 4)(), list[Any]()
+    values = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0]])
+    source = Slot(0, every=1, scalars=2)
+    source.row = ctypes.addressof(row)
+    slow = Counter(row, 2, calls)
+    slow.slot.every = 2
+    loop, (table, _, _) = loop_of([(source, []), (slow.slot, [transfer(row, 1, 2)])], [], row, 4)
+    loop.prepare(0, values[:3], 1)
+    assert loop.run(3) == Why.FINISHED
+    loop.prepare(0, values[3:], 4)
+    assert loop.run(4) == Why.FINISHED
+    assert table[:, :2].tolist() == [[0, 0], *values.tolist()]
+    assert calls == [("set", 20.0), ("step", 0.0, 1.0), ("get",), ("set", 40.0), ("step", 1.0, 1.0), ("get",)]
+
+
+def test_a_value_that_is_no_item_stops_where_it_comes() -> None:
+    row, calls = (ctypes.c_double * 4)(), list[Any]()
+    counter, other = Counter(row, 0, calls), Counter(row, 2, [])
+    items = link(Does.ITEMS, values=array("d", [1.0, 2.0]), count=2)
+    loop, (_, made, _) = loop_of([(counter.slot, []), (other.slot, [transfer(row, 1, 2, [items])])], [], row, 4)
+    assert (loop.run(4), made[0], loop.plan.place, row[1]) == (Why.NO_ITEM, 3, 1, 3.0)
+
+
+@pytest.mark.parametrize(
+    "name", [k for k in FMI3 if "Int" in k and "64" not in k] + ["Boolean", "Enumeration", "Float32"]
+)
+def test_every_type_goes_to_an_fmu_and_back_as_python_takes_it(name: str) -> None:
+    kind, row = FMI3[name], (ctypes.c_double * 2)()
+    exchange = Exchange(kind, [SimpleNamespace(name="v", valueReference=0, shape=())])
+    low, high = (kind.low, kind.high) if kind.low is not None and kind.high is not None else (-3.3e38, 0.1)
+    echo, step = EXCHANGE(lambda *given: 0), STEP2(lambda *given: 0)
+    put = move(echo, exchange, row)
+    exchange.places = slice(1, 2)
+    slot = fmu_slot(2, step, 1, [put], [move(echo, exchange, row)], 0, 0.0)
+    tried = [low, high, low - 1, high + 1, 0.5, 0, 1, -0.0, np.nan, np.inf]
+    for value in tried:
+        row[0], row[1] = value, -7.0
+        loop, _ = loop_of([(slot, [])], [], row, 1)
+        try:
+            exchange.buffer[0] = kind.encoded(float(value))
+        except (ValueError, OverflowError):
+            assert loop.run(1) == Why.UNFIT
+        else:
+            assert loop.run(1) == Why.FINISHED
+            assert row[1] == float(exchange.decoded()[0]) or np.isnan(value)
+
+
+@pytest.mark.parametrize("kind", ["bias", "scale", "stuck", "spike", "delay", "dropout", "freeze"])
+def test_a_fault_in_c_is_that_in_python_bit_for_bit(kind: str) -> None:
+    given = {"value": 0.3, "delay": 3, "probability": 0.4 if kind in {"spike", "dropout"} else None}
+    steps, rng = 60, np.random.default_rng(4)
+    values = rng.standard_normal((steps, 1))
+    for window in ((0, steps), (2, 20), (17, 17), (30, 200)):
+        first, second = (disturbed(kind, window, steps + 1, np.random.default_rng(5), **given) for _ in range(2))  # type: ignore[arg-type]
+        for fault in (first, second):  # as initialization does, more than once
+            fault(0, 1.7), fault(0, 0.6)
+        row = (ctypes.c_double * 2)()
+        source = Slot(0, every=1, scalars=1)
+        source.row = ctypes.addressof(row)
+        loop, (table, _, _) = loop_of([(source, [])], [transfer(row, 0, 1, [first.link()])], row, steps)
+        loop.prepare(0, values, 1)
+        assert loop.run(steps) == Why.FINISHED
+        assert table[1:, 1].tolist() == [second(k, v) for k, v in enumerate(values[:, 0].tolist(), 1)]
+
+
+def test_sources_over_many_times_give_what_they_give_at_each() -> None:
+    rng = np.random.default_rng(6)
+    changes = [
+        Change(at=a, to=to, rate=r)
+        for a, to, r in ((0.0, 1.0, None), (0.3, -0.7, 0.9), (0.5, 2.0, 7.0), (1.1, 2.0, 1.0))
+    ]
+    times = np.sort(
+        np.concatenate([0.1 * np.arange(20), rng.uniform(-0.1, 2.0, 200), 0.3 + 1e-9 * rng.uniform(-2, 2, 20)])
+    )
+    recorded = np.sort(rng.uniform(0, 2, 30)).tolist()
+    for function in (
+        profile_function(Profile(start=0.2, changes=changes), 0.1),
+        profile_function(Profile(start=-0.0)),
+        Recorded(recorded, rng.standard_normal(30).tolist()),
+    ):
+        assert np.array([function(t) for t in times.tolist()]).tobytes() == function.over(times).tobytes()
+
+
+# -- whole runs -------------------------------------------------------------------------------------
+
+
+def both(path: Path, *overrides: str) -> tuple[Results, Results]:
+    """A run stepped by C and by Python."""
+    made = []
+    for in_c in (True, False):
+        file = ScenarioFile(path, overrides)
+        made.append(simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c))
+    assert (made[0].loop, made[1].loop) == ("C", "Python: asked for")
+    return made[0], made[1]
+
+
+def same(path: Path, *overrides: str) -> Results:
+    """The results in C, equal to the last bit to those in Python."""
+    in_c, in_python = both(path, *overrides)
+    assert in_c.columns == in_python.columns
+    assert in_c.values.tobytes() == in_python.values.tobytes()
+    assert in_c.time.tobytes() == in_python.time.tobytes()
+    assert in_c.notes == in_python.notes
+    return in_c
+
+
+def two(folder: Path, **more: Any) -> Path:
+    """Two FMUs of C in a circle, a reference and a recording that drive them, noise and every fault on the way."""
+    deeds_fmu(folder / "one.fmu", signals=3)
+    (folder / "played.csv").write_text("time,p\n0,1\n0.35,-2\n1.0,0.5\n")
+    ramps = [{"at": 0.33, "to": 1, "rate": 0.7}, {"at": 1.1, "to": -1}]
+    content: dict[str, Any] = {
+        "name": "two",
+        "duration": 3.0,
+        "step": 0.01,
+        "start_time": 0.3,
+        "seed": 3,
+        "components": {
+            "r": {"block": "reference", "signals": {"w": {"changes": ramps}, "z": {"start": 2}}},
+            "a": {"fmu": "one.fmu"},
+            "rec": {"block": "playback", "file": "played.csv"},
+            "b": {"fmu": "one.fmu"},
+        },
+        "connections": [
+            {"from": "r.w", "to": "a.u0", "noise": {"variance": 0.01}},
+            {"from": "rec.p", "to": "a.u1", "factor": 1.7, "offset": 0.1},
+            {"from": "b.y1", "to": "a.u2"},
+            {"from": "a.y1", "to": "b.u1", "noise": {"variance": 0.1, "bias": 0.2}, "factor": -0.3},
+            {"from": "a.y2", "to": "b.u2"},
+        ],
+        "faults": [
+            {"on": "a.u0", "kind": "dropout", "probability": 0.3, "from": 0.5, "to": 2.5},
+            {"on": "a.u2", "kind": "delay", "delay": 0.05, "from": 0.4},
+            {"on": "b.u1", "kind": "scale", "value": 3.0, "from": 1.0, "to": 2.0},
+            {"on": "b.u1", "kind": "bias", "value": -0.1, "from": 1.5, "to": 2.4},
+            {"on": "b.u2", "kind": "spike", "value": 5.0, "probability": 0.1},
+        ],
+    }
+    path = folder / "two.yaml"
+    path.write_text(yaml.safe_dump(content | more))
+    return path
+
+
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
+def test_the_rows_are_the_same_bytes_with_sources_noise_and_faults(tmp_path: Path, algorithm: str) -> None:
+    order = {"order": ["r", "rec", "a", "b"]} if algorithm == "gauss-seidel" else {}
+    results = same(two(tmp_path, algorithm=algorithm, **order))
+    assert len(results.time) == 301
+    assert np.ptp(results["b.y2"]) > 0.1
+
+
+def test_the_rows_are_the_same_bytes_with_steps_of_their_own(tmp_path: Path) -> None:
+    path = two(tmp_path, faults=[], algorithm="jacobi")
+    results = same(path, "components.b.step=0.03")
+    assert np.count_nonzero(np.diff(results["b.y0"])) == 100
+    assert same(path, "components.b.step=0.07", "components.a.step=0.02")["a.y0"][-1] == 150
+
+
+def test_events_and_progress_come_at_their_points(tmp_path: Path) -> None:
+    path = two(tmp_path, connections=[], faults=[], components={"a": {"fmu": "one.fmu"}})
+    events = "events=[{at: 0.62, set: {a.u1: 3}}, {at: 0.63, set: {a.u1: -1}}, {at: 3.3, set: {a.u2: 5}}]"
+    results = same(path, events)
+    place = int(np.argmax(results["a.u1"] != 0.0))
+    assert (place, results["a.u1"][place : place + 2].tolist(), results["a.u2"][-1]) == (32, [3, -1], 5)
+    told: list[int] = []
+    file = ScenarioFile(path)
+    simulate(build_system(file), 300, 0.01, told.append)
+    assert told == [50, 100, 150, 200, 250, 300]
+
+
+def test_the_craft_flies_the_same_bytes(native_fmus: Path, tmp_path: Path) -> None:
+    from tests.conftest import ROOT
+
+    text = (ROOT / "scenarios" / "manoeuvre.yaml").read_text()
+    for name in ("plant", "controller"):
+        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
+    (tmp_path / "manoeuvre.yaml").write_text(text)
+    same(tmp_path / "manoeuvre.yaml")
+    same(tmp_path / "manoeuvre.yaml", "noise=off", "algorithm=jacobi")
+
+
+def test_the_rows_of_fmi_3_are_the_same_bytes_up_to_the_end_it_asks_for(tmp_path: Path) -> None:
+    dropped = [line + "\n" for line in TYPED3.splitlines() if re.search("Int64|String|Binary", line)]
+    for k in (4, 8, 10):
+        dropped.append(f'<Output valueReference="{k}" dependencies=""/>')
+    fmu = str(typed_fmu(tmp_path, 3, **dict.fromkeys(dropped, "")))
+    ramp = {"start": 0.25, "changes": [{"at": 0.3, "to": 1.25, "rate": 1}]}
+    for last, rows in ((7, 11), (250, 9), (251, 9)):
+        counts = {"start": 0, "changes": [{"at": 0.35, "to": 200}, {"at": 0.7, "to": last}]}
+        content = {
+            "name": "three",
+            "duration": 1,
+            "step": 0.1,
+            "components": {"r": {"block": "reference", "signals": {"u": ramp, "n": counts}}, "a": {"fmu": fmu}},
+            "connections": [{"from": "r.u", "to": "a.a[1,2]"}, {"from": "r.n", "to": "a.byte"}],
+        }
+        path = tmp_path / "three.yaml"
+        path.write_text(yaml.safe_dump(content))
+        in_c, in_python = stopped(path)
+        assert in_c == in_python
+        results = both(path)[0]
+        assert len(results.time) == rows
+        assert results["a.byte_out"][5] == 200
+        assert results.time[-1] == {7: 1.0, 250: 0.8, 251: 0.75}[last]
+
+
+def without_text(text: str) -> dict[str, str]:
+    """What leaves text out of the description of `typed_fmu`."""
+    found = re.findall(r'    <ScalarVariable name="s_(?:in|out)".*?</ScalarVariable>\n', text, re.S)
+    return {**dict.fromkeys(found, ""), '<Unknown index="19" dependencies="18"/>': ""}
+
+
+def test_integers_booleans_and_enumerations_are_the_same_bytes(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, **without_text(TYPED2))
+    ramp = {"start": 0, "changes": [{"at": 0, "to": 1, "rate": 1}]}
+    steps = {"start": 0, "changes": [{"at": 0.3, "to": 1}, {"at": 0.5, "to": 0}, {"at": 0.8, "to": 1}]}
+    gears = {"start": 1, "changes": [{"at": 0.4, "to": 2}, {"at": 0.6, "to": 1}]}
+    content = {
+        "name": "typed",
+        "duration": 1,
+        "step": 0.1,
+        "components": {
+            "r": {"block": "reference", "signals": {"u": ramp, "b": steps, "e": gears}},
+            "a": {"fmu": str(fmu)},
+            "c": {"fmu": str(fmu)},
+        },
+        "connections": [
+            {"from": "r.u", "to": "a.r_in"},
+            {"from": "r.b", "to": "a.b_in"},
+            {"from": "r.e", "to": "a.e_in"},
+            {"from": "a.b_out", "to": "c.i_in"},
+            {"from": "a.e_out", "to": "c.e_in"},
+            {"from": "a.b_out", "to": "c.b_in"},
+        ],
+    }
+    path = tmp_path / "typed.yaml"
+    path.write_text(yaml.safe_dump(content))
+    results = same(path)
+    assert results["c.e_out"].tolist() == [1, 1, 1, 1, 2, 2, 1, 1, 1, 1, 1]
+    for wrong, words in (
+        ({"e": {**gears, "changes": [{"at": 0.4, "to": 3}]}}, "a.e_in at t = 0.4 s: 3, which comes from r.e, is none"),
+        ({"b": {**steps, "changes": [{"at": 0.4, "to": 2}]}}, "a.b_in at t = 0.3 s: the input 2 is outside 0 … 1"),
+    ):
+        content["components"]["r"]["signals"] |= {"u": ramp, "b": steps, "e": gears} | wrong  # type: ignore[index]
+        path.write_text(yaml.safe_dump(content))
+        (in_c, _, _), (in_python, _, _) = stopped(path)
+        assert in_c == in_python
+        assert words in in_c
+
+
+def stopped(path: Path) -> list[tuple[str, bytes, list[str]]]:
+    """Of a run in C and in Python: how it ended, its rows, and what its FMUs said."""
+    found = []
+    for in_c in (True, False):
+        file = ScenarioFile(path)
+        system = build_system(file)
+        try:
+            results = simulate(system, file.scenario.steps, file.scenario.step, in_c=in_c)
+            how = " ".join(results.notes)
+        except StoppedRun as end:
+            results, how = end.results, f"{type(end.error).__name__} {end.error}"
+        assert results.loop == ("C" if in_c else "Python: asked for")
+        said = [text for stage in system.stages for text in getattr(stage.component, "log", ())]
+        found.append((how, results.time.tobytes() + results.values.tobytes(), said))
+    return found
+
+
+@pytest.mark.parametrize("call", ["SetReal", "DoStep", "GetReal"])
+@pytest.mark.parametrize("deed", ["warning", "discard", "end", "error", "fatal", "nan"])
+def test_what_an_fmu_does_is_told_in_the_same_words_with_the_same_rows(tmp_path: Path, call: str, deed: str) -> None:
+    at = {"SetReal": 9, "DoStep": 5, "GetReal": 9}[call]
+    in_c, in_python = stopped(deeds_scenario(tmp_path, call, deed, at))
+    assert in_c == in_python
+    assert (in_c[0] == "") == (deed == "warning")
+    if deed == "warning":
+        assert any(f"fmi2{call} returned Warning" in text for text in in_c[2])
+
+
+def test_an_end_that_one_fmu_alone_asks_for_leaves_a_row_of_that_time(tmp_path: Path) -> None:
+    deeds_fmu(tmp_path / "one.fmu", "DoStep", "end", 4)
+    content = {"name": "end", "duration": 1, "step": 0.1, "components": {"a": {"fmu": "one.fmu"}}}
+    (tmp_path / "end.yaml").write_text(yaml.safe_dump(content))
+    in_c, in_python = stopped(tmp_path / "end.yaml")
+    assert in_c == in_python
+    assert "ended the simulation" in in_c[0]
+
+
+def test_the_manifest_names_the_loop_and_why_it_is_in_python(
+    tmp_path: Path, project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = two(tmp_path, duration=0.1, faults=[])
+
+    def loop(scenario: Path, *overrides: str, **more: Any) -> str:
+        run(scenario, tmp_path / "out", overrides, report=False, **more)
+        return str(json.loads((tmp_path / "out" / "manifest.json").read_text())["loop"])
+
+    assert loop(path, in_process=True) == "C"
+    assert loop(path) == "C"
+    assert loop(path, "components.b.process=own") == "Python: b has a process of its own"
+    regulate = project / "scenarios" / "regulate.yaml"
+    assert (
+        loop(regulate, "duration=0.1", "criteria={}", in_process=True)
+        == "Python: plant is made of Python, by pythonfmu"
+    )
+    monkeypatch.setenv("CC", "none")
+    assert loop(path) == "Python: no C compiler"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such signal")
+@pytest.mark.parametrize("deed", ["slow", "warning"])
+def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: Path, deed: str) -> None:
+    file = ScenarioFile(deeds_scenario(tmp_path, "DoStep", deed, at=0, duration=1e6 if deed == "warning" else 100.0))
+    system, steps = build_system(file), file.scenario.steps
+    rows = Rows(
+        np.zeros((steps + 1, len(system.columns))), tell_loop=lambda _: signal.setitimer(signal.ITIMER_REAL, 0.1)
+    )
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        with pytest.raises(StoppedRun) as stopped:
+            simulate(system, steps, 0.1, rows=rows)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert isinstance(stopped.value.error, Interrupted)
+    assert stopped.value.results.loop == "C"
+    assert 1 < len(stopped.value.results.time) < steps
+
+
+def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = deeds_fmu(tmp_path / "one.fmu")
+    block = FmuBlock("one", path, read_description(path), {}, frozenset())
+
+    def stop(text: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(block, "_remember", stop)
+    block._listen(1, b"a word")  # called by C, out of which no exception leads
+    with pytest.raises(KeyboardInterrupt):
+        block.came_to(1.0)
+    block.came_to(1.0)
+
+
+def test_the_benchs_native_lines_say_so_where_there_is_no_compiler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", "none")
+    figures = native_figures(tmp_path)
+    assert "native_over_c" in figures
+    assert set(figures.values()) == {"no C compiler"}
