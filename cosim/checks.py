@@ -14,7 +14,7 @@ from typing import Any
 from cosim import kinds
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.errors import Crashed, Fault, FmuError, InputError, TimedOut
+from cosim.errors import Crashed, DiskFull, Fault, FmuError, InputError, Interrupted, Signalled, TimedOut
 from cosim.files import FilePath
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -173,8 +173,12 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
         made = simulate_apart(worker, system, 1, file.scenario.step, beside, limits)
     except FmuError as error:
         return [Fault(path, 0, 0, str(error).removeprefix(f"{path.resolve()} "), error.exit_code)]
+    except DiskFull as error:
+        return [Fault(path, 0, 0, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code)]
     if made.failure is None:
         return []
+    if isinstance(made.failure, (Interrupted, Signalled)):
+        raise made.failure
     code = made.failure.exit_code if isinstance(made.failure, TimedOut) else FmuError.exit_code
     cure = "; --no-load checks it without" if isinstance(made.failure, (Crashed, TimedOut)) else ""
     return [Fault(path, 0, 0, f"does not run: {made.failure}{cure}", code)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import io
 import os
 import shlex
 import signal
@@ -13,12 +12,14 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CosimError, Fault, FmuError, InputError, SimulationError, Terminated
-from cosim.files import is_full
+from cosim.errors import CosimError, Fault, FmuError, InputError, Interrupted, Signalled, SimulationError, Terminated
+from cosim.files import check_text, is_full
 from cosim.garbage import collect_seldom
+from cosim.program import STOPPED, as_program
 from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
-from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, show, stages
+from cosim.verbs.streams import echo, open_streams
+from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, show, stages, warn
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -89,7 +90,7 @@ def run(
 
         source = Path(outcome.manifest["source"])
         changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
-        typer.echo(changed, err=True) if as_json else say(changed)
+        echo(changed, err=True) if as_json else say(changed)
     told(outcome, report=report, open_=open_, as_json=as_json)
 
 
@@ -150,7 +151,7 @@ def export(
 
     exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
     for note in exported.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
     say(f"wrote {exported.path}")
 
 
@@ -169,8 +170,16 @@ def check(
 
     try:
         lines = check_files(files, model, load=load)
+    except Signalled as ended:
+        raise FmuError(ended.reason) from None
     except Terminated as ended:
         raise FmuError(str(ended)) from None
+    except (Interrupted, KeyboardInterrupt):
+        raise typer.Exit(STOPPED) from None
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
     for line in lines:
         say(line)
     say(f"no fault in {', '.join(map(str, files))}")
@@ -209,7 +218,7 @@ def replay(
         )  # fmt: skip
     for finding in comparison.findings:
         if finding.severity == "warning":
-            typer.echo(finding.line, err=True)
+            echo(finding.line, err=True)
     say(verdict(comparison))
     say(f"residual: {out / 'residual.csv'}" + (f", report: {out / 'report.html'}" if report else ""))
     if report and open_:
@@ -234,7 +243,7 @@ def refine(
     with stages(numbered) as progress:
         result = refine_study(study, out, progress, report=report, in_process=in_process)
     for warning in result.study.warnings:
-        typer.echo(f"warning: {warning}", err=True)
+        warn(warning)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
     if report:
@@ -282,7 +291,7 @@ def excite(
             duration=duration, seed=seed, progress=progress,
         )  # fmt: skip
     if found.warning:
-        typer.echo(f"warning: {found.warning}", err=True)
+        warn(found.warning)
     for line in found.sentences:
         say(line)
     say(f"excitation: {out / 'excitation.csv'}, played by: cosim run {out / 'excitation.yaml'}")
@@ -325,36 +334,43 @@ register(app)
 
 def entry() -> None:
     """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    open_streams()
     collecting = collect_seldom()
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
-            stream.reconfigure(errors="backslashreplace")
     ends = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
     before = {number: signal.getsignal(number) for number in ends}
     for number, handler in before.items():
         if handler != signal.SIG_IGN:  # nohup
             signal.signal(number, _terminated)
     try:
+        check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
     except CosimError as error:
-        typer.echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
+        echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         if isinstance(error, SimulationError) and error.left is not None:
             told_left(error.left)
         sys.exit(error.exit_code)
     except Terminated as ended:
-        typer.echo(f"error: {ended}", err=True)
+        echo(f"error: {ended}", err=True)
         sys.exit(ended.exit_code)
     except MemoryError:
-        typer.echo("error: there is not enough memory; run shorter, in longer steps or with less recorded", err=True)
+        echo("error: there is not enough memory; run shorter, in longer steps or with less recorded", err=True)
         sys.exit(4)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         where = f"{error.filename}: " if error.filename else ""
-        typer.echo(f"error: {where}{error.strerror or error}", err=True)
+        echo(f"error: {where}{'the disk is full' if is_full(error) else error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
     finally:
         gc.set_threshold(*collecting)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
+
+
+def _here() -> list[str]:
+    """The folder of the process, where there still is one."""
+    try:
+        return [os.getcwd()]
+    except OSError:
+        return []
 
 
 def _terminated(number: int, frame: object) -> None:
@@ -363,4 +379,4 @@ def _terminated(number: int, frame: object) -> None:
 
 
 if __name__ == "__main__":
-    entry()
+    as_program(entry)

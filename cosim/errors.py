@@ -85,6 +85,10 @@ class Interrupted(SimulationError):
     exit_code = 130
 
 
+class Signalled(SimulationError):
+    """Ended by a signal from outside."""
+
+
 class SweepStopped(CosimError):
     """A sweep ended before its last run, from the keyboard or by a signal; what was made is kept."""
 
@@ -112,7 +116,7 @@ def stopped(stop: BaseException, now: float, what: str = "the run") -> Simulatio
         return stop
     if isinstance(stop, KeyboardInterrupt):
         return Interrupted(what, now, "interrupted from the keyboard")
-    return SimulationError(what, now, str(stop))
+    return Signalled(what, now, str(stop))
 
 
 class CriterionMissed(CosimError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import signal
@@ -14,11 +13,12 @@ from pathlib import Path
 from typing import TextIO
 
 from cosim.errors import Fault, InputError
-from fmus.files import draft_of
+from fmus.files import draft_of, is_full
+
+__all__ = ["FilePath", "atomic_write", "check_text", "check_writable", "is_full", "scratch_folder", "uninterrupted"]
 
 FilePath = str | os.PathLike[str]
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, a quota, a limit of the shell
 
 
 @contextmanager
@@ -28,9 +28,21 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
         yield stream
 
 
-def is_full(error: object) -> bool:
-    """Whether an error says that there is no room left to write."""
-    return isinstance(error, OSError) and error.errno in FULL
+def check_text(names: Iterable[str]) -> None:
+    """InputError where a name is no text, as of a folder from a machine of another encoding: no file can tell it."""
+    faults = []
+    for name in names:
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            try:
+                os.fsencode(name).decode()
+                cure = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
+            except UnicodeDecodeError:
+                cure = "is not UTF-8 text; give the file or folder another name"
+            faults.append(Fault(Path(name), 0, 0, cure))
+    if faults:
+        raise InputError(faults)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -69,7 +70,9 @@ class Results:
         with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
             text = io.StringIO()
             csv.writer(text, lineterminator="\n").writerow(("time", *self.columns, *self.exact))
-            stream.write(text.getvalue().encode())
+            header = text.getvalue().encode()
+            if stream.write(header) < len(header):
+                raise OSError(errno.ENOSPC, "no room for a header")
             for number, row in enumerate(self._typed_rows()):
                 line, before = (",".join(map(cell, row)) + "\n").encode(), stream.tell()
                 try:

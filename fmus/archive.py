@@ -17,6 +17,8 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, TypeVar
 from xml.parsers import expat
 
+from fmus.files import is_full
+
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
 MOST_FILES = 20_000
@@ -73,7 +75,10 @@ def description_of(path: Path) -> bytes:
 
 
 def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
-    """Unpack it into a folder; BadArchive where that fails. A link in it becomes a file that holds its target."""
+    """Unpack it into a folder; BadArchive where that fails, OSError where there is no room.
+
+    A link in it becomes a file that holds its target.
+    """
 
     def all_of(archive: zipfile.ZipFile) -> None:
         for member in archive.infolist():
@@ -110,6 +115,8 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken], kind: Contents =
             except BadArchive:
                 raise
             except DAMAGED as error:
+                if is_full(error):
+                    raise
                 raise BadArchive(f"its archive is damaged: {_reason(error)}") from None
 
 

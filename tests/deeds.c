@@ -54,6 +54,15 @@ static int act(void) {
     if (!strcmp(deed, "kill")) kill(getpid(), SIGKILL);
     if (!strcmp(deed, "terminate")) kill(getpid(), SIGTERM);
     if (!strcmp(deed, "child") && fork() == 0) for (;;) pause();
+    if (!strcmp(deed, "away") && fork() == 0) {
+        FILE *file = fopen(getenv("DEED_AWAY"), "w");
+        setsid();
+        fprintf(file, "%d", getpid());
+        fclose(file);
+        sleep(60);
+        remove(getenv("DEED_AWAY"));
+        _exit(0);
+    }
     if (!strcmp(deed, "children")) { fork(); for (;;) pause(); }
     if (!strcmp(deed, "close")) { for (int k = 0; k < 64; k++) close(k); for (;;) pause(); }
     if (!strcmp(deed, "pipe")) { char c; sink = (int)read(0, &c, 1); }

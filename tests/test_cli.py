@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,12 +14,14 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.checks import check_files
-from cosim.cli import app, stages
-from cosim.errors import InputError
+from cosim.cli import app, entry, stages
+from cosim.errors import InputError, Interrupted
 from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
+from cosim.simulation.apart import Stepped
 from cosim.verbs.terminal import Manner
 from tests.conftest import ROOT
+from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import times, write_log
 
 
@@ -122,6 +125,83 @@ def test_a_stage_that_has_counted_to_its_end_shows_no_full_bar(
         (task,) = bars[0].tasks
         assert (task.total is not None) is counted  # without one the bar only moves
         assert not task.finished
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [(b"o_\xfc", "is not UTF-8 text"), ("o_ü".encode(), "in the locale of this shell; set PYTHONUTF8=1")],
+)
+def test_a_name_that_is_no_text_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: bytes, cure: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = name.decode("ascii", "surrogateescape")  # as Python reads it where the locale is C
+    monkeypatch.setattr(sys, "argv", ["cosim", "check", given, str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        entry()
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert cure in told
+    assert told.count("\n") == 1
+
+
+# -- streams and signals ---------------------------------------------------------------------------
+
+
+KEYBOARD = """import os, signal, sys
+from cosim.__main__ import main
+def stop(*_):
+    os.kill(os.getpid(), signal.SIGINT)
+{made}
+main()
+"""
+LOADING = "sys.meta_path.insert(0, type('Stops', (), {'find_spec': stop}))"
+TELLING = "import cosim.cli; cosim.cli.entry = stop"
+
+
+def listening() -> None:
+    """Also where the suite runs in the background of a shell, which has its children ignore it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a console sends its Ctrl-C to all that share it")
+@pytest.mark.parametrize("loading", [True, False])
+def test_stopped_from_the_keyboard_is_130_while_modules_load_and_while_the_end_is_told(loading: bool) -> None:
+    script = KEYBOARD.format(made=LOADING if loading else TELLING)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, preexec_fn=listening,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such shell")
+@pytest.mark.parametrize(("streams", "said"), [("2>&-", "no fault in"), (">&- 2>&- <&-", ""), ("| true", "")])
+def test_closed_streams_keep_no_command_from_its_work(tmp_path: Path, streams: str, said: str) -> None:
+    fmu = deeds_fmu(tmp_path / "good.fmu")
+    shell = f"set -o pipefail; {sys.executable} -m cosim check {fmu.name} {streams}"  # `true` reads nothing and ends
+    done = subprocess.run(
+        ["bash", "-c", shell], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert said in done.stdout
+
+
+def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = []
+
+    def interrupted(worker: object, system: object, *rest: object) -> Stepped:
+        checked.append(system)
+        return Stepped(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
+
+    monkeypatch.setattr("cosim.checks.simulate_apart", interrupted)
+    path = str(deeds_scenario(tmp_path, "none", "none"))
+    answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
+    assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)
 
 
 def test_a_stage_is_numbered_and_its_number_never_falls(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -11,13 +12,14 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.checks import check_files
-from cosim.errors import Crashed, FmuError, InputError, SimulationError, TimedOut
+from cosim.errors import Crashed, DiskFull, FmuError, InputError, SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import BesideFile, read_beside
@@ -137,9 +139,15 @@ def test_an_fmu_changes_neither_folder_nor_environment_of_the_caller(tmp_path: P
     assert "DEED" not in os.environ
 
 
-def test_a_library_that_is_missing_is_told_as_in_process(tmp_path: Path) -> None:
-    import zipfile
+def test_a_process_that_an_fmu_starts_in_a_session_of_its_own_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DEED_AWAY", str(tmp_path / "pid"))
+    assert len(run(deeds_scenario(tmp_path, "DoStep", "away", 3), tmp_path / "out", report=False).results.time) == 11
+    os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)  # it holds the worker's streams open for a minute
 
+
+def test_a_library_that_is_missing_is_told_as_in_process(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "none", "none")
     with zipfile.ZipFile(deeds_fmu(tmp_path / "whole.fmu")) as whole, zipfile.ZipFile(tmp_path / "bad.fmu", "w") as bad:
         bad.writestr("modelDescription.xml", whole.read("modelDescription.xml"))
@@ -328,6 +336,35 @@ def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, k
     assert f"{kept} of 5001 rows" in done.stderr
     assert done.stderr.count("\n") == 1
     assert (tmp_path / "out" / "manifest.json").exists()
+
+
+def no_room(*_: object, **more: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_disk_too_full_for_the_manifest_leaves_all_rows_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cosim.simulation.workflow.write_manifest", no_room)
+    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv, there is no report and no manifest$"):
+        run(deeds_scenario(tmp_path, "none", "none"), tmp_path / "out", in_process=True)
+    assert rows_in(tmp_path / "out") == 11
+
+
+def test_no_room_to_unpack_is_the_disk_and_not_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zipfile.ZipFile, "extract", no_room)
+    with pytest.raises(DiskFull, match=r"good at t = 0 s: the disk is full: no room to unpack good.fmu in .*TMPDIR"):
+        run(deeds_scenario(tmp_path, "none", "none"), tmp_path / "out", report=False, in_process=True)
+
+
+def test_a_replay_on_a_full_disk_says_what_it_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.residuals.workflow.residuals", no_room)
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "good.fmu")
+    with pytest.raises(
+        DiskFull, match=r"full: all 200 rows are in results.csv, there is no residual.csv and no report"
+    ):
+        replay(log, tmp_path / "out", fmu, in_process=True)
+    assert rows_in(tmp_path / "out") == 200
 
 
 KILLED = """import os, signal, sys; from pathlib import Path; from cosim.isolation.process import Worker

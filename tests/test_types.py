@@ -79,6 +79,14 @@ def test_sixty_four_bits_arrays_text_and_binary_data_of_fmi_3_are_exact(tmp_path
     assert results.exact["b.raw_out"][-1] == b"\x00\xff"
 
 
+def test_binary_data_that_comes_as_no_pointer_has_no_bytes(tmp_path: Path) -> None:
+    fmu = str(typed_fmu(tmp_path, 3))
+    path = scenario(tmp_path, {"a": {"fmu": fmu}, "b": {"fmu": fmu}}, (("a.raw_out", "b.raw"),))
+    run(path, tmp_path / "out", report=False)
+    with (tmp_path / "out" / "results.csv").open(newline="") as stream:
+        assert [row["b.raw_out"] for row in csv.DictReader(stream)] == [""] * 11
+
+
 @pytest.mark.parametrize(
     ("start", "words"),
     [

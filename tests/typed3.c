@@ -40,7 +40,7 @@ int fmi3GetString(C c, const VR *v, size_t n, const char **x, size_t k) { (void)
 int fmi3SetString(C c, const VR *v, size_t n, const char *const *x, size_t k) { (void)k; while (n--) strncpy(((M *)c)->text[v[n] - 7], x[n], 199); return 0; }
 int fmi3GetBinary(C c, const VR *v, size_t n, size_t *s, const uint8_t **x, size_t k) {
     (void)k;
-    while (n--) { s[n] = ((M *)c)->size[v[n] - 9]; x[n] = ((M *)c)->raw[v[n] - 9]; }
+    while (n--) { s[n] = ((M *)c)->size[v[n] - 9]; x[n] = s[n] ? ((M *)c)->raw[v[n] - 9] : 0; }
     return 0;
 }
 int fmi3SetBinary(C c, const VR *v, size_t n, const size_t *s, const uint8_t *const *x, size_t k) {

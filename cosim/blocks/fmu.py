@@ -30,7 +30,7 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
+from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, Step, ended
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import ADVANCE, GET, PUT, EndedEarly, Row, in_turn
 from cosim.blocks.kinds import Exchange, element_names
@@ -38,8 +38,9 @@ from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot, move
-from cosim.errors import FmuError, SimulationError, Terminated
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
 from fmus.archive import unpack
+from fmus.files import is_full
 from fmus.lifetime import let_go_at_exit
 from fmus.sampled import AUTHOR, optional_inputs, sampled_by
 
@@ -164,6 +165,7 @@ class FmuBlock:
         self._out, self._finite = ports.real_outputs()
 
     def open(self, start: float, stop: float) -> None:
+        self._time = start
         self._unpack()
         self._load()
         self._begin(start, stop)
@@ -174,6 +176,8 @@ class FmuBlock:
         self._initialized = True
         self._get_arguments, self._other_gets = self._reading
         self._do_step = self._calls.stepping()
+        if isinstance(self._calls, ModelExchange2):
+            self._do_step = self._judged(self._calls, self._do_step)
 
     def put(self) -> None:
         if self._watched is not None:
@@ -324,10 +328,15 @@ class FmuBlock:
         if self._unpacked is not None:
             self._folder = self._unpacked
             return
-        self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
         try:
+            self._folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
             unpack(self.path, self._folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+            if is_full(error):
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
+                raise DiskFull(self.name, self._time, full) from None
             raise FmuError(f"{self.path} does not load: {error}") from None
 
     def _load(self) -> None:
@@ -423,7 +432,8 @@ class FmuBlock:
         function = exchange.kind.function
         if exchange.buffer is None:
             with self._failing():
-                self._target(exchange)[exchange.places] = self._fmu.getBinary(exchange.vrs, exchange.count)
+                values = self._fmu.getBinary(exchange.vrs, exchange.count)
+                self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: of no bytes, from NULL
             return
         status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
@@ -530,6 +540,20 @@ class FmuBlock:
             yield
         except FMICallException as error:
             self._judge(error.function, error.status)
+
+    def _judged(self, calls: ModelExchange2, step: Step) -> Step:
+        """A step of model exchange, which is many calls: told is the one that failed, at its time."""
+        from fmpy.fmi1 import FMICallException
+
+        def judged(component: Any, t: float, h: float, flag: int) -> int:
+            try:
+                return step(component, t, h, flag)
+            except FMICallException as error:
+                self._time = calls.time
+                self._judge(error.function, error.status)
+                return 0
+
+        return judged
 
     def _judge(self, function: str, status: int) -> None:
         """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed."""

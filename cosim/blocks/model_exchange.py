@@ -6,19 +6,23 @@ of step (the FMU asks for one after a step of the solver); inputs that change ar
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable
-from math import isclose
 from typing import Any
 
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step
 from cosim.blocks.interface import EndedEarly
-from cosim.blocks.solvers import Solver, solver
+from cosim.blocks.solvers import Solver, SolverFailed, solver
 from cosim.errors import SimulationError
 
 TOLERANCE = 1e-5  # relative, where nobody says another; FMPy's
 LONGEST = 50  # the solver's steps are at most this part of the whole time, as FMPy's
-MOST_EVENTS = 1000  # updates of discrete states at one time
+MOST_EVENTS = 1000  # updates of discrete states at one time, or events that follow one another at once
+AT_ONCE = 1e-6  # of a communication step, in which so many events are chattering
+CLOSE = 1e-9  # of a communication step: times that are one
+ULPS = 4  # spacings of doubles, nearer than which CVODE integrates nothing
 
 
 class ModelExchange2(Calls):
@@ -32,6 +36,7 @@ class ModelExchange2(Calls):
         self.solver: Any = None
         self.solver_name: Solver | None = None
         self._started = False
+        self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last
 
     next_event: float | None
 
@@ -81,13 +86,18 @@ class ModelExchange2(Calls):
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
         """To the communication point, over as many events as come."""
         end = t + h
-        while self.time < end and not isclose(self.time, end):
-            target, at_event = end, False
-            if (event := self.next_event) is not None:
-                if target > event and not isclose(target, event):
-                    target = event
-                at_event = isclose(target, event)
-            state_event, self.time = self._integrate(target)
+        spacing = math.ulp(max(abs(t), abs(end)))
+        close = ULPS * spacing + CLOSE * h
+        if h <= 2 * ULPS * spacing:
+            told = f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
+            raise SimulationError(self.name, t, told)
+        while end - self.time > close:
+            event = self.next_event
+            at_event = event is not None and event <= end + close
+            target = end
+            if event is not None and at_event:  # one that is all but there is not missed by a spacing
+                target = event if event < end - close else max(event, end)
+            state_event, self.time = self._integrate(target, ULPS * spacing)
             self.fmu.setTime(self.time)
             step_event = False
             if self.description.modelExchange.needsCompletedIntegratorStep:
@@ -95,31 +105,58 @@ class ModelExchange2(Calls):
                 if terminate:
                     self._end()
             if state_event or at_event or step_event:
-                self.fmu.enterEventMode()
-                self._update()
-                self.fmu.enterContinuousTimeMode()
-                self.solver.reset(self.time)
+                self._handle_event(h)
         return 0
 
-    def _integrate(self, target: float) -> tuple[bool, float]:
+    def _integrate(self, target: float, least: float) -> tuple[bool, float]:
+        """To the target or the first event of state before it; nothing over less than `least` [s]."""
+        if target - self.time <= least:
+            return False, max(self.time, target)
         try:
             state_event, _, time = self.solver.step(self.time, target)
-        except RuntimeError as error:
-            raise SimulationError(self.name, self.time, str(self.solver.failed or error)) from None
-        if self.solver.failed is not None:
-            raise self.solver.failed
+        except SolverFailed as error:
+            raise SimulationError(self.name, self.time, self._told(error)) from None
         return bool(state_event), float(time)
 
+    def _told(self, error: SolverFailed) -> str:
+        """Why there is no solution, with the derivative by its name where one is no number."""
+        if error.derivative is None:
+            return str(error)
+        number, value = error.derivative
+        listed = self.description.derivatives
+        single = len(listed) == self.description.numberOfContinuousStates  # no arrays
+        name = listed[number].variable.name if single else f"number {number + 1}"
+        return f"the derivative {name} is {value}, also with the shortest steps of the solver"
+
+    def _handle_event(self, h: float) -> None:
+        self._events.append(self.time)
+        if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
+            within = f"{len(self._events)} events within {AT_ONCE * h:.2g} s"
+            raise SimulationError(self.name, self.time, f"it chatters: {within}, so that time stands still")
+        self.fmu.enterEventMode()
+        self._update()
+        self.fmu.enterContinuousTimeMode()
+        self.solver.reset(self.time)
+
     def _update(self) -> None:
-        """Update discrete states until they need no more, and learn when the next event of time is."""
+        """Update discrete states until they need no more and no event is due, and learn when the next of time is."""
+        due: float | None = None
         for _ in range(MOST_EVENTS):
             more, terminate, _, _, defined, time = self._updated()
             if terminate:
                 self._end()
-            if not more:
-                self.next_event = time if defined else None
+            due = time if defined else None
+            if more:
+                continue
+            if due is None or due > self.time:
+                self.next_event = due
                 return
-        raise SimulationError(self.name, self.time, f"its discrete states still change after {MOST_EVENTS} updates")
+            self.fmu.enterContinuousTimeMode()  # the event that is due now is one of its own
+            self.fmu.enterEventMode()
+        told = f"its discrete states still change after {MOST_EVENTS} updates"
+        if due is not None and due <= self.time:
+            told = f"{MOST_EVENTS} times over it names t = {due:.6g} s as that of its next event, which has passed"
+        raise SimulationError(self.name, self.time, told)
 
     def _updated(self) -> Any:
         return self.fmu.newDiscreteStates()

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import ctypes
+import math
+import os
 from typing import Any, Literal
 
 DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
+TOO_MUCH_WORK, NO_STEP, TOO_CLOSE = -1, -3, -27
+REFUSALS = 10  # of derivatives, which explain that a solver gets no further
+FAILURES = {  # CVODE's, by its codes, and what helps
+    TOO_MUCH_WORK: "CVODE does not come to the next communication point in 500 steps of its own: shorten the step, or "
+    "see whether a state grows without bound",
+    -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
+    NO_STEP: "CVODE finds no step so short that its error is within the tolerance; a derivative jumps, or has no bound",
+    -4: "CVODE finds no step so short that its iteration converges; a derivative jumps, or has no bound",
+    TOO_CLOSE: "CVODE is to integrate over less time than doubles tell apart",
+}
 
 
 def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
@@ -29,30 +41,56 @@ class Held:
         """Nothing changes."""
 
 
+class SolverFailed(Exception):
+    """There is no solution to the target; `derivative`: number and value of one that is no number."""
+
+    def __init__(self, reason: str, derivative: tuple[int, float] | None = None) -> None:
+        super().__init__(reason)
+        self.derivative = derivative
+
+
 def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float) -> Any:
     """FMPy's CVODE on an FMU, whose failing calls are kept as `failed`: no exception passes through C."""
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
+    from fmpy.sundials.nvector_serial import NV_DATA_S
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         failed: Exception | None = None
+        refused: list[Exception]  # since the step began: where CVODE has to try a shorter one
 
-        def f(self, *arguments: Any) -> int:
-            return self._caught(super().f, arguments)
+        def f(self, t: float, y: Any, ydot: Any, *rest: Any) -> int:
+            answer = self._caught(super().f, (t, y, ydot, *rest))
+            if answer == 0 and states and (found := _not_finite(NV_DATA_S(ydot)[:states])) is not None:
+                self.refused.append(SolverFailed("", found))
+                return 1
+            return answer
 
         def g(self, *arguments: Any) -> int:
             return self._caught(super().g, arguments)
+
+        def step(self, t: float, target: float) -> Any:
+            self.failed, self.refused = None, []
+            try:
+                return super().step(t, target)
+            except RuntimeError:
+                if self.failed is not None:
+                    raise self.failed from None
+                if len(self.refused) >= REFUSALS:
+                    raise self.refused[-1] from None
+                raise SolverFailed(_failure(self.error_info)) from None
 
         def _caught(self, function: Any, arguments: Any) -> int:
             try:
                 return int(function(*arguments))
             except FMICallException as error:
                 if error.status == DISCARD:
-                    return 1  # CVODE tries a shorter step
+                    self.refused.append(error)
+                    return 1
                 self.failed = error
             return -1
 
-    return Guarded(
+    made = Guarded(
         nx=states,
         nz=indicators,
         get_x=fmu.getContinuousStates,
@@ -66,6 +104,33 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
         maxStep=longest,
         relativeTolerance=tolerance,
     )
+    _silence(made)
+    return made
+
+
+def _silence(made: Any) -> None:
+    """CVODE prints nothing by itself: what it says is told in `_failure`."""
+    from fmpy.sundials.libraries import sundials_core
+
+    logger = ctypes.c_void_p()
+    if sundials_core.SUNContext_GetLogger(made.sunctx, ctypes.byref(logger)) == 0 and logger:
+        for name in ("SUNLogger_SetErrorFilename", "SUNLogger_SetWarningFilename"):
+            getattr(sundials_core, name)(logger, os.devnull.encode())
+
+
+def _failure(said: tuple[int, str, str, str] | None) -> str:
+    """Why CVODE failed, without the places in its source."""
+    if said is None:
+        return "CVODE failed"
+    code, _, _, message = said
+    return FAILURES.get(code, f"CVODE failed (code {code}): {' '.join(message.split())}")
+
+
+def _not_finite(values: Any) -> tuple[int, float] | None:
+    """Number and value of the first that is no number."""
+    if math.isfinite(sum(values)):
+        return None
+    return next(((k, v) for k, v in enumerate(values) if not math.isfinite(v)), None)
 
 
 def derivatives_of(fmu: Any) -> Any:
@@ -74,18 +139,15 @@ def derivatives_of(fmu: Any) -> Any:
 
 
 def nominals(fmu: Any, where: Any, count: int) -> None:
-    """Nominal values of the states; 1 where the FMU knows none, for solvers need some."""
+    """Nominal values of the states, above 0; 1 where the FMU knows none, for solvers need some."""
     fmu.getNominalsOfContinuousStates(where, count)
     values = ctypes.cast(where, DOUBLES)
     for k in range(count):
-        if values[k] == 0.0:
-            values[k] = 1.0
+        values[k] = abs(values[k]) if math.isfinite(values[k]) and values[k] else 1.0
 
 
 class SolveIvp:
     """scipy's solve_ivp (Radau) in the shape of FMPy's solver, where there is no CVODE or it is asked for."""
-
-    failed: Exception | None = None
 
     def __init__(
         self, fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float
@@ -95,6 +157,8 @@ class SolveIvp:
         self._x, self._dx = (ctypes.c_double * max(1, states))(), (ctypes.c_double * max(1, states))()
         self._z = (ctypes.c_double * max(1, indicators))()
         self._derivatives = derivatives_of(fmu)
+        self.discarded: Exception | None = None
+        self.derivative: tuple[int, float] | None = None
         self.reset(start)
 
     def reset(self, time: float) -> None:
@@ -105,29 +169,42 @@ class SolveIvp:
 
     def step(self, t: float, target: float) -> tuple[bool, None, float]:
         """To the target, or to just behind the first event of state before it."""
-        from scipy.integrate import solve_ivp
-
         if self.states:
             self.fmu.getContinuousStates(self._at(self._x), self.states)
-        found = solve_ivp(
-            self._right,
-            (t, target),
-            list(self._x) if self.states else [0.0],
-            method="Radau",
-            rtol=self.tolerance,
-            atol=[self.tolerance * abs(n) for n in self._nominal],
-            max_step=self.longest,
-            events=[self._indicator(k) for k in range(self.indicators)] or None,
-            dense_output=self.indicators > 0,
-        )
-        if found.status < 0:
-            raise RuntimeError(f"solve_ivp: {found.message}")
+        self.discarded, self.derivative = None, None
+        found = self._solved(t, target)
         if found.status == 0:
             self._set(target, found.y[:, -1])
             return False, None, target
         time = self._behind(t, float(found.t[-1]), target, found.sol)
         self._set(time, found.sol(time))
         return True, None, time
+
+    def _solved(self, t: float, target: float) -> Any:
+        import numpy as np
+        from scipy.integrate import solve_ivp
+
+        try:
+            with np.errstate(all="ignore"):  # of derivatives that are no numbers, which make steps shorter
+                found = solve_ivp(
+                    self._right,
+                    (t, target),
+                    list(self._x) if self.states else [0.0],
+                    method="Radau",
+                    rtol=self.tolerance,
+                    atol=[self.tolerance * abs(n) for n in self._nominal],
+                    max_step=self.longest,
+                    events=[self._indicator(k) for k in range(self.indicators)] or None,
+                    dense_output=self.indicators > 0,
+                )
+            if found.status >= 0:
+                return found
+            reason = FAILURES[NO_STEP].replace("CVODE", "solve_ivp")
+        except ValueError as error:  # of a matrix that is not finite
+            reason = f"solve_ivp: {error}"
+        if self.discarded is not None:
+            raise self.discarded
+        raise SolverFailed(reason, self.derivative)
 
     def _behind(self, begin: float, time: float, target: float, solution: Any) -> float:
         """A time at which the indicator that crosses zero has done so: the root itself may lie before."""
@@ -149,9 +226,19 @@ class SolveIvp:
             self.fmu.setContinuousStates(self._at(self._x), self.states)
 
     def _right(self, t: float, x: Any) -> list[float]:
-        self._set(t, x)
-        if self.states:
-            self._derivatives(self._at(self._dx), self.states)
+        """Derivatives; no numbers where the FMU discards, for which Radau tries a shorter step."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            self._set(t, x)
+            if self.states:
+                self._derivatives(self._at(self._dx), self.states)
+        except FMICallException as error:
+            if error.status != DISCARD:
+                raise
+            self.discarded = error
+            return [math.nan] * len(self._dx)
+        self.discarded, self.derivative = None, _not_finite(self._dx)
         return list(self._dx)
 
     def _indicator(self, k: int) -> Any:

@@ -132,8 +132,7 @@ class Worker:
                 kill = True
         _end_group(process, kill)
         self._printed.join()
-        for stream in (process.stdin, process.stdout, process.stderr):
-            _close(stream)
+        _close(process.stdin)  # the others are closed by those who read them: to close is to wait for a read
         self._held.remove()
 
     # -- within -------------------------------------------------------------------------------
@@ -146,12 +145,13 @@ class Worker:
     @staticmethod
     def _listen(stream: BinaryIO, answers: queue.SimpleQueue[bytes | None]) -> None:
         content: bytes | None = b""
-        while content is not None:
-            try:
-                content = receive(stream)
-            except (OSError, ValueError):
-                content = None
-            answers.put(content)
+        with stream:
+            while content is not None:
+                try:
+                    content = receive(stream)
+                except (OSError, ValueError):
+                    content = None
+                answers.put(content)
 
     def _wait(self, clock: Clock) -> bytes:
         while True:
@@ -193,7 +193,7 @@ class _Printed:
 
     def _drain(self, stream: Any) -> None:
         left = SHOWN
-        try:
+        with suppress(OSError, ValueError), stream:
             while part := stream.read1(65536):
                 self.last = (self.last + part)[-KEPT:]
                 if left > 0:
@@ -201,8 +201,6 @@ class _Printed:
                     left -= len(part)
                     if left <= 0:
                         _show(b"\n(the FMUs print more, which is left out)\n")
-        except (OSError, ValueError):
-            return
 
     def join(self) -> None:
         """Wait for the rest; not for what a process that an FMU started holds open."""

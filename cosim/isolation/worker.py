@@ -185,13 +185,19 @@ def _answer(content: bytes) -> bytes:
     try:
         function, arguments = pickle.loads(content)
         return pickle.dumps((function(*arguments), None))
-    except CosimError as error:
-        return pickle.dumps((None, error))
     except Exception as error:
-        error.add_note(f"in a worker:\n{traceback.format_exc()}")
-        try:
-            told = pickle.dumps((None, error))
-            pickle.loads(told)
-        except Exception:  # not every error can be sent
-            told = pickle.dumps((None, RuntimeError(f"in a worker:\n{traceback.format_exc()}")))
-        return told
+        return _sent(error, traceback.format_exc())
+
+
+def _sent(error: Exception, place: str) -> bytes:
+    """An error as the caller gets it; one that cannot be sent as its words."""
+    if not isinstance(error, CosimError):
+        error.add_note(f"in a worker:\n{place}")
+    try:
+        told = pickle.dumps((None, error))
+        pickle.loads(told)
+    except Exception:  # of those of some libraries that is seen only where they are read
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        plain.add_note(f"in a worker:\n{place}")
+        told = pickle.dumps((None, plain))
+    return told

@@ -73,9 +73,10 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
 
 def _placed(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
     """The same with their places in the state, where the FMU is one of ours: what moves with each."""
-    about = drive.description.coSimulation
-    editable = about.canGetAndSetFMUstate and about.canSerializeFMUstate and drive.variable_step
-    if not (found and drive.traits and editable):
+    about = drive.description.coSimulation  # None of one for model exchange alone
+    if not (found and drive.traits and about and drive.variable_step):
+        return found
+    if not (about.canGetAndSetFMUstate and about.canSerializeFMUstate):
         return found
     tried = {p.name: p.tried[0] for p in found.values()}
     try:

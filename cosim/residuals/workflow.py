@@ -127,11 +127,23 @@ def write_replay(
             raise stopped(stop, made.time[-1] if made.time.size else log.time[0], "the replay") from None
         _write_rows(results(drive, free.outputs), folder)
         comparison = compare(drive, free, findings)
-        residuals(comparison).write_csv(folder / "residual.csv")
-        if report:
-            with atomic_write(folder / "report.html") as stream:
-                stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+        try:
+            residuals(comparison).write_csv(folder / "residual.csv")
+            if report:
+                with atomic_write(folder / "report.html") as stream:
+                    stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+        except OSError as error:
+            if not is_full(error):
+                raise
+            raise _full(folder, log) from None
     return comparison
+
+
+def _full(folder: Path, log: Log) -> DiskFull:
+    """What there is no room for beside the rows."""
+    missing = "no report" if (folder / "residual.csv").exists() else "no residual.csv and no report"
+    reason = f"the disk is full: all {log.rows} rows are in results.csv, there is {missing}"
+    return DiskFull("the replay", float(log.time[-1]), reason)
 
 
 def _write_rows(made: Results, folder: Path) -> None:
@@ -141,7 +153,11 @@ def _write_rows(made: Results, folder: Path) -> None:
     except OSError as error:
         if not is_full(error):
             raise
-        count = made.write_what_fits(folder / "results.csv")
+        try:
+            (folder / "results.csv").unlink(missing_ok=True)  # an earlier one's, whose room is needed
+            count = made.write_what_fits(folder / "results.csv")
+        except OSError:
+            count = 0
         told = f"the disk is full: {count} of {len(made.time)} rows are in results.csv"
         raise DiskFull("the replay", made.time[max(0, count - 1)].item(), told) from None
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import DiskFull, FmuError, SimulationError, Terminated, stopped
+from cosim.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.files import is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, BesideFile, Rows, allocate, mapped_table, read_beside, read_table
+from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
 from cosim.isolation.scratch import Held, scratch
-from cosim.isolation.watch import Watch, fmi_calls
+from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.results import Results
 from cosim.simulation.halving import Halved
 from cosim.simulation.master import StoppedRun, results_of, simulate
@@ -26,6 +26,7 @@ from cosim.simulation.system import System
 
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
+LONGEST_WORDS = 500  # characters of an error
 SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
 
 
@@ -88,10 +89,6 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
         made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing, _tell_loop))
     except StoppedRun as run:
         made, failure = run.results, run.error
-    except FmuError as error:
-        if not is_full(error.__context__):
-            raise
-        return Ended(said_of(system), DiskFull("the run", system.start, f"no room to unpack an FMU: {error}"))
     except OSError as error:
         if not is_full(error):
             raise
@@ -145,6 +142,10 @@ def simulate_apart(
             ended = Ended(failure=error)
         except (KeyboardInterrupt, Terminated) as stop:
             ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
+        except (CosimError, OSError, MemoryError):
+            raise
+        except Exception as error:  # of a library, which nobody foresaw: no reason to lose the rows
+            ended = Ended(failure=_unforeseen(error, watch, counters))
         done, failure = counters.made[0], ended.failure
         values = read_table(table, done, columns)
         beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
@@ -155,6 +156,13 @@ def simulate_apart(
         failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
     loop = counters.loop.decode("utf-8", "ignore")
     return Stepped(results_of(system, time[:done], values, beside, ended.notes, loop), ended.said, failure)
+
+
+def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
+    """An error of no kind of ours, with the call in which it came."""
+    component, at, call = Clock(watch, counters).place()
+    words = " ".join(str(error).split())[:LONGEST_WORDS]
+    return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
 
 
 def _too_few(count: int, rows: int) -> str:

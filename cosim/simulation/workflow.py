@@ -27,6 +27,7 @@ from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 
+RESULTS, MANIFEST = "results.csv", "manifest.json"
 SPARE = 8192  # bytes beside a manifest's own
 
 
@@ -78,7 +79,7 @@ def run(
         system = build_system(file, designed)
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force)
-        check_writable(place, ("results.csv", "manifest.json", "report.html"), file.files)
+        check_writable(place, (RESULTS, MANIFEST, "report.html"), file.files)
         loaded = time.perf_counter()
         stepped = _stepped(file.scenario, system, worker, place, progress)
         times = began, loaded, time.perf_counter()
@@ -87,13 +88,14 @@ def run(
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = stepped.failure
+        failure, written = stepped.failure, list[str]()
         try:
-            _write(place, stepped.results, record, report=report, figures=figures)
+            _write(place, stepped.results, record, written, report=report, figures=figures)
         except OSError as error:
             if not is_full(error):
                 raise
-            failure = _write_what_fits(place, stepped.results, record, file.scenario.steps + 1, failure)
+            rows = file.scenario.steps + 1 if isinstance(failure, DiskFull) else len(stepped.results.time)
+            failure = _write_what_fits(place, stepped.results, record, written, rows, failure)
     if failure is not None:
         failure.left = place
         raise failure
@@ -148,12 +150,16 @@ def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
     progress(min(done, steps), steps)
 
 
-def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
-    """What a run leaves, whether or not it came to its end."""
+def _write(
+    folder: Path, results: Results, record: dict[str, Any], written: list[str], *, report: bool, figures: bool
+) -> None:
+    """What a run leaves, whether or not it came to its end; `written` gets the names of what is."""
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
     with uninterrupted():  # or what was stopped once could be lost by stopping it again
-        results.write_csv(folder / "results.csv")
-        write_manifest(folder / "manifest.json", record)
+        results.write_csv(folder / RESULTS)
+        written.append(RESULTS)
+        write_manifest(folder / MANIFEST, record)
+        written.append(MANIFEST)
     if report:
         from cosim.simulation.report import write_report
 
@@ -165,26 +171,38 @@ def _write(folder: Path, results: Results, record: dict[str, Any], *, report: bo
 
 
 def _write_what_fits(
-    folder: Path, results: Results, record: dict[str, Any], rows: int, failure: SimulationError | None
-) -> SimulationError:
-    """The rows and the manifest of a run that a full disk has no room for as a whole; what to tell of it."""
+    folder: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
+    failure: SimulationError | None,
+) -> SimulationError:  # fmt: skip
+    """What a full disk has room for of the rows and the manifest of a run; what to tell of it."""
     (folder / "report.html").unlink(missing_ok=True)
+    count = len(results.time) if RESULTS in written else _rows_that_fit(folder, results, 2 * len(json.dumps(record)))
+    told = f"the disk is full: {count} of {rows} rows are in results.csv"
+    told += ", there is no report" if count == rows else ""
+    before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
+    at = results.time[max(0, count - 1)].item() if len(results.time) else 0.0
+    record["status"] = f"failed: {DiskFull('the run', at, told + before)}"
+    try:
+        write_manifest(folder / MANIFEST, record)
+    except OSError:
+        if MANIFEST not in written:
+            (folder / MANIFEST).unlink(missing_ok=True)  # an earlier run's
+            told += " and no manifest" if count == rows else ", there is no manifest"
+    return DiskFull("the run", at, told + before)
+
+
+def _rows_that_fit(folder: Path, results: Results, manifest: int) -> int:
+    """Write rows for which there is room, beside a manifest of this size [bytes] where there is that; their number."""
+    for name in (RESULTS, MANIFEST):  # of an earlier run, whose room is needed
+        (folder / name).unlink(missing_ok=True)
     spare = folder / ".spare"
     try:
-        allocate(spare, 2 * len(json.dumps(record)) + SPARE)  # for the manifest
-        count = results.write_what_fits(folder / "results.csv")
+        try:
+            allocate(spare, manifest + SPARE)
+        except OSError:
+            spare.unlink(missing_ok=True)  # the rows before the manifest
+        return results.write_what_fits(folder / RESULTS)
     except OSError:
-        count = 0
+        return 0
     finally:
         spare.unlink(missing_ok=True)
-    total = rows if isinstance(failure, DiskFull) else len(results.time)
-    told = f"the disk is full: {count} of {total} rows are in results.csv"
-    told += ", there is no report" if count == total else ""
-    told += "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
-    failure = DiskFull("the run", results.time[max(0, count - 1)].item() if len(results.time) else 0.0, told)
-    record["status"] = f"failed: {failure}"
-    try:
-        write_manifest(folder / "manifest.json", record)
-    except OSError:
-        (folder / "manifest.json").unlink(missing_ok=True)  # an earlier run's
-    return failure

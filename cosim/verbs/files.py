@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from cosim.verbs.streams import echo
 from cosim.verbs.terminal import Open, say, say_json, show
 
 
@@ -44,7 +45,7 @@ def graph(
 
     found = graph_of(scenario, set_ or ())
     if mermaid:
-        typer.echo(found.mermaid(), nl=False)
+        echo(found.mermaid(), nl=False)
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
     if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):

@@ -15,6 +15,8 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.verbs.streams import echo
+
 LONG_RUN = 2000  # steps from which a progress bar is shown
 Numbered = Callable[[str], tuple[int, int]]
 
@@ -37,23 +39,23 @@ MANNER = Manner()  # of this process, set by the options -q and -v of any comman
 def say(text: str) -> None:
     """A line for the user."""
     if not MANNER.quiet:
-        typer.echo(text)
+        echo(text)
 
 
 def say_more(text: str) -> None:
     """A line for a user who asked for more."""
     if MANNER.verbose:
-        typer.echo(text, err=True)
+        echo(text, err=True)
 
 
 def say_json(value: Any) -> None:
     """JSON for a script, said also where all else is quiet."""
-    typer.echo(json.dumps(value, indent=2, ensure_ascii=False))
+    echo(json.dumps(value, indent=2, ensure_ascii=False))
 
 
 def warn(text: str) -> None:
     """A warning, on stderr."""
-    typer.echo(f"warning: {text}", err=True)
+    echo(f"warning: {text}", err=True)
 
 
 def judged(met: bool, text: str) -> str:

@@ -1,0 +1,16 @@
+"""`cosim` as a command, also `python -m cosim`."""
+
+from __future__ import annotations
+
+from cosim.program import as_program, ending_at_once
+
+
+def main() -> None:
+    """Console entry."""
+    with ending_at_once():  # while modules are imported nothing is begun
+        from cosim.cli import entry
+    as_program(entry)
+
+
+if __name__ == "__main__":
+    main()
