@@ -70,7 +70,12 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("band: 0.02, max: 4.0", "max: 4.0", "{of: plant.x, max", "settling_time needs a band"),
         ("estimator: appendix_f", "estimator: thesis", "thesis", "'appendix_f', 'lagged' or 'consistent'"),
         ("R: [1, 1]", "R: [1, 0]", "0]\n  estimator", "greater than 0"),
-        ("block: reference", "block: refrence", None, "a component has fmu: FILE, or block: reference, playback or fix"),
+        (
+            "block: reference",
+            "block: refrence",
+            None,
+            "a component has fmu: FILE, or block: reference, playback or fix",
+        ),
         ("thrust_nominal: 2.4973", "component: plnt", None, 'design is for component "plnt"'),
     ],
 )
