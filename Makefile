@@ -6,7 +6,7 @@ TESTING := .venv/.testing
 CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 
-.PHONY: run test refine bench blind crash fuzz seed check docs clean fmus
+.PHONY: run test thorough refine bench blind crash fuzz seed check docs clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -38,7 +38,11 @@ run: fmus
 	$(BIN)/cosim run scenarios/manoeuvre.yaml --out results/manoeuvre --figures
 
 test: $(TESTING)
-	$(BIN)/python -m pytest -n 2 --dist loadscope
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not thorough"
+
+# the tests that take longest, as `make test` has shorter ones of the same
+thorough: $(TESTING)
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m thorough
 
 refine: $(RUNTIME)
 	$(BIN)/cosim refine examples/hovercraft/study.yaml --out results/refine

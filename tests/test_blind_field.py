@@ -214,6 +214,7 @@ def sized(request: pytest.FixtureRequest) -> Study:
     return draw(first("known", request.param))
 
 
+@pytest.mark.thorough
 def test_left_out_of_the_true_model_each_effect_costs_what_is_said_and_enough(sized: Study) -> None:
     again = costs(sized.rig, sized.base, sized.truth, conditions(sized))
     assert again == pytest.approx(sized.costs)
@@ -229,6 +230,7 @@ def test_what_others_can_take_over_costs_nothing_but_their_prior() -> None:
     assert remaining(3.0 * e[0] + 2.0 * e[1], e[:, :1], 0) == pytest.approx(4.0)
 
 
+@pytest.mark.thorough
 def test_a_bias_costs_less_than_on_paper_and_nothing_where_nobody_reads() -> None:
     # N readings of noise σ are worth N·b²/2σ² against a bias b, were nothing else unknown
     rig = RIGS["tanks"]
@@ -244,6 +246,7 @@ def test_a_bias_costs_less_than_on_paper_and_nothing_where_nobody_reads() -> Non
     assert unread["meter_bias"] < 1e-6 * cost
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("plant", "stranger"), [("quarter_car", "spring_play"), ("tanks", "backflow")])
 def test_no_effect_of_the_catalogue_passes_for_a_stranger(plant: str, stranger: str) -> None:
     # those that are mimicked best of their plants; `python -m tests.blind.field_visibility` has them all

@@ -208,6 +208,7 @@ def test_a_row_of_the_log_holds_the_impulse_of_the_recorded_command(recorded: Pa
     assert np.abs(table[:, 2] - data["qm"].ravel()[: len(table) * 5 : 5]).max() < 1e-9  # 9 decimals are printed
 
 
+@pytest.mark.thorough
 @MISSING
 def test_the_emps_drive_lacks_a_force_offset_and_dry_friction_and_nothing_of_stribeck(recorded: Path) -> None:
     record = refine(recorded, recorded.parent / "refined").record

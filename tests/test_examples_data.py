@@ -165,6 +165,7 @@ def test_a_home_out_of_reach_says_what_to_put_where(tmp_path: Path) -> None:
 # -- on the recordings --------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_silverbox_needs_its_cubic_spring_on_the_arrow(tmp_path: Path) -> None:
     log = columns(logs_of("silverbox", tmp_path).parent / "arrow.csv")
     assert len(log["time"]) == 40_500

@@ -85,6 +85,7 @@ def told_apart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Excitation, Pa
     return excite("base", folder, RIVALS, duration=15.0, experiments=8), folder
 
 
+@pytest.mark.thorough
 def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitation(
     told_apart: tuple[Excitation, Path], tmp_path: Path
 ) -> None:

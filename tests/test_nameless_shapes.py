@@ -90,6 +90,7 @@ def test_a_push_that_begins_at_a_time_is_a_step_there(tmp_path: Path) -> None:
     assert follows(first.signal, first.shape).startswith("depends on time, changing at ")
 
 
+@pytest.mark.thorough
 def test_a_law_that_holds_everywhere_is_not_told_as_local(tmp_path: Path) -> None:
     _, found = left(tmp_path, lambda t, x, v: -0.3 * v**3)
     assert found.terms
@@ -97,10 +98,12 @@ def test_a_law_that_holds_everywhere_is_not_told_as_local(tmp_path: Path) -> Non
     assert found.terms[0].signal in {"speed³", "speed·|speed|"}
 
 
+@pytest.mark.thorough
 def test_where_nothing_is_hidden_no_shape_is_found(tmp_path: Path) -> None:
     assert left(tmp_path, lambda t, x, v: 0.0)[1].terms == ()
 
 
+@pytest.mark.thorough
 def test_each_bump_of_a_spline_is_paid_for_and_every_shape_tried_is_counted(tmp_path: Path) -> None:
     problem, _ = left(tmp_path, lambda t, x, v: 0.0)
     looked = _Terms(problem, fit(problem, [], problem.values, problem.plain, iterations=0), PRICE)

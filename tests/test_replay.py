@@ -287,6 +287,7 @@ def test_the_plant_explains_its_own_flight(log: Log, tmp_path: Path, plant_fmu: 
     assert psi_dot.scores[2.0].rmse == pytest.approx(NOISE["psi_dot"], rel=0.15)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("seed", "ours"), [(2, True), (4, True), (4, False)])
 def test_a_right_model_is_not_accused_for_a_free_run_that_drifts(
     seed: int, ours: bool, tmp_path: Path, plant_fmu: Path, monkeypatch: pytest.MonkeyPatch

@@ -173,6 +173,7 @@ def test_a_gain_is_the_same_in_plant_batch_symbols_kernel_and_fmu(tmp_path: Path
         np.testing.assert_allclose(replayed.outputs[q.name][1:], by_fmu[1:, k], rtol=0, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_gain_that_a_mass_would_do_as_well_is_a_rival_of_it(tmp_path: Path) -> None:
     study = rover_study(tmp_path / "study", gain=1.3)
     study.write_text(study.read_text() + "candidates: [motor_gain, air_drag, mass]\n")

@@ -24,6 +24,7 @@ SIGNIFICANT = 3.0  # standard deviations from neutral
 LITTLE = "gains little"
 HELD = 0.7  # of what a part gains, that it gains on logs left out too
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
+NO_WORSE = 1.0  # of NLL, by which a fit that ended may be above what a hypothesis within it has reached
 WORSE, BETTER = -3.0, 3.0  # times its scatter, by which predictions on logs left out refuse a part, or bear it out
 TOLERANCES = (0.5, 2.0)  # times which the tolerances are taken, to see whether a claim hangs on them
 
@@ -85,7 +86,14 @@ def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
     def one(c: Candidate) -> Hypothesis:
         left = tuple(other for other in h.candidates if other.name != c.name)
         known = search.tried.get(key_of(left))
-        return known if known and known.ended else search.hypothesis(left, h.fit, loosen=False)
+        if known and known.ended:
+            return known
+        made = search.hypothesis(left, h.fit, loosen=False, patient=False)
+        if (
+            made.fit.objective > search.reached_within(left) + NO_WORSE
+        ):  # the noise of `h` explains too little without it
+            made = search.hypothesis(left, h.fit)
+        return made
 
     fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
     search.tried |= {f.names: f for f in fitted.values()}

@@ -86,11 +86,13 @@ class Search:
         promised: Mapping[str, float] | None = None,
         loosen: bool = True,
         sensing: bool = True,
+        patient: bool = True,
     ) -> Hypothesis:
         """Fit some candidates together, from each of their starts; base parameters on trial lose their prior.
 
         promised: values from which the fit starts too
         With `loosen`, the unknown inputs start no lower than where they are plain enough to move.
+        `patient`: with more iterations while it is above what hypotheses within it have reached.
         """
         free = self.free(parts)
         # of the start only what this fit may move: the parts of another hypothesis go back to neutral
@@ -109,7 +111,7 @@ class Search:
                 if not set(c.parameters) <= moved:
                     values |= c.starts[min(k, len(c.starts) - 1)]
             begins.append(values)
-        reached = self._reached(parts)
+        reached = self.reached_within(parts) if patient else np.inf
         fits = []
         for values in begins:
             fair = 1 if values == known else FAIR
@@ -211,7 +213,7 @@ class Search:
         """What candidates cost a hypothesis."""
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
-    def _reached(self, parts: Parts) -> float:
+    def reached_within(self, parts: Parts) -> float:
         """Objective that some of the parts reach without the others: all together can do no worse when fitted."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
