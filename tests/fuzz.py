@@ -85,6 +85,30 @@ MODEL: dict[str, Any] = {
     "schema_version": 1, "model": "hovercraft", "parameters": {"mass": 0.8, "coulomb_friction.force": 0.05},
     "sensors": {"gyro_bias.value": 0.01},
 }  # fmt: skip
+SWEEP: dict[str, Any] = {
+    "name": "many", "scenario": "small.yaml", "sampling": "sobol", "runs": 16, "seed": 1,
+    "vary": {
+        "plant.mass": {"uniform": [0.7, 0.8]}, "plant.lag": {"normal": [0.09, 0.005], "within": [0.07, 0.11]},
+        "plant.psi_start": {"grid": {"from": "-3 deg", "to": "3 deg", "count": 3}},
+        "plant.friction": {"values": [0.2, 0.3]}, "seed": {"each": 2},
+        "connections.0.noise.variance": {"log_uniform": [1e-8, 1e-6]},
+    },
+}  # fmt: skip
+PROTOCOL: dict[str, Any] = {
+    "schema_version": 1, "name": "bench", "bench": "bench", "model": "hovercraft", "seed": 1, "step": 0.02,
+    "draws": {"thrust": 0.015, "tare": {"z": 0.003, "x": 0.003, "m": 0.001}},
+    "cells": {
+        "z": {"unit": "gf", "full_scale": 816, "error": 0.0025, "loads": [0, 85, 140, 200, 225, 270, 285]},
+        "x": {"unit": "gf", "full_scale": 816, "error": 0.0025, "loads": [-60, -30, 0, 25, 50, 75, 105, 135]},
+        "m": {"unit": "N.m", "full_scale": 0.0282, "error": 0.0025, "loads": [-0.0282, -0.0113, 0, 0.0113, 0.0282]},
+    },
+    "tests": {
+        "step": {
+            "repetitions": 3, "low_pass": 0, "height": 0.095, "rest": [0, 1], "at": 6, "window": [6, 8],
+            "phases": [[0, 5, 0], [1, 5, 0], [3, 6.4, 0], [6, 6.4, 0], [6, 6.4, 25], [9, 6.4, 25]],
+        },
+    },
+}  # fmt: skip
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}" numberOfEventIndicators="0">
 <CoSimulation modelIdentifier="m" canHandleVariableCommunicationStepSize="true"/>
@@ -375,6 +399,19 @@ def model(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     yield ["check", "log.csv", "--model", path.name]
 
 
+def sweep(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
+    (folder / "small.yaml").write_text(as_text(SCENARIO, True))
+    path = folder / "sweep.yaml"
+    path.write_bytes(written(draw, SWEEP))
+    yield ["check", path.name]
+
+
+def protocol(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
+    path = folder / "protocol.yaml"
+    path.write_bytes(written(draw, PROTOCOL))
+    yield ["check", path.name]
+
+
 def log(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     path = folder / "case.csv"
     text = draw(st.sampled_from((recelled, mangled)))(draw, table(draw(st.sampled_from((0, 1, 2, 3, 40, 40)))))
@@ -462,7 +499,8 @@ def setting(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
 
 KINDS = {
     "scenario": scenario, "manifest": manifest, "study": study, "model": model, "log": log,
-    "description": description, "ssp": structure, "set": setting, "replay": replay,
+    "sweep": sweep, "protocol": protocol, "description": description, "ssp": structure, "set": setting,
+    "replay": replay,
 }  # fmt: skip
 SLOW = {"replay": 20}  # kind → times fewer are tried
 
@@ -577,12 +615,13 @@ def main() -> None:
     first = int(sys.argv[2]) if len(sys.argv) > 2 else time.time_ns() % 1_000_000
     kinds = sys.argv[3].split(",") if len(sys.argv) > 3 else list(KINDS)
     wrong: list[str] = []
+    share = total / sum(1 / SLOW.get(kind, 1) for kind in kinds)
     with tempfile.TemporaryDirectory() as folder:
         plant = build(plant_recipe(), Path(folder) / "plant.fmu")
         for kind in kinds:
             found = fuzz(
                 kind,
-                -(-total // len(kinds)) // SLOW.get(kind, 1),
+                math.ceil(share / SLOW.get(kind, 1)),
                 first,
                 Path(folder) / kind,
                 plant,
