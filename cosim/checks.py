@@ -30,7 +30,6 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
-from cosim.sweeps.reading import read_sweep
 from cosim.yaml_file import YamlFile
 from plant.model import Model
 from plant.traits import Traits
@@ -89,6 +88,8 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
 
             check_protocol(path)
         case kinds.SWEEP:
+            from cosim.sweeps.reading import read_sweep
+
             read_sweep(path)
         case kinds.STUDY:
             return [f"warning: {text}" for text in read_study(path).warnings]

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import norm, qmc, triang, truncnorm
 
 from cosim.arrays import Array
 
@@ -41,6 +40,8 @@ class Factor:
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None) -> Callable[[Array], Array]:
     """Inverse distribution function; ValueError says what is wrong with its numbers."""
+    from scipy.stats import norm, triang, truncnorm  # takes longer than all else that is imported
+
     if way == "normal":
         mean, deviation = numbers
         if not deviation > 0:
@@ -113,6 +114,8 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
         problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
         found: Array = sobol.sample(problem, saltelli_base(rows, count), calc_second_order=False, seed=seed)
         return np.clip(found, 1e-12, 1.0 - 1e-12)
+    from scipy.stats import qmc
+
     kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
     with warnings.catch_warnings():  # of a number of points that is no power of 2, for which the user has asked
         warnings.simplefilter("ignore", UserWarning)
