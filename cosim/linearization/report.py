@@ -15,6 +15,7 @@ from cosim.linearization.outcome import Outcome
 from cosim.linearization.response import Response, frequencies, response
 from cosim.linearization.structure import Pole, Structure, poles
 from cosim.linearization.words import headline, number, pole_rows
+from cosim.report.drawing import Charts
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, Tick, make_axis, make_plot
 from cosim.report.tables import Badge
@@ -39,7 +40,7 @@ def page(outcome: Outcome) -> str:
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat hold all."
         )
-    bode = list(_bode(linear))
+    bode, charts = list(_bode(linear)), Charts()
     return render(
         TEMPLATE,
         {
@@ -50,7 +51,8 @@ def page(outcome: Outcome) -> str:
             "time": plain(linear.point.time), "map": pole_map(found.poles) if found.poles else None,
             "poles": pole_rows(found), "rank": (found.controllable, found.observable, len(linear.states)),
             "condition": number(found.condition) if math.isfinite(found.condition) else "",
-            "bode": bode[:MOST], "left_out": max(0, len(bode) - MOST), "along": _along(outcome),
+            "bode": bode[:MOST], "left_out": max(0, len(bode) - MOST),
+            "along": _along(outcome, charts), "data": charts.data(),  # after all that is drawn
             "matrices": [_matrix(linear, n) for n in "ABCD"], "largest": LARGEST, "version": __version__,
         },
     )  # fmt: skip
@@ -140,11 +142,11 @@ def log_axis(omega: Array) -> Axis:
     return Axis(low, high, ticks)
 
 
-def _along(outcome: Outcome) -> Plot | None:
+def _along(outcome: Outcome, charts: Charts) -> Plot | None:
     """Real parts of the poles over time, where there are several times."""
     if len(outcome.linear) < 2:
         return None
     time = np.array([m.point.time for m in outcome.linear])
     real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(time), -1)
     traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
-    return make_plot(Panel("Real parts of the poles", "1/s", traces), time, make_axis(time[0], time[-1], 6))
+    return charts.over(time, len(traces)).plots([Panel("Real parts of the poles", "1/s", traces)])[0]

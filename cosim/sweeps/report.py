@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.report.drawing import Charts
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, make_plot, time_axis
 from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.sweeps.outcome import Swept
@@ -27,7 +27,9 @@ MOST_RUNS = 20_000  # of which a band is made
 def page(swept: Swept) -> str:
     """One self-contained page, from what the sweep left."""
     table, _ = read_table(swept.folder / TABLE)
-    record = swept.record
+    record, charts = swept.record, Charts()
+    names = swept.sweep.job.signals[:MOST_BANDS]
+    drawing = charts.over(np.array(record["times"], float), 5 * len(names))
     failed, runs = record["failed"], record["runs"]
     agree = "DO NOT" not in record["check"]["sentence"]
     badges = [
@@ -44,9 +46,8 @@ def page(swept: Swept) -> str:
             "criteria": [_criterion(c) for c in record["criteria"]],
             "values": [_spread(c, np.array(table.column(c["name"]).to_pylist(), float)) for c in record["criteria"]],
             "factors": _factors(swept),
-            "plots": [
-                _band(name, signal_of(table, name, MOST_RUNS), record) for name in swept.sweep.job.signals[:MOST_BANDS]
-            ],
+            "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
+            "data": charts.data(),
             "sensitivities": [_table(s) for s in _sensitivities(swept, table)],
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
@@ -98,17 +99,15 @@ def _factors(swept: Swept) -> list[Mapping[str, str]]:
     return found
 
 
-def _band(name: str, values: Array, record: Mapping[str, Any]) -> Plot:
+def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
     unit, factor = display(record["units"].get(name, ""))
-    time = np.array(record["times"])
-    if not values.size or values.shape[1] != time.size:  # no run came to its end
-        return make_plot(Panel(name, unit, ()), time, time_axis(time))
+    if not values.size or values.shape[1] != len(record["times"]):  # no run came to its end
+        return Panel(name, unit or "1", ())
     q = quantiles(values) * factor
     traces = (
         Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"),
     )  # fmt: skip
-    panel = Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
-    return make_plot(panel, time, time_axis(time))
+    return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 
 
 def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
