@@ -163,6 +163,19 @@ def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
     assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
 
 
+def test_what_swings_is_dead_or_saturated_is_not_at_rest(tmp_path: Path) -> None:
+    time = 0.02 * np.arange(1001)
+    rest = noisy(np.random.default_rng(1), time.size)
+    rest["psi"] = rest["psi"] + 0.1 * np.sin(2 * np.pi * time / 2.5)
+    rest["psi_dot"] = np.zeros_like(time)
+    rest["ax"] = np.clip(rest["ax"], -0.1, 0.1)
+    write_log(tmp_path / "rest.csv", {"time": time, **rest})
+    text = refused(protocol(tmp_path, rest={"files": ["rest.csv"]}), tmp_path / "out")
+    assert "psi swings slowly" in text
+    assert "psi_dot is 0 in every row: a dead channel" in text
+    assert "ax is -0.1 or 0.1 in 6" in text
+
+
 def test_a_distance_that_no_friction_gives_is_said(tmp_path: Path) -> None:
     for k in range(3):
         flown(tmp_path / f"{k}.csv", k, 0.25)

@@ -178,7 +178,10 @@ def library() -> Any:
         raise NotCompiled("no C compiler")
     try:
         run = loaded(SOURCE.read_text(encoding="utf-8")).run
-    except (OSError, subprocess.SubprocessError) as error:
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode("utf-8", "replace") if isinstance(error.stderr, bytes) else str(error.stderr or "")
+        raise NotCompiled(f"the C compiler fails: {' '.join(said.split())[:200] or 'it says nothing'}") from None
+    except (OSError, subprocess.SubprocessError, AttributeError) as error:  # AttributeError: made something else
         raise NotCompiled(f"the C compiler fails: {' '.join(str(error).split())[:200]}") from None
     run.argtypes, run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
     return run

@@ -21,6 +21,8 @@ from plant.model import Model
 FEWEST = 50  # rows: of fewer the 95 % interval of a variance reaches from 0.7 to 1.55 of it
 DRIFTS = 1.1  # times the variance about a line, from which a mean hides a drift
 MOVING = 5.0  # standard deviations between the halves of a log, beyond which it was not at rest
+AT_ENDS = 0.05  # share of rows at the smallest or largest value, beyond which a sensor is at its ends
+SLOW = 0.05  # of the variance, that of steps from row to row of what swings slowly; of white noise it is 1
 Window = tuple[float, float] | None
 
 
@@ -79,11 +81,34 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
                 continue
             first, last = np.array_split(values[chosen], 2)
             noise_ = float(np.std(np.diff(values[chosen]))) / np.sqrt(2.0)
+            if reason := _unusable(values[chosen]):
+                yield Fault(log.path, 0, 0, f"{name} {reason}; choose a window, or leave the log out")
+                continue
             if abs(last.mean() - first.mean()) > MOVING * max(noise_, 1e-300) and noise_ > 0.0:
                 told = (
                     f"{name} moves by {last.mean() - first.mean():.3g} from the first half to the second: not at rest"
                 )
                 yield Fault(log.path, 0, 0, f"{told}; choose a window, or leave the log out")
+
+
+def _unusable(values: Array) -> str:
+    """Why rows tell nothing of a sensor's noise; "" where they do."""
+    low, high = float(values.min()), float(values.max())
+    if low == high:
+        return f"is {low:g} in every row: a dead channel"
+    ends = float(np.mean((values == low) | (values == high)))
+    if ends > AT_ENDS:
+        return f"is {low:g} or {high:g} in {ends:.0%} of its rows: saturated, or coarser than its noise"
+    steps, spread = float(np.mean(np.diff(values) ** 2)) / 2.0, float(np.var(values))
+    if steps < SLOW * spread and _turns(values) > 2:
+        return f"swings slowly, {spread / steps:.3g} times the variance from row to row: not at rest"
+    return ""
+
+
+def _turns(values: Array) -> int:
+    """How often it crosses its mean, rows that follow one another taken together."""
+    smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
+    return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 
 
 def _rows(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[Log, Rows]]:

@@ -19,6 +19,7 @@ from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapp
 from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.results import Results
+from cosim.simulation.compiled import compile_beforehand
 from cosim.simulation.halving import Halved
 from cosim.simulation.master import StoppedRun, results_of, simulate
 from cosim.simulation.own_process import in_own_processes
@@ -128,6 +129,7 @@ def simulate_apart(
         progress=progress,
     )
     ended = Ended()
+    compile_beforehand(system)
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress

@@ -7,6 +7,7 @@ once a second, for what signals ask of it. It does then what the loop in Python 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,13 @@ def compiled(run: Run) -> CompiledSteps:
         slots.append(slot)
     library()  # compiled only where it is used
     return CompiledSteps(run, slots)
+
+
+def compile_beforehand(system: System) -> None:
+    """Compile the loop now where a run of the system may take it, so that no limit of its calls counts that time."""
+    if not system.beside and not any(getattr(stage.component, "nominal_step", False) for stage in system.stages):
+        with suppress(NotCompiled):
+            library()
 
 
 class CompiledSteps:

@@ -1,7 +1,7 @@
 """What the length of the communication step does to a run: the same one again in steps of half the length.
 
-Where a method of order p is used the halved run is 2^p times nearer the limit, so the difference is about the error
-of the run itself for p = 1, the order of Gauss-Seidel and Jacobi with inputs that are held. Where the FMUs give their
+Where a method of order p is used the error of the run is 1/(1 − 2^−p) times the difference: about twice it for p = 1,
+the order of Gauss-Seidel and Jacobi with inputs that are held. Where the FMUs give their
 state away and take it back, each step is made again in halves too: that tells when the exchange of values costs most.
 """
 
@@ -47,7 +47,8 @@ class CouplingError:
         if self.stopped:
             return f"coupling error not known: with half the step {self.stopped}"
         shown = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
-        whole = f"coupling error, by halving the step, at most: {shown or 'nothing is connected'}"
+        whole = f"half the step changes at most {shown or 'nothing, for nothing is connected'}"
+        whole += "; the coupling error is about twice that" if shown else ""
         if self.without:
             return f"{whole}; of single steps not known: {self.without}"
         single = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
