@@ -40,8 +40,16 @@ class Swept:
 
 def _how(record: Mapping[str, Any]) -> str:
     rate = record["runs_a_second"]
-    way = "on arrays" if record["way"] == "arrays" else "through the FMUs"
+    way = way_of(record)
     return f", {way}" + (f", {rate:.3g} runs a second" if rate else "")
+
+
+def way_of(record: Mapping[str, Any]) -> str:
+    """How the runs were made; some may be made through the FMUs where the others are on arrays."""
+    through, runs = record["through_fmus"], record["runs"]
+    if record["way"] != "arrays" or through == runs:
+        return "through the FMUs"
+    return "on arrays" if not through else f"{runs - through} on arrays and {through} through the FMUs"
 
 
 def _interval(criterion: Mapping[str, Any]) -> str:

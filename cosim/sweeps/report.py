@@ -13,7 +13,7 @@ from cosim.report.drawing import Charts
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.tables import Badge
 from cosim.report.template import render
-from cosim.sweeps.outcome import Swept
+from cosim.sweeps.outcome import Swept, way_of
 from cosim.sweeps.statistics import Sensitivity, quantiles, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.text import counted, display, joined, percent, plain
@@ -34,7 +34,7 @@ def page(swept: Swept) -> str:
     agree = "DO NOT" not in record["check"]["sentence"]
     badges = [
         Badge(counted(runs, "run")),
-        Badge("on arrays" if record["way"] == "arrays" else "through the FMUs"),
+        Badge(way_of(record)),
         Badge(f"{failed} failed" if failed else "none failed", "bad" if failed else "good"),
     ]
     return render(

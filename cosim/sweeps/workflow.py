@@ -225,17 +225,18 @@ class _Sweep:
         mine, theirs = sampled_rows(steps, self.study.job.samples), sampled_rows(steps, MOST_ROWS)
         both = sorted({*mine} & {*theirs})
         at = [mine.index(k) for k in both], [theirs.index(k) for k in both]
-        apart = 0.0
-        for kept in (m for m in self.base.runs() if m.run in checked):
+        apart, compared = 0.0, 0
+        for kept in (m for m in self.base.runs() if m.run in checked and m.through == "arrays"):
+            compared += 1
             other = checked[kept.run]
             if kept.status == other.status == "ok":
                 other = replace(other, signals=other.signals[np.ix_(columns, at[1])])
                 kept = replace(kept, signals=kept.signals[:, at[0]])
             apart = max(apart, apart_of(kept, other))
         agree = "agree" if apart <= EQUAL else "DO NOT AGREE"
-        repeated = f"{counted(len(checked), 'random run')} repeated through the FMUs {agree}"
+        repeated = f"{counted(compared, 'random run')} repeated through the FMUs {agree}"
         sentence = f"{repeated}: at most {plain(apart, 2)} of max(1, largest value) apart; {plain(EQUAL, 1)} is allowed"
-        return {"runs": len(checked), "apart": apart if np.isfinite(apart) else None, "sentence": sentence}
+        return {"runs": compared, "apart": apart if np.isfinite(apart) else None, "sentence": sentence}
 
 
 def _unit(kind: str, goal: Criterion, study: Sweep) -> str:
