@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import json
+import os
 import re
 import signal
+import subprocess
 import sys
 from array import array
 from pathlib import Path
@@ -32,6 +34,7 @@ from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
 from cosim.simulation.workflow import run
+from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.native import NEEDS_COMPILER
 from tests.typed import TYPED2, numbers_fmu, typed_fmu
@@ -423,6 +426,20 @@ def test_the_manifest_names_the_loop_and_why_it_is_in_python(
     )
     monkeypatch.setenv("CC", "none")
     assert loop(path) == "Python: no C compiler"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the compiler here is a shell script")
+@pytest.mark.parametrize(("does", "told"), [("sleep 1.2; exec cc", "C"), ("exit 1; :", "Python: the C compiler fails")])
+def test_no_limit_counts_the_time_of_a_compiler_and_none_needs_one(tmp_path: Path, does: str, told: str) -> None:
+    path = two(tmp_path, duration=0.1, faults=[], limits={"step": "0.6 s"})
+    slow = tmp_path / "slowcc"
+    slow.write_text(f'#!/bin/sh\n{does} "$@"\n')
+    slow.chmod(0o755)
+    environment = {**os.environ, "CC": str(slow), "XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "cosim", "run", str(path), "--out", str(tmp_path / "out"), "--no-report", "-q"]
+    subprocess.run(command, env=environment, check=True, timeout=60)
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["loop"].startswith(told)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signal")

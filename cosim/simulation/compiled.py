@@ -62,7 +62,8 @@ def compiled(run: Run) -> CompiledSteps:
 
 def compile_beforehand(system: System) -> None:
     """Compile the loop now where a run of the system may take it, so that no limit of its calls counts that time."""
-    if not system.beside and not any(getattr(stage.component, "nominal_step", False) for stage in system.stages):
+    fmus = (stage.component for stage in system.stages if not isinstance(stage.component, Source))
+    if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # of Python they are stepped by Python
         with suppress(NotCompiled):
             library()
 
