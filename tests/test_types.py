@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from cosim.blocks.fmi import _routed
 from cosim.checks import check_files
 from cosim.errors import FmuError, InputError
 from cosim.results import Results
@@ -578,3 +579,20 @@ def test_text_in_place_of_a_number_in_a_description_is_told(tmp_path: Path, old:
         check_files([fmu])
     assert [words in fault.message for fault in caught.value.faults] == [True]
     assert words in faults_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))[0]
+
+
+def test_a_message_reaches_the_instance_that_it_names_whoever_was_made_last() -> None:
+    class Instance:
+        def __init__(self) -> None:
+            self.heard: list[bytes | None] = []
+
+        def listen(self, status: int, message: bytes | None) -> None:
+            self.heard.append(message)
+
+    tank, controller = Instance(), Instance()
+    _routed("tank", tank.listen)
+    logger = _routed("controller", controller.listen)  # the one that pythonfmu keeps
+    for name, message in ((b"tank", b"division by zero"), (None, b"no name"), (b"stranger", b"another")):
+        logger(None, name, 4, b"", message)
+    assert tank.heard == [b"division by zero"]
+    assert controller.heard == [b"no name", b"another"]

@@ -6,6 +6,7 @@ Order: load, instantiate, prepare, (start values), enter, (values)*, leave, (val
 from __future__ import annotations
 
 import ctypes
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
@@ -27,6 +28,8 @@ STEP3 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] *
 Step = Callable[[Any, float, float, int], int]
 AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # and the cells of t and h
 Listen = Callable[[int, bytes | None], None]  # status and message
+Logger = Callable[[Any, bytes | None, int, Any, bytes | None], None]  # environment, instance, status, category, message
+_listening: dict[str, Callable[[], Listen | None]] = {}  # instance name → who listens for it, while it is there
 
 
 class Calls(ABC):
@@ -66,7 +69,7 @@ class Calls(ABC):
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         """Make the instance."""
-        self.fmu.instantiate(callbacks=_callbacks2(listen), loggingOn=logging)
+        self.fmu.instantiate(callbacks=_callbacks2(_routed(self.name, listen)), loggingOn=logging)
 
     def limit_logging(self) -> None:
         """Of the FMU's debug categories keep those that tell what went wrong."""
@@ -236,11 +239,22 @@ def ended(name: str, reached: float) -> EndedEarly:
     return EndedEarly(name, reached, "the FMU ended the simulation", readable=True)
 
 
-def _callbacks2(listen: Listen) -> Any:
+def _routed(name: str, listen: Listen) -> Logger:
+    """A logger that hands messages to the instance they name: pythonfmu gives all of a process to that made last."""
+    _listening[name] = weakref.WeakMethod(listen)
+
+    def logger(_: Any, named: bytes | None, status: int, category: Any, message: bytes | None) -> None:
+        meant = _listening.get((named or b"").decode("utf-8", "replace"), lambda: None)() or listen
+        meant(status, message)
+
+    return logger
+
+
+def _callbacks2(logger: Logger) -> Any:
     from fmpy import calloc, fmi2, free
 
     callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, message: listen(status, message))
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(logger)
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
     return _formatting(callbacks)
