@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 
 from controller.monte_carlo import CASES, Case, squares_of
 from cosim.cli import app
-from cosim.estimation.consistency import Consistency, consistency, consistency_of
+from cosim.estimation.consistency import Consistency, consistency, consistency_of, independent_times
 
 
 def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:
@@ -32,11 +33,59 @@ def test_a_verdict_of_95_percent_is_wrong_for_about_5_percent() -> None:
     assert wrong == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 400))
 
 
+def correlated(rng: np.random.Generator, runs: int, times: int, degrees: int) -> NDArray[np.float64]:
+    """χ² numbers of which one time resembles the next, as errors of an estimator do: z⁺ = 0.95·z + w."""
+    z = [rng.normal(size=(runs, degrees))]
+    for _ in range(times - 1):
+        z.append(0.95 * z[-1] + math.sqrt(1.0 - 0.95**2) * rng.normal(size=(runs, degrees)))
+    return np.asarray(np.square(z).sum(axis=2).T)
+
+
+def test_correlation_in_time_makes_a_verdict_on_a_consistent_one_wrong_no_more_often() -> None:
+    rng = np.random.default_rng(4)
+    found = [consistency_of(correlated(rng, 15, 100, 4), 4) for _ in range(150)]
+    wrong = np.mean([c.verdict != "consistent" for c in found])
+    assert wrong < 0.05 + 3 * math.sqrt(0.05 * 0.95 / 150)
+    assert np.mean([c.times for c in found]) < 30  # of 100; a time resembles the 20 about it
+
+
+@pytest.mark.parametrize("white", [False, True])
+def test_one_that_is_optimistic_first_and_pessimistic_later_is_not_consistent_though_its_mean_is(white: bool) -> None:
+    rng = np.random.default_rng(6)
+    squares = rng.chisquare(4, (50, 450)) if white else correlated(rng, 50, 450, 4)
+    squares[:, :50] *= 3.0
+    squares[:, 50:] *= 0.75
+    squares *= 4.0 / squares.mean()
+    found = consistency_of(squares, 4, white=white)
+    assert found.region[0] < found.mean < found.region[1]
+    assert found.verdict == "optimistic and pessimistic"
+    assert f"optimistic at {100 * found.above:.3g} % and pessimistic at {100 * found.below:.3g} % of" in found.sentence
+    assert "larger" not in found.sentence
+    assert found.share == pytest.approx(1.0 - found.above - found.below)
+
+
+def test_one_that_is_optimistic_at_times_only_is_told_with_their_share() -> None:
+    found = Consistency(4, 50, 4.01, (3.9, 4.1), above=0.08, below=0.02, most=0.044, times=450.0)
+    told = "at 8 % of the times, where 2.5 % are chance and 4.4 % the most"
+    assert found.sentence == f"optimistic: {told}"
+    assert replace(found, above=0.02, below=0.08).sentence == f"pessimistic: {told}"
+
+
+def test_independent_times_are_counted_as_they_are_and_one_that_stays_as_one() -> None:
+    rng = np.random.default_rng(9)
+    assert independent_times(rng.chisquare(3, (2000, 40))) == pytest.approx(40, rel=0.1)
+    assert independent_times(np.repeat(rng.chisquare(3, (20, 1)), 40, axis=1)) == pytest.approx(1.0)
+    blocks = np.repeat(rng.chisquare(3, (2000, 8)), 5, axis=1)
+    assert independent_times(blocks) == pytest.approx(8, rel=0.1)
+
+
 def test_squares_that_are_no_numbers_are_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
         consistency_of(np.array([[1.0, math.nan]]), 1)
     with pytest.raises(ValueError, match="one at least"):
         consistency_of(np.zeros((0, 3)), 1)
+    with pytest.raises(ValueError, match="two at least"):
+        consistency_of(np.ones((1, 3)), 1)
 
 
 def level(q_told: float, r_told: float) -> tuple[Consistency, Consistency]:
@@ -98,7 +147,7 @@ def test_the_command_prints_every_case_with_its_verdict() -> None:
     assert done.exit_code == 0, done.output
     rows = json.loads(done.output)
     assert [*dict.fromkeys(r["case"] for r in rows)] == [*dict.fromkeys(c.title for c in CASES)]
-    assert {r["verdict"] for r in rows} <= {"consistent", "optimistic", "pessimistic"}
+    assert {r["verdict"] for r in rows} <= {"consistent", "optimistic", "pessimistic", "optimistic and pessimistic"}
 
 
 def test_the_same_random_numbers_give_the_same_squares() -> None:

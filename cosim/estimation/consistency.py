@@ -3,13 +3,20 @@
     NEES  ε = (x − x̂)'·P⁻¹·(x − x̂),   n degrees of freedom, n states
     NIS   ε = ν'·S⁻¹·ν,               m degrees of freedom, m measurements
 
-Of N independent runs N·(mean of ε at a time) is χ² with N·n degrees of freedom, where the estimator is consistent.
-Errors of one time and the next are alike, so the mean over all times is held against that region, which it leaves more
-seldom. Innovations are white: the mean of K times is χ² with N·K·m, and its region is as much narrower.
+Of N independent runs N·(mean of ε at a time) is χ² with N·n degrees of freedom, where the estimator is consistent
+(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). That is asked twice:
+
+    of the mean over all times    a consistent one has n; runs are independent, so their scatter is its uncertainty
+    of each time by itself        2.5 % of the times lie above the region of 95 %, 2.5 % below it
+
+Errors of one time and the next are alike, so shares of times scatter as those of fewer, independent times would.
+Innovations of a consistent estimator are white: all times count, and the mean of K is χ² with N·K·m. The two questions
+share the 5 % in which a verdict on a consistent one is wrong.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,28 +27,47 @@ from cosim.arrays import Array
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 LEVEL = 0.95
+SIDE = 0.5 * (1.0 - LEVEL)  # of the times, to either side of their region
+HALF = 0.25 * (1.0 - LEVEL)  # to either side, of one of the two questions
 SHORTEST = 50  # steps
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
+BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
+ROWS = 256  # of the matrix of correlations, at once
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Of one kind of normalised squares: their mean, the region of 95 % for it, what follows.
+    """Of one kind of normalised squares: what was found, what a consistent estimator has, what follows.
 
-    share: of the times, whose own mean over the runs lies in the region of one time; 0.95 is expected
+    mean:         over runs and times; region: where that of a consistent one is
+    above, below: shares of the times, whose own mean over the runs lies to that side of the region of one time
+    most:         the largest such share of a consistent one; 2.5 % is expected
+    times:        independent ones that would scatter as much as these
     """
 
     degrees: int
     runs: int
     mean: float
     region: tuple[float, float]
-    share: float
+    above: float
+    below: float
+    most: float
+    times: float
+
+    @property
+    def share(self) -> float:
+        """Of the times, those within their region; 0.95 is expected."""
+        return 1.0 - self.above - self.below
 
     @property
     def verdict(self) -> str:
-        """Consistent within the region; optimistic where errors are larger than it believes, else pessimistic."""
+        """Optimistic where errors are larger than it believes, in the mean or at too many times; pessimistic; both."""
         low, high = self.region
-        return CONSISTENT if low <= self.mean <= high else OPTIMISTIC if self.mean > high else PESSIMISTIC
+        optimistic = self.mean > high or self.above > self.most
+        pessimistic = self.mean < low or self.below > self.most
+        if optimistic and pessimistic:
+            return BOTH
+        return OPTIMISTIC if optimistic else PESSIMISTIC if pessimistic else CONSISTENT
 
     @property
     def factor(self) -> float:
@@ -50,38 +76,85 @@ class Consistency:
 
     @property
     def sentence(self) -> str:
-        """The verdict in words."""
-        if self.verdict == CONSISTENT:
-            return CONSISTENT
-        times = self.factor if self.verdict == OPTIMISTIC else 1.0 / self.factor
-        which = "larger" if self.verdict == OPTIMISTIC else "smaller"
-        return f"{self.verdict}: square errors are {times:.3g} times {which} than it believes"
+        """The verdict in words, with the numbers that it rests on."""
+        low, high = self.region
+        verdict = self.verdict
+        if verdict == CONSISTENT:
+            return verdict
+        told = []
+        if not low <= self.mean <= high:
+            times, which = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
+            told.append(f"square errors are {times:.3g} times {which} than it believes")
+        chance = f"of the times, where {100 * SIDE:.3g} % are chance and {100 * self.most:.2g} % the most"
+        if verdict == BOTH:
+            told.append(
+                f"{OPTIMISTIC} at {100 * self.above:.3g} % and {PESSIMISTIC} at {100 * self.below:.3g} % {chance}"
+            )
+        elif not told:
+            told.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
+        return f"{verdict}: {'; '.join(told)}"
 
     def as_json(self) -> Mapping[str, Any]:
         """For a script."""
         kept = {"degrees": self.degrees, "runs": self.runs, "mean": self.mean, "region": list(self.region)}
-        return {**kept, "share": self.share, "verdict": self.verdict, "factor": self.factor}
+        shares = {"share": self.share, "above": self.above, "below": self.below, "most": self.most}
+        return {**kept, **shares, "times": self.times, "verdict": self.verdict, "factor": self.factor}
 
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
-    """From normalised squares, shape (runs, times), each with so many degrees of freedom; ValueError where one is none.
+    """From normalised squares, shape (runs, times), each with so many degrees of freedom.
 
     white: those of a run do not depend on each other, as innovations
+    Raises ValueError where a square is no number, or there are fewer than two runs.
     """
-    from scipy.stats import chi2
+    from scipy.stats import beta, chi2, t
 
-    runs = len(squares)
     if not np.isfinite(squares).all() or squares.size == 0:
         raise ValueError("normalised squares are finite, and there is one at least")
+    runs, count = squares.shape
+    if runs < 2:
+        raise ValueError("one run tells nothing of the scatter between runs; give two at least")
 
-    def region(count: int) -> tuple[float, float]:
-        low, high = chi2.ppf([0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)], count * degrees) / count
+    def of_squares(number: int, tail: float) -> tuple[float, float]:
+        low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
         return float(low), float(high)
 
-    low, high = region(runs)
+    low, high = of_squares(runs, SIDE)
     at_times = squares.mean(axis=0)
-    share = float(np.mean((low <= at_times) & (at_times <= high)))
-    return Consistency(degrees, runs, float(squares.mean()), region(squares.size) if white else (low, high), share)
+    if white:
+        region, times = of_squares(squares.size, HALF), float(count)
+    else:
+        off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
+        region, times = (degrees - off, degrees + off), independent_times(squares)
+    rest = max(times - 1.0, 1e-6)  # the beta distribution with this mean and the variance p·(1 − p)/times
+    most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
+    above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
+    return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times)
+
+
+def independent_times(squares: Array) -> float:
+    """So many independent times have shares that scatter as much: p·(1 − p)/K = mean of cov(1(z_j > c), 1(z_k > c)).
+
+    z_j is the mean over the runs at time j, nearly normal, its correlations those between runs; c its 97.5 % quantile.
+    """
+    off = squares - squares.mean(axis=0)
+    size = np.sqrt((off * off).sum(axis=0))
+    z = np.divide(off, size, out=np.zeros_like(off), where=size > 0.0)
+    grid, covariance = _covariances()
+    total = sum(np.interp(z[:, k : k + ROWS].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS))
+    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
+
+
+def _covariances() -> tuple[Array, Array]:
+    """Correlations ρ of two normal numbers and cov(1(z₁ > c), 1(z₂ > c)) = ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π."""
+    from scipy.integrate import cumulative_simpson
+    from scipy.stats import norm
+
+    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)
+    with np.errstate(divide="ignore"):
+        density = np.exp(-(norm.ppf(SIDE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
+    whole = cumulative_simpson(density, x=angle, initial=0.0)
+    return np.sin(angle), whole - whole[1000]
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,10 @@ def consistency(
     if as_json:
         say_json([row.as_json() for row in rows])
         return
-    header = ("case", "of", "dof", "mean", "95 % region", "times within", "verdict")
+    header = ("case", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
     lines = [
-        (row.case, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}", f"{r.share:.0%}",
-         r.sentence)
+        (row.case, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}",
+         f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}", r.sentence)
         for row in rows for r in (row.result,)
     ]  # fmt: skip
     head, *body = table(header, lines)
