@@ -1,11 +1,8 @@
-"""Builds the site into docs/_site: reports for the gallery, pages by Sphinx, then every link is tried.
-
-`python docs/site.py [--external] [--no-gallery]`; --external tries links to other sites too, --no-gallery keeps the
-reports of the last time.
-"""
+"""Builds the site into docs/_site: reports for the gallery, pages by Sphinx, then every link is tried."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import shlex
 import shutil
@@ -35,6 +32,8 @@ REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; comma
     ("replay", "replay examples/tanks/e1.csv --plant build/Tank.fmu --out results/replay"),
     ("refine", "refine examples/tanks/study.yaml --out results/refine"),
     ("identify", "identify examples/bench/protocol.yaml --out results/identify"),
+    ("sweep", "sweep examples/hovercraft/sweep.yaml --out results/sweep"),
+    ("linearize", "linearize base --at scenarios/regulate.yaml@1.5 --out results/linearize"),
 )
 
 
@@ -105,12 +104,18 @@ def faults(site: Path) -> list[str]:
 
 def main() -> int:
     """Reports, pages, links."""
-    if "--no-gallery" not in sys.argv[1:]:
+    options = argparse.ArgumentParser(
+        description="The site, docs/_site: reports for the gallery, pages, every link tried."
+    )
+    options.add_argument("--external", action="store_true", help="try links to other sites too")
+    options.add_argument("--no-gallery", action="store_true", help="keep the reports of the last time")
+    chosen = options.parse_args()
+    if not chosen.no_gallery:
         gallery()
     shutil.rmtree(SITE, ignore_errors=True)
     sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(MADE.parent / "_site.doctrees")]
     subprocess.run([*sphinx, "-b", "html", str(DOCS), str(SITE)], check=True)
-    if "--external" in sys.argv[1:]:
+    if chosen.external:
         subprocess.run([*sphinx, "-b", "linkcheck", str(DOCS), str(SITE) + ".links"], check=True)
     found = faults(SITE)
     print(
