@@ -26,7 +26,8 @@ SETTLING = 50  # samples after which errors count
 FIX_EVERY = 5  # samples, 10 Hz
 OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position has no inverse
 FIVE = [STATES.index(name) for name in ("x", "vx", "psi", "psi_dot")]
-Squares = Mapping[str, tuple[Matrix, int]]  # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom
+# NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
+Squares = Mapping[str, tuple[Matrix, int, Matrix]]
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,11 @@ class Case:
 
 CASES = (
     Case("consistent on its own model, disturbed with V", "linear", "consistent"),
-    Case("the same with fixes", "linear", "consistent", fixes=True),
+    Case("consistent on its own model, with fixes", "linear", "consistent", fixes=True),
     Case("appendix_f on the model of consistent, disturbed with V", "linear", "appendix_f"),
     Case("lagged on the model of consistent, disturbed with V", "linear", "lagged"),
     Case("extended on the plant, disturbed with its Q", "disturbed", "extended"),
-    Case("the same with fixes", "disturbed", "extended", fixes=True),
+    Case("extended on the disturbed plant, with fixes", "disturbed", "extended", fixes=True),
     Case("appendix_f on the plant as it is", "plant", "appendix_f"),
     Case("lagged on the plant as it is", "plant", "lagged"),
     Case("consistent on the plant as it is", "plant", "consistent"),
@@ -115,9 +116,11 @@ def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> S
             e, P = _error(estimator, truth.states[k, r])
             nees[r, k] = e @ np.linalg.solve(P, e)
             nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
-    found = {"NEES": (nees[:, SETTLING:], len(e)), "NIS": (nis[:, SETTLING:], 3)}
+    kept, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
+    t = Settings().sample_time * np.arange(1.0, steps + 1.0)
+    found = {"NEES": (nees[:, kept], len(e), t[kept]), "NIS": (nis[:, kept], 3, t[kept])}
     if case.fixes:  # the last sample of each five has a new one
-        found["NIS of fixes"] = (fixed[:, SETTLING + FIX_EVERY - 1 :: FIX_EVERY], truth.fixes.shape[-1])
+        found["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
     return found
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cosim.api import check, compare, read, refine, replay, run, simulate
-    from cosim.estimation.consistency import consistency
+    from cosim.estimators.workflow import consistency
     from cosim.experiment.excite import excite
     from cosim.identification.workflow import identify
     from cosim.linearization.workflow import linearize
@@ -41,7 +41,7 @@ _PLACES = {
     "build": "cosim.models.fmus",
     "check": "cosim.api",
     "compare": "cosim.api",
-    "consistency": "cosim.estimation.consistency",
+    "consistency": "cosim.estimators.workflow",
     "excite": "cosim.experiment.excite",
     "export_ssp": "cosim.simulation.export",
     "identify": "cosim.identification.workflow",

@@ -33,6 +33,7 @@ REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; comma
     ("refine", "refine examples/tanks/study.yaml --out results/refine"),
     ("identify", "identify examples/bench/protocol.yaml --out results/identify"),
     ("sweep", "sweep examples/hovercraft/sweep.yaml --out results/sweep"),
+    ("consistency", "consistency --out results/consistency"),
     ("linearize", "linearize base --at scenarios/regulate.yaml@1.5 --out results/linearize"),
 )
 

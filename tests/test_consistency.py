@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ from typer.testing import CliRunner
 
 from controller.monte_carlo import CASES, Case, squares_of
 from cosim.cli import app
-from cosim.estimation.consistency import Consistency, consistency, consistency_of, independent_times
+from cosim.estimators.consistency import Consistency, consistency_of, independent_times
+from cosim.estimators.workflow import consistency
 
 
 def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:
@@ -65,7 +68,9 @@ def test_one_that_is_optimistic_first_and_pessimistic_later_is_not_consistent_th
 
 
 def test_one_that_is_optimistic_at_times_only_is_told_with_their_share() -> None:
-    found = Consistency(4, 50, 4.01, (3.9, 4.1), above=0.08, below=0.02, most=0.044, times=450.0)
+    found = Consistency(
+        4, 50, 4.01, (3.9, 4.1), above=0.08, below=0.02, most=0.044, times=450.0, at_times=np.ones(2), at_time=(3, 5)
+    )
     told = "at 8 % of the times, where 2.5 % are chance and 4.4 % the most"
     assert found.sentence == f"optimistic: {told}"
     assert replace(found, above=0.02, below=0.08).sentence == f"pessimistic: {told}"
@@ -117,7 +122,7 @@ def test_a_filter_of_another_system_is_judged_by_what_it_is_told(q_told: float, 
 
 def judged(case: Case, runs: int, steps: int) -> dict[str, Consistency]:
     found = squares_of(case, runs, steps, np.random.default_rng(5))
-    return {name: consistency_of(v, n, white=name != "NEES") for name, (v, n) in found.items()}
+    return {name: consistency_of(v, n, white=name != "NEES") for name, (v, n, _) in found.items()}
 
 
 @pytest.mark.parametrize("fixes", [False, True])
@@ -142,17 +147,22 @@ def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong() -> None:
     assert undisturbed["NEES"].verdict == undisturbed["NIS"].verdict == "pessimistic"
 
 
-def test_the_command_prints_every_case_with_its_verdict() -> None:
-    done = CliRunner().invoke(app, ["consistency", "--runs", "2", "--steps", "100", "--json"])
+def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "folder"
+    done = CliRunner().invoke(app, ["consistency", "--runs", "2", "--steps", "100", "--json", "--out", str(out)])
     assert done.exit_code == 0, done.output
     rows = json.loads(done.output)
+    assert json.loads((out / "consistency.json").read_text()) == {"runs": 2, "steps": 100, "seed": 1, "rows": rows}
+    text = html.unescape((out / "report.html").read_text())
+    assert text.count("data-chart") >= len(rows)  # a chart each
+    assert all(r["case"] in text for r in rows)
     assert [*dict.fromkeys(r["case"] for r in rows)] == [*dict.fromkeys(c.title for c in CASES)]
     assert {r["verdict"] for r in rows} <= {"consistent", "optimistic", "pessimistic", "optimistic and pessimistic"}
 
 
 def test_the_same_random_numbers_give_the_same_squares() -> None:
     once, again = (squares_of(CASES[1], 3, 100, np.random.default_rng(8)) for _ in range(2))
-    assert {n: v.tolist() for n, (v, _) in once.items()} == {n: v.tolist() for n, (v, _) in again.items()}
+    assert {n: v.tolist() for n, (v, _, _) in once.items()} == {n: v.tolist() for n, (v, _, _) in again.items()}
 
 
 def test_too_few_runs_are_refused() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, judged, progress_bar, say, say_json, table
+from cosim.verbs.terminal import Force, Json, Open, judged, progress_bar, say, say_json, show, table
 
 
 def register(app: typer.Typer) -> None:
@@ -18,14 +19,25 @@ def consistency(
     runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
+    ] = Path("results/consistency"),
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
-    from cosim.estimation.consistency import CONSISTENT
-    from cosim.estimation.consistency import consistency as over_runs
+    from cosim.estimators.consistency import CONSISTENT
+    from cosim.estimators.workflow import check_folder, write
+    from cosim.estimators.workflow import consistency as over_runs
 
+    check_folder(out, force=force)
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
+    write(out, rows, steps, seed, report=report)
+    if report and open_:
+        show(out / "report.html")
     if as_json:
         say_json([row.as_json() for row in rows])
         return
@@ -39,3 +51,4 @@ def consistency(
     say(head)
     for row, line in zip(rows, body, strict=True):
         say(judged(row.result.verdict == CONSISTENT, line))
+    say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

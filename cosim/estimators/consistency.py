@@ -17,19 +17,17 @@ share the 5 % in which a verdict on a consistent one is wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.registry import BASE_NAME, MODELS, resolve
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # of the times, to either side of their region
 HALF = 0.25 * (1.0 - LEVEL)  # to either side, of one of the two questions
-SHORTEST = 50  # steps
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
 ROWS = 256  # of the matrix of correlations, at once
@@ -43,6 +41,7 @@ class Consistency:
     above, below: shares of the times, whose own mean over the runs lies to that side of the region of one time
     most:         the largest such share of a consistent one; 2.5 % is expected
     times:        independent ones that would scatter as much as these
+    at_times:     mean over the runs at each time; at_time: the region of 95 % for it
     """
 
     degrees: int
@@ -53,6 +52,8 @@ class Consistency:
     below: float
     most: float
     times: float
+    at_times: Array = field(compare=False)
+    at_time: tuple[float, float]
 
     @property
     def share(self) -> float:
@@ -129,7 +130,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     rest = max(times - 1.0, 1e-6)  # the beta distribution with this mean and the variance p·(1 − p)/times
     most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
     above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
-    return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times)
+    return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times, at_times, (low, high))
 
 
 def independent_times(squares: Array) -> float:
@@ -159,29 +160,13 @@ def _covariances() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Row:
-    """What an estimator and a truth came to: title of the case, of which squares, the result."""
+    """What an estimator and a truth came to: title of the case, of which squares, the result, its times [s]."""
 
     case: str
     of: str
     result: Consistency
+    at: Array
 
     def as_json(self) -> Mapping[str, Any]:
         """For a script."""
         return {"case": self.case, "of": self.of, **self.result.as_json()}
-
-
-def consistency(
-    runs: int = 50, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
-) -> Sequence[Row]:
-    """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds."""
-    if runs < 2 or steps < 2 * SHORTEST or seed < 0:
-        raise ValueError(f"takes at least 2 runs, {2 * SHORTEST} steps and a seed from 0 on: {runs}, {steps}, {seed}")
-    squares_of = resolve(MODELS[BASE_NAME].estimators)
-    cases = resolve(MODELS[BASE_NAME].cases)
-    found = []
-    for k, case in enumerate(cases):
-        for name, (squares, degrees) in squares_of(case, runs, steps, np.random.default_rng([seed, k])).items():
-            found.append(Row(case.title, name, consistency_of(squares, degrees, white=name != "NEES")))
-        if progress is not None:
-            progress(k + 1, len(cases))
-    return found

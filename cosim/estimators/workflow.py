@@ -1,0 +1,52 @@
+"""The estimators of the base model, over Monte Carlo runs: rows of a table, and a folder with the page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cosim.estimators.consistency import Row, consistency_of
+from cosim.estimators.page import page
+from cosim.files import atomic_write, check_writable
+from cosim.registry import BASE_NAME, MODELS, resolve
+from cosim.simulation.folder import check_ours
+
+SHORTEST = 100  # steps; errors count after the first second
+RECORD, PAGE = "consistency.json", "report.html"
+
+
+def consistency(
+    runs: int = 50, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
+) -> Sequence[Row]:
+    """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds."""
+    if runs < 2 or steps < SHORTEST or seed < 0:
+        raise ValueError(f"takes at least 2 runs, {SHORTEST} steps and a seed from 0 on: {runs}, {steps}, {seed}")
+    squares_of = resolve(MODELS[BASE_NAME].estimators)
+    cases = resolve(MODELS[BASE_NAME].cases)
+    found = []
+    for k, case in enumerate(cases):
+        squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
+        for name, (values, degrees, at) in squares.items():
+            found.append(Row(case.title, name, consistency_of(values, degrees, white=name != "NEES"), at))
+        if progress is not None:
+            progress(k + 1, len(cases))
+    return found
+
+
+def check_folder(folder: Path, *, force: bool = False) -> None:
+    """Make the folder; InputError where it cannot be written, or, without force, holds what another command left."""
+    check_ours(folder, force=force)
+    check_writable(folder, [RECORD, PAGE])
+
+
+def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: bool = True) -> None:
+    """consistency.json and, if asked, report.html into a folder that was checked."""
+    record = {"runs": rows[0].result.runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
+    with atomic_write(folder / RECORD) as stream:
+        stream.write(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    if report:
+        with atomic_write(folder / PAGE) as stream:
+            stream.write(page(rows, steps, seed))
