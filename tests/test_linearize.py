@@ -151,9 +151,104 @@ def test_a_tank_has_the_pole_of_its_outlet(tank: Path) -> None:
     assert found.rates[0] == pytest.approx((0.02 - 0.02 * 2.0) / 0.5)
 
 
-def test_a_kink_at_the_point_is_told(tank: Path) -> None:
-    outcome = linearize(f"{tank}:Tank", at=["level=1e-6"])
-    assert any("slope in level" in note for note in outcome.notes)
+def test_a_point_without_a_derivative_is_refused_with_what_each_side_gives(tank: Path, tmp_path: Path) -> None:
+    told = refused(f"{tank}:Tank", "level=1e-6", out=tmp_path / "out")
+    assert "level = 1e-06 is a kink: the rate of level has slope 0 below and" in told
+    assert "--side below or --side above" in told
+    assert not (tmp_path / "out" / "linear.json").exists()
+    empty = linearize(f"{tank}:Tank", at=["level=1e-6"], side="below").first
+    assert empty.A.tolist() == [[0.0]]
+    assert 'is below or above; did you mean "above"?' in refused(f"{tank}:Tank", "level=1", side="abov")
+
+
+SERVO = """
+from dataclasses import dataclass
+
+from plant.model import Equations, Model
+from plant.quantities import Quantity, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servo(Model):
+    base_states = (Quantity("angle", "rad", "angle"), Quantity("speed", "rad/s", "speed"))
+    inputs = (Quantity("command", "rad", "command"), Quantity("trim", "rad", "where the stop is"))
+    outputs = (Quantity("flow", "1", "the larger input"),)
+    catalogue = ()
+    sensors = ()
+    sensor_variance = {"flow": 1e-4}
+    start_variance = {"angle": 0.01, "speed": 0.01}
+    forced = ("speed",)
+    calibrated = ("band",)
+
+    band: float = parameter(0.1, unit="rad", bounds=(0, 1), doc="half width of the dead band")
+
+    def equations(self, m):
+        def derivative(t, state, command):
+            angle, speed = state
+            off = command[0] - angle
+            beyond = m.where(off > self.band, off - self.band, m.where(off < -self.band, off + self.band, 0.0))
+            stop = m.where(angle > command[1], 50.0, 0.0)
+            return speed, 20.0 * beyond - 2.0 * speed - stop
+
+        def output(t, state, command):
+            return (m.where(command[0] > command[1], command[0], command[1]),)
+
+        return Equations(derivative, output)
+"""
+
+
+@pytest.fixture
+def servo(tmp_path: Path) -> str:
+    (tmp_path / "servo.py").write_text(SERVO, encoding="utf-8")
+    return f"{tmp_path / 'servo.py'}:Servo"
+
+
+@pytest.mark.parametrize(("side", "gain"), [("below", 0.0), ("above", 20.0)])
+def test_the_edge_of_a_dead_band_has_the_matrices_of_the_side_that_is_asked_for(
+    servo: str, tmp_path: Path, side: str, gain: float
+) -> None:
+    found = linearize(servo, tmp_path / "out", at=["command=0.1,trim=1"], side=side)
+    # of one and the same branch: the error acts through command and angle, or through neither
+    assert found.first.B[1, 0] == gain
+    assert found.first.A[1].tolist() == [-gain, -2.0]
+    content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
+    jsonschema.validate(content, json.loads(SCHEMA.read_text(encoding="utf-8")))
+    kinks = {k["variable"]: k for k in content["models"][0]["kinks"]}
+    assert set(kinks) == {"angle", "command"}
+    assert kinks["angle"]["side"] != side  # the error grows with the one and falls with the other
+    (row,) = kinks["command"]["rows"]
+    assert (row["of"], row["name"], row["jump"], kinks["command"]["side"]) == ("rate", "speed", 0.0, side)
+    assert (row["below"], row["above"]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(20.0, rel=1e-6))
+    assert "Kinks" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert any("command = 0.1 is a kink" in note and f"those {side}" in note for note in found.notes)
+
+
+def test_a_kink_between_two_inputs_takes_both_slopes_of_one_side(servo: str) -> None:
+    # flow = max(command, trim): either 1, 0 or 0, 1, never 1, 1
+    both = linearize(servo, at=["command=0.05,trim=0.05"], inputs=["command", "trim"], outputs=["flow"], side="above")
+    assert sorted(both.first.D[0].tolist()) == [0.0, 1.0]
+
+
+def test_a_jump_is_told_as_one_and_kinks_in_what_is_left_out_do_not_matter(servo: str) -> None:
+    told = refused(servo, "command=1,angle=0.2,trim=0.2")
+    assert "angle = 0.2 is a jump: the rate of speed has slope -20 below and -20 above, and it jumps by -50" in told
+    assert linearize(servo, at=["command=0.05,trim=0.05"], outputs=["flow"], inputs=["command"], side="below")
+    left_out = linearize(
+        servo, at=["command=0.05,trim=0.05"], inputs=["command"], states=["angle", "speed"], side="above"
+    )
+    assert [k.variable for k in left_out.first.kinks] == ["command"]
+
+
+def test_a_curve_however_strong_is_no_kink(tmp_path: Path) -> None:
+    (tmp_path / "servo.py").write_text(SERVO.replace("20.0 * beyond", "3e7 * speed * speed"), encoding="utf-8")
+    assert linearize(f"{tmp_path / 'servo.py'}:Servo", at=["command=1,trim=2"]).first.A[1, 1] == -2.0
+
+
+def test_one_value_is_given_once(servo: str) -> None:
+    told = refused(servo, "command=1,command=2")
+    assert "--at: command is given twice, 1 and 2" in told
+    with pytest.raises(InputError, match="angle is given twice"):
+        linearize(servo, at=["angle=1", "trim=3,angle=1"])
 
 
 def test_a_drive_and_a_pendulum_are_linearised_too() -> None:

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 import re
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from scipy.optimize import brentq
 
 from controller.design_model import design_model
 from controller.gains import Settings
+from controller.variants import PredictiveSettings
+from cosim.identification.cells import calibrated
+from cosim.identification.protocol import read_protocol
+from cosim.identification.recordings import load_runs, play_plain, runs_of
+from cosim.identification.workflow import analyse
 from cosim.linearization.structure import controllability
 from cosim.linearization.workflow import linearize
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
 from plant.namespaces import SCALAR
-from plant.powertrain import ground_effect, lag, thrust_out_of_ground
+from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "seed.md"
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
+PAGE = ROOT / "docs" / "seed.md"
+BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
 STATUSES = {"reproduced", "corrected", "not software"}
 
 
@@ -40,6 +52,148 @@ def test_every_row_names_a_test_that_is_there() -> None:
         assert named or "make seed" in row[2], row
         for module, test in named:
             assert hasattr(importlib.import_module(f"tests.{module}"), test), f"{module}::{test}"
+
+
+def asked_for() -> list[list[str]]:
+    """Rows of the page's own list: what was asked for, the rows that answer it, a command."""
+    section = PAGE.read_text(encoding="utf-8").partition("## What has to be here")[2].partition("\n## ")[0]
+    cells = [
+        [c.strip() for c in line.strip("|").split(" | ")] for line in section.splitlines() if line.startswith("| ")
+    ]
+    return cells[1:]
+
+
+def test_whatever_was_asked_for_has_its_rows() -> None:
+    titles, lacking = [row[0] for row in rows()], []
+    for key, answers, _ in asked_for():
+        for answer in answers.split("; "):
+            found = [row for row, title in zip(rows(), titles, strict=True) if title.startswith(answer)]
+            if not found or (key.endswith(" NS") and any(row[1] != "not software" for row in found)):
+                lacking.append((key, answer))
+    assert lacking == []
+    assert len(asked_for()) == 59
+
+
+def test_every_row_has_what_is_printed_and_ours() -> None:
+    assert [row[0] for row in rows() if row[1] != "not software" and not (row[3] and row[4])] == []
+    assert [row[0] for row in rows() if row[1] == "corrected" and len(row) < 6] == []
+    assert [row[0] for row in rows() if "in `make seed`" in row[4]] == []
+
+
+def test_every_command_of_the_list_is_one_that_can_be_given() -> None:
+    from typer.main import get_command
+
+    from cosim.cli import app
+
+    verbs = get_command(app).commands  # type: ignore[attr-defined]
+    names = " ".join(re.findall(r"def (test_\w+)", "".join(p.read_text() for p in TESTS.glob("test_*.py"))))
+    for key, _, command in asked_for():
+        words = shlex.split(command.strip("`"))
+        if words[:2] == ["pytest", "-k"]:
+            assert all(word in names for word in words[2].split(" or ")), key
+        elif words[0] == "pytest":
+            assert (ROOT / words[1]).is_file(), key
+        elif words[0] == "cosim":
+            assert words[1] in verbs, key
+            assert all((ROOT / w.partition("@")[0]).is_file() for w in words[2:] if ".yaml" in w), key
+        else:
+            assert command in ("–", "`make seed`", "`python -m tests.controllers`"), key
+
+
+def test_the_list_is_that_of_the_order() -> None:
+    order = ROOT.parent / "shared" / "spec" / "seed-rows.md"
+    if not order.is_file():
+        pytest.skip("the list that was ordered is not beside the project")
+    wanted: list[str] = []
+    for line in order.read_text(encoding="utf-8").splitlines():
+        if line.startswith("- **"):
+            keys = line[2:].partition(": ")[2].strip().removesuffix(".")
+            wanted += [k.replace("**", "") for k in re.split(r" · |\. (?=\*\*|The )", keys)]
+    assert [key for key, _, _ in asked_for()] == wanted
+
+
+# -- rows that are short enough to stand here -------------------------------------------------
+
+
+def test_the_shipped_protocol_is_app_d_2_where_it_differs_from_chapter_4() -> None:
+    protocol = read_protocol(BENCH)
+    tests, b = protocol.file.tests, Bench()
+    line, ground, sines = tests.thrust_line, tests.ground_effect, tests.frequency
+    projection, step, moment = tests.projection, tests.step, tests.moment
+    assert line is not None
+    assert ground is not None
+    assert sines is not None
+    assert projection is not None
+    assert step is not None
+    assert moment is not None
+    # D.2.1: 6 to 7 % in 60 s, t_i = 820 rows of 0.02 s; the cell's end, 285 gf, is at 6.56 %
+    assert (list(line.phases[2]), list(line.phases[3]), line.repetitions) == ([5, 6, 0], [65, 7, 0], 20)
+    assert 6.0 + (line.window[0] - 5.0) / 60.0 == pytest.approx(6.19, abs=5e-4)
+    assert (285.0 - b.thrust_offset) / b.thrust_slope == pytest.approx(6.56, abs=5e-3)
+    # D.2.2: four heights at one duty; §4.4's 119 gf for validation
+    assert (ground.heights, ground.repetitions) == ([0.68, 1.25, 2.0, 2.75], 10)
+    assert {p[1] for p in ground.phases} == {5, 6.3}
+    assert ground.validation_duty is not None
+    assert b.thrust_offset + b.thrust_slope * ground.validation_duty == pytest.approx(119.0, abs=0.5)
+    assert b.propeller_radius == 0.127
+    # D.2.3: 25 deg in 21 s; D.2.4: 25 deg at once
+    assert [projection.phases[k][0] for k in (3, 4)] == [6, 27]
+    assert (projection.phases[4][1:], projection.repetitions) == ((6.3, 25), 15)
+    assert (step.phases[-1][1:], step.repetitions, step.at) == ((6.4, 25), 20, 6)
+    # D.2.5 in rad/s; D.3.4 skips up to three periods, so they are recorded
+    assert sines.frequencies == [0.1, 1, 2, 4, 6, 8, 10]
+    assert sines.repetitions == 20
+    assert sines.thesis_skip == [0, 0, 0, 0, 2, 2, 3]
+    assert min(sines.periods[1:]) == 4
+    assert all(p - s >= 3 for p, s in zip(sines.periods[1:], sines.thesis_skip[1:], strict=True))
+    # D.2.6: 80 deg in 45 s
+    assert ([p[2] for p in moment.phases], moment.repetitions) == ([0, 0, 80, 80], 20)
+    assert b.assembly_mass == 0.145
+    assert [t.low_pass for t in (line, ground, projection, step, moment)] == [0.25, 0.25, 0.1, 0, 0.5]
+
+
+def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
+    """D.3 takes 5 gf and 0.75e-4 N m off every run; a cell that is 0.1 V off all day changes nothing here."""
+    content = YAML(typ="safe").load(BENCH.read_text(encoding="utf-8"))
+    content["tests"] = {n: content["tests"][n] | {"repetitions": 3} for n in ("step", "projection")}
+    (tmp_path / "protocol.yaml").write_text(json.dumps(content))
+    protocol = read_protocol(tmp_path / "protocol.yaml")
+    play, found = play_plain(protocol.known), []
+    cells = calibrated(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
+    runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.given()}
+    for off in (0.0, 0.1):
+        moved = {n: [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in rs] for n, rs in runs.items()}
+        found.append([e for r in analyse(protocol, cells, moved, draw=False) for e in r.estimates])
+    unbiased = [[e.value for e in group] for group in found]
+    assert unbiased[1] == pytest.approx(unbiased[0], rel=1e-9)
+    thesis = np.array([[e.thesis for e in group] for group in found])
+    assert (np.abs(thesis[1] / thesis[0] - 1.0) > 1e-3).any()
+
+
+def test_the_angle_of_app_d_3_3_is_another_servo_s_than_that_of_eq_3_1() -> None:
+    duty, b = np.array([6.4, 7.1, 7.5, 8.2]), Bench()
+    copied = 0.85 * 22.5 * (duty - 7.1)  # D.3.3, its sign aside
+    own = np.degrees(servo_angle(duty, b.servo_neutral, b.servo_slope))
+    assert own == pytest.approx(22.5 * (duty - 7.5), abs=2e-3)  # 3.1
+    assert (copied - own)[2] == pytest.approx(7.65)
+    given = b.with_values({"servo_neutral": 7.1, "servo_slope": 0.85 * b.servo_slope})
+    assert np.degrees(servo_angle(duty, given.servo_neutral, given.servo_slope)) == pytest.approx(copied, abs=2e-3)
+
+
+def test_within_the_limits_of_the_predictive_law_b_t_leaves_that_of_hover_by_its_duty() -> None:
+    """5.19: the tilts' columns of B(t) are Γ·T·cos α; the law of §7.1 has them at hover."""
+
+    def columns(duty: float, tilt: float) -> np.ndarray:
+        at = [f"duty_right={duty!r}", f"duty_left={duty!r}", f"tilt_right={tilt!r}", f"tilt_left={tilt!r}"]
+        lags = ["thrust_right", "thrust_left", "tilt_right", "tilt_left"]
+        found = linearize("base", at=at, residualize=lags, inputs=["tilt_right", "tilt_left"], outputs=["psi"]).first
+        return found.B[[found.states.index(n) for n in ("vx", "psi_dot")]]
+
+    p = PredictiveSettings()
+    hover = columns(Hovercraft().duty_nominal, 0.0)
+    assert columns(p.duty_min, 0.0) / hover == pytest.approx(0.374, abs=1e-3)
+    assert columns(p.duty_max, 0.0) / hover == pytest.approx(1.989, abs=1e-3)
+    assert columns(Hovercraft().duty_nominal, p.tilt_max) / hover == pytest.approx(math.cos(math.radians(12)), abs=1e-6)
 
 
 def test_the_pole_of_eq_4_30_is_far_below_the_modes_of_the_bench() -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, check_writable
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
 from cosim.identification.craft import CraftOutcome
@@ -20,16 +18,16 @@ from cosim.identification.craft_workflow import identify_craft
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.faults import recording_faults
 from cosim.identification.given import craft_file
-from cosim.identification.outcome import Outcome, plain_values
+from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
+from cosim.identification.write import RECORD, REPORT, model_text, write
 from cosim.models.file import load_model, named_model
 from cosim.registry import MODELS, resolve
-from cosim.version import __version__
 from plant.bench import Bench
 from plant.model import Model
 
-FILES = ("powertrain.yaml", "identify.json", "report.html")
+FILES = ("powertrain.yaml", RECORD, REPORT)
 # in the order in which one needs another's number; the lag of a step is that of the model
 ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
 Progress = Callable[[str, float], None]
@@ -51,14 +49,13 @@ def identify(
     measured = _measured(protocol)
     check_writable(out, FILES, named)
     outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
-    for name, text in _texts(outcome, model):
-        with atomic_write(out / name) as stream:
-            stream.write(text)
-    if report:
+
+    def page() -> str:
         from cosim.identification.report import page
 
-        with atomic_write(out / "report.html") as stream:
-            stream.write(page(outcome))
+        return page(outcome)
+
+    write(out, (FILES[0], powertrain(outcome, model)), _record(outcome), outcome.results, page if report else None)
     return outcome
 
 
@@ -214,41 +211,26 @@ def _dealt(play: Play, groups: Sequence[Sequence[Any]]) -> Iterable[list[Recordi
 # -- what is left -----------------------------------------------------------------------------
 
 
-def _texts(outcome: Outcome, model: Model) -> Iterable[tuple[str, str]]:
-    yield "powertrain.yaml", powertrain(outcome, model)
-    record = {
-        "schema_version": 1,
+def _record(outcome: Outcome) -> dict[str, Any]:
+    return {
         "protocol": outcome.protocol.file.name,
-        "version": __version__,
-        "estimates": {k: plain_values(asdict(e)) for k, e in outcome.estimates.items()},
-        "tests": {r.test: plain_values({**r.more, "notes": r.notes}) for r in outcome.results},
         "calibration": {
             c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
                 "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
             for c, cell in outcome.cells.items()
         },
     }  # fmt: skip
-    yield "identify.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:
     """A model.yaml with every number that was identified, its interval and where it comes from."""
     protocol = outcome.protocol
-    source = protocol.file.model
     declared = {p.name for p in model.parameters}
     values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
     chosen = {n: e for n, e in outcome.chosen.items() if n in declared}
     values |= {n: e.value for n, e in chosen.items()}
     values |= _hovering(model, values)
-    lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
-    lines += [f"  {name}: {float(v)!r}" for name, v in values.items()]
-    lines += ["sensors: {}", "identified:" if chosen else "identified: {}"]
-    for name, e in chosen.items():
-        lines += [
-            f"  {name}:", f"    ci95: [{e.low!r}, {e.high!r}]", f"    unit: {json.dumps(e.unit)}",
-            f"    origin: {json.dumps(f'{e.origin}; {e.repetitions} repetitions', ensure_ascii=False)}",
-        ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    return model_text(protocol.file.model, values, {}, chosen, "repetitions")
 
 
 def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:

@@ -17,8 +17,9 @@ from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
+from cosim.linearization.kinks import Kink, kinks_at
 from cosim.linearization.linear import Linear, Point
-from cosim.linearization.source import Source, bends
+from cosim.linearization.source import Source
 from cosim.simulation.start_values import Misfit, kind_of, settable, typed
 from cosim.yaml_file import did_you_mean
 
@@ -27,7 +28,7 @@ NAME = "fmu"
 DIFFERENCE = 1e-5  # of each state and input, or of 1
 APART = 1e-3  # by which an FMU's own slopes may differ from differences, of the largest in a row
 GIVEN = "directional derivatives of the FMU"
-Found = tuple[Array, Array, Array, list[str], bool]
+Found = tuple[Array, Array, Array, list[str], list[Kink], bool]
 
 # -- in the worker ------------------------------------------------------------------------------
 
@@ -44,7 +45,7 @@ def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array
 def about(
     path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, given: bool
 ) -> list[Found]:
-    """Slopes, rates and outputs, states after events, notes, and whether the slopes are its own, of each point.
+    """Slopes, rates and outputs, states after events, notes, kinks, whether the slopes are its own, of each point.
 
     An FMU whose directional derivatives fail is opened anew and moved in their place.
     """
@@ -57,7 +58,7 @@ def about(
             raise
         told = f"differences of step {step:g} are taken: {error.reason.partition(':')[0]} for its own slopes"
     moved = _about(path, description, start, points, step, given=False)
-    return [(slopes, rates, after, [told, *notes], own) for slopes, rates, after, notes, own in moved]
+    return [(slopes, rates, after, [told, *notes], kinks, own) for slopes, rates, after, notes, kinks, own in moved]
 
 
 def _about(
@@ -67,11 +68,11 @@ def _about(
     try:
         for point in points:
             slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, given=given)
-            notes = _notes(block, point, after)
+            notes, kinks = _notes(block, point, after)
             if given:
                 slopes, more = _believed(block, replace(point, states=after), slopes, step)
                 notes += more
-            found.append((slopes, rates, after, notes, given))
+            found.append((slopes, rates, after, notes, kinks, given))
     finally:
         block.close()
     return found
@@ -87,7 +88,7 @@ def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> Different
     return block
 
 
-def _notes(block: DifferentiableFmu, point: Point, after: Array) -> list[str]:
+def _notes(block: DifferentiableFmu, point: Point, after: Array) -> tuple[list[str], list[Kink]]:
     """States that an event has moved, and kinks."""
     n, notes = len(after), []
     names = scalars(states_of(block.description))
@@ -95,10 +96,11 @@ def _notes(block: DifferentiableFmu, point: Point, after: Array) -> list[str]:
     if moved.any():
         told = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(names, after, moved, strict=True) if m)
         notes.append(f"an event of the FMU at this point has moved its states: {told}")
-    fed = scalars(reals(block.description, "input"))
-    notes += bends(lambda z: block.rates(z[:n], z[n:]), np.concatenate([after, point.inputs]), names, fed)
+    fed, shown = (scalars(reals(block.description, causality)) for causality in ("input", "output"))
+    z = np.concatenate([after, point.inputs])
+    kinks = kinks_at(lambda z: block.rates(z[:n], z[n:]), z, names, fed, shown)
     block.rates(after, point.inputs)
-    return notes
+    return notes, kinks
 
 
 def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float) -> tuple[Array, list[str]]:
@@ -136,7 +138,7 @@ class ExchangeSource(Source):
         self._asked = step
         block = DifferentiableFmu(NAME, path, description, self._start, frozenset())
         self._own = step is None and block.gives_slopes
-        self.step = DIFFERENCE if step is None else step
+        self.step = self.reach = DIFFERENCE if step is None else step
 
     def given(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """The same with the start values of a scenario's component, but for those that this FMU does not have."""
@@ -154,13 +156,13 @@ class ExchangeSource(Source):
         n, made = len(self.states), []
         found: list[Found] = self._call(about, list(points), self.step, self._own)
         differences = f"central differences of the FMU, step {self.step:g} of each value or of 1"
-        for point, (slopes, rates, after, notes, own) in zip(points, found, strict=True):
+        for point, (slopes, rates, after, notes, kinks, own) in zip(points, found, strict=True):
             method = GIVEN if own else differences
             made.append(
                 Linear(
                     slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], self.states, self.inputs,
                     self.outputs, Point(point.time, after, point.inputs), rates[:n], rates[n:], self.units, method,
-                    tuple(notes),
+                    tuple(notes), tuple(kinks),
                 )
             )  # fmt: skip
         return made

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.linearization.kinks import Kink
 
 HELD = 1e-9  # of a matrix's largest entry, below which an entry couples nothing
 
@@ -31,6 +32,7 @@ class Linear:
     units:   of states, inputs and outputs by name; "" where none is known
     method:  how the slopes were found
     notes:   what is to be known of them
+    kinks:   states and inputs at whose value there is no derivative, with the slopes to either side
     """
 
     A: Array
@@ -46,6 +48,7 @@ class Linear:
     units: Mapping[str, str]
     method: str
     notes: tuple[str, ...] = ()
+    kinks: tuple[Kink, ...] = ()
 
     def ss(self) -> Any:
         """The same as a `control.StateSpace`, with its names."""

@@ -58,7 +58,9 @@ def read_at(given: Sequence[str]) -> Where:
                 what = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
                 faults.append(Fault(AT, 0, 0, f"{short(text)} is {what}"))
                 break
-            values[name] = value
+            if name in values:
+                faults.append(Fault(AT, 0, 0, f"{name} is given twice, {short(values[name])} and {short(value)}"))
+            values.setdefault(name, value)
     if len(moments) > 1:
         faults.append(Fault(AT, 0, 0, f"{len(moments)} scenarios are named; name one"))
     if faults:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.linearization.kinks import RATE, Kink, Row
 from cosim.linearization.linear import Linear
 from cosim.linearization.outcome import Outcome
 from cosim.linearization.response import Response, frequencies, response
@@ -53,9 +54,16 @@ def page(outcome: Outcome) -> str:
             "condition": number(found.condition) if math.isfinite(found.condition) else "",
             "bode": bode[:MOST], "left_out": max(0, len(bode) - MOST),
             "along": _along(outcome, charts), "data": charts.data(),  # after all that is drawn
+            "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
             "matrices": [_matrix(linear, n) for n in "ABCD"], "largest": LARGEST, "version": __version__,
         },
     )  # fmt: skip
+
+
+def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
+    slope = f"rate of {row.name}" if row.of == RATE else row.name
+    values = {"value": kink.value, "below": row.below, "above": row.above, "jump": row.jump}
+    return {"variable": kink.variable, "row": slope, "side": kink.side, **{n: number(v) for n, v in values.items()}}
 
 
 def _badges(linear: Linear, found: Structure) -> list[Badge]:

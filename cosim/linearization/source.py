@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.errors import SimulationError
+from cosim.linearization.kinks import STEP, Kink, kinks_at
 from cosim.linearization.linear import Linear, Point
 from cosim.linearization.parameters import with_parameters
 from cosim.models.file import LoadedModel
@@ -19,8 +20,6 @@ from plant.model import Effect, overrides
 from plant.namespaces import SCALAR
 
 EXACT = "the equations, differentiated exactly"
-STEP = 1e-6  # of each state and input, or of 1, over which slopes to either side are compared
-BENT = 1e-3  # of the largest slope in a row, by which they may differ
 SETTLED = 1e-12  # of the rates, where states that are to settle have done so
 PASSES = 50
 
@@ -29,9 +28,11 @@ class Source(ABC):
     """What can be linearised.
 
     title:  what it is; starts: states and inputs where nothing else is said
+    reach:  steps of its differences, of each state and input or of 1
     """
 
     title: str
+    reach: float = STEP
     files: tuple[Path, ...]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -95,9 +96,10 @@ class EquationSource(Source):
         matrices = found.A, found.B, found.C, found.D
         if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
             raise SimulationError(self.name, point.time, "the equations or their slopes are not finite there")
-        notes = (*self._memories(), *self._kinks(point))
+        kinks, notes = self._kinks(point)
         return Linear(
-            *matrices, self.states, self.inputs, self.outputs, point, rates, values, self.units, EXACT, notes
+            *matrices, self.states, self.inputs, self.outputs, point, rates, values, self.units, EXACT,
+            (*self._memories(), *notes), tuple(kinks),
         )  # fmt: skip
 
     def _at(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
@@ -110,32 +112,18 @@ class EquationSource(Source):
         shaping = overrides(self.model.awake, "shape", Effect)
         return [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
 
-    def _kinks(self, point: Point) -> list[str]:
-        """Where the equations bend: slopes to either side are not the same."""
+    def _kinks(self, point: Point) -> tuple[list[Kink], list[str]]:
+        """Where the equations bend: slopes to either side are not the same; and what is to be known besides."""
 
         def rates(z: Array) -> Array:
             n = len(self.states)
             return np.concatenate(self._at(point.time, z[:n], z[n:]))
 
+        z = np.concatenate([point.states, point.inputs])
         try:
-            return bends(rates, np.concatenate([point.states, point.inputs]), self.states, self.inputs)
+            return kinks_at(rates, z, self.states, self.inputs, self.outputs), []
         except (ArithmeticError, ValueError):  # there is nothing to one side
-            return ["the equations end at this point: to one side of it they have no value"]
-
-
-def bends(rates: Any, z: Array, states: Sequence[str], inputs: Sequence[str]) -> list[str]:
-    """States and inputs in which a function has another slope to either side of z."""
-    here, found = rates(z), []
-    for k, name in enumerate((*states, *inputs)):
-        h = STEP * max(1.0, abs(float(z[k])))
-        step = np.zeros_like(z)
-        step[k] = h
-        ahead, behind = (rates(z + step) - here) / h, (here - rates(z - step)) / h
-        size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
-        jumped = np.abs(ahead - behind) > BENT * size + 1e-8 * np.abs(here) / h + 1e-9 / h
-        if jumped.any():
-            found.append(f"the slope in {name} is another to either side of this point: a kink or a jump")
-    return found
+            return [], ["the equations end at this point: to one side of it they have no value"]
 
 
 def settled(source: Source, point: Point, fast: Sequence[str]) -> Point:

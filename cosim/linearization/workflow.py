@@ -9,15 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
+from cosim.linearization.kinks import BESIDE, OUTPUT, RATE, SIDES, Kink
 from cosim.linearization.linear import Linear, Point, chosen, missing_states, residualised
 from cosim.linearization.outcome import Outcome
 from cosim.linearization.parameters import with_parameters
-from cosim.linearization.point import moved, read_at
+from cosim.linearization.point import AT, moved, read_at
 from cosim.linearization.source import EquationSource, Source, settled
 from cosim.linearization.structure import structure
 from cosim.linearization.write import FILES, write
@@ -27,6 +29,9 @@ from cosim.registry import BASE, MODELS
 from cosim.simulation.single import start_pairs
 from cosim.yaml_file import did_you_mean
 
+SIDE = Path("--side")
+NO_DERIVATIVE = "; there is no derivative: say --side below or --side above, or give a point beside it"
+MOST_TOLD = 10  # kinks
 IDLE = "moves nothing at this point: a dead band or a stop, perhaps"
 
 
@@ -55,6 +60,7 @@ def linearize(
     residualize: Sequence[str] = (),
     component: str = "",
     step: float | None = None,
+    side: str | None = None,
     report: bool = True,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
@@ -65,8 +71,11 @@ def linearize(
     residualize: states that settle at once
     component:   of the scenario, where several would do
     step:        of central differences, for an FMU in place of its directional derivatives
+    side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
     Raises InputError, FmuError, SimulationError.
     """
+    if side is not None and side not in SIDES:
+        raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])
     where, folder = read_at(at), None if out is None else Path(out)
     asked = Asked(states, inputs, outputs, residualize)
     with ExitStack() as stack:
@@ -82,8 +91,12 @@ def linearize(
             source = source.given(along.given, set)
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
-        found = _linear(source, points, asked)
+        found = _linear(source, points, asked, side)
     notes += [f"{name} {IDLE}" for name in _idle(found)]
+    beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
+    notes += beside[:MOST_TOLD]
+    if len(beside) > MOST_TOLD:
+        notes.append(f"{len(beside) - MOST_TOLD} kinks more; linear.json has all")
     if found[0].notes:
         notes += [n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in notes]
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
@@ -162,10 +175,10 @@ def _checked(source: Source, asked: Asked) -> Asked:
     )  # fmt: skip
 
 
-def _linear(source: Source, points: Sequence[Point], asked: Asked) -> list[Linear]:
+def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:
     """Slopes at every point, without what is not asked for."""
     try:
-        whole = source.linear([settled(source, point, asked.fast) for point in points])
+        whole = _beside(source, source.linear([settled(source, point, asked.fast) for point in points]), asked, side)
         found = [residualised(each, asked.fast) for each in whole]
     except ValueError as error:
         raise InputError([Fault(Path("--residualize"), 0, 0, str(error))]) from None
@@ -175,3 +188,55 @@ def _linear(source: Source, points: Sequence[Point], asked: Asked) -> list[Linea
         told = f"what is kept depends on {', '.join(lacking)}; {cure}"
         raise InputError([Fault(Path("--states"), 0, 0, told)])
     return [chosen(each, asked.states, asked.inputs, asked.outputs) for each in found]
+
+
+def _beside(source: Source, found: Sequence[Linear], asked: Asked, side: str | None) -> list[Linear]:
+    """Those at a kink with the slopes of a side; InputError where none is said.
+
+    One kink after the other is left by a little, those of inputs first, so that all slopes are of one and the same
+    branch: where a kink is between two of them, the other is then on its other side.
+    """
+    first = [_kinks(each, asked) for each in found]
+    if side is None:
+        faults = [Fault(AT, 0, 0, k.told + NO_DERIVATIVE) for k in dict.fromkeys(k for kinks in first for k in kinks)]
+        if faults:
+            raise InputError(faults)
+        return [replace(each, kinks=()) for each in found]
+    made = list(found)
+    for _ in range(len(source.states) + len(source.inputs)):
+        left = [(i, kinks[-1].variable) for i, each in enumerate(made) if (kinks := _kinks(each, asked))]
+        if not left:
+            break
+        points = [_moved(source, made[i].point, name, SIDES[side]) for i, name in left]
+        for (i, _), each in zip(left, source.linear(points), strict=True):
+            made[i] = each
+    return [replace(m, kinks=tuple(k.taken(_slopes(m, k)) for k in ks)) for m, ks in zip(made, first, strict=True)]
+
+
+def _slopes(linear: Linear, kink: Kink) -> dict[tuple[str, str], float]:
+    """Those of every rate and output in a kink's variable."""
+    to_rates, to_outputs, names = (linear.A, linear.C, linear.states)
+    if kink.variable in linear.inputs:
+        to_rates, to_outputs, names = (linear.B, linear.D, linear.inputs)
+    k = names.index(kink.variable)
+    rates = {(RATE, n): float(v) for n, v in zip(linear.states, to_rates[:, k], strict=True)}
+    return rates | {(OUTPUT, n): float(v) for n, v in zip(linear.outputs, to_outputs[:, k], strict=True)}
+
+
+def _kinks(linear: Linear, asked: Asked) -> list[Kink]:
+    """Those in what is kept."""
+    states = (*asked.states, *asked.fast)
+    kept = [k.kept(states, asked.outputs) for k in linear.kinks if k.variable in (*states, *asked.inputs)]
+    return [k for k in kept if k.rows]
+
+
+def _moved(source: Source, point: Point, name: str, sign: float) -> Point:
+    """A point a few steps of the source's differences to a side."""
+
+    def beside(names: Sequence[str], values: Array) -> Array:
+        off = BESIDE * source.reach * np.maximum(1.0, np.abs(values))
+        return np.where([n == name for n in names], values + sign * off, values)
+
+    if name in source.states:
+        return replace(point, states=beside(source.states, point.states))
+    return replace(point, inputs=beside(source.inputs, point.inputs))

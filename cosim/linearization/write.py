@@ -74,6 +74,7 @@ def content(
                 "x0": m.point.states.tolist(), "u0": m.point.inputs.tolist(), "y0": m.values.tolist(),
                 "f0": m.rates.tolist(),
                 "A": m.A.tolist(), "B": m.B.tolist(), "C": m.C.tolist(), "D": m.D.tolist(),
+                "kinks": [k.as_json() for k in m.kinks],
             }
             for m in linear
         ],

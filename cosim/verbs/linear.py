@@ -41,6 +41,9 @@ def linearize(
     step: Annotated[
         float | None, typer.Option("--step", help="Of central differences, in place of an FMU's own slopes; 1e-5.")
     ] = None,
+    side: Annotated[
+        str | None, typer.Option("--side", help="below or above: whose slopes are taken where there is no derivative.")
+    ] = None,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
     ] = Path("linearized"),
@@ -53,7 +56,7 @@ def linearize(
 
     outcome = linearize_model(
         model, out, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs), outputs=_names(outputs),
-        residualize=_names(residualize), component=component, step=step, report=report,
+        residualize=_names(residualize), component=component, step=step, side=side, report=report,
     )  # fmt: skip
     for note in outcome.notes:
         warn(note)

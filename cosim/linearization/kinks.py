@@ -1,0 +1,100 @@
+"""Points at which a model has no derivative: slopes to either side differ, as at the edge of a dead band or a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Array
+
+STEP = 1e-6  # of each state and input, or of 1, over which slopes to either side are compared
+BENT = 1e-3  # of the largest slope in a row, by which they may differ
+NEARER = 10.0  # so many times
+BESIDE = 3.0  # steps from the kink to where the slopes of a side are taken
+SIDES = {"below": -1.0, "above": 1.0}
+RATE, OUTPUT = "rate", "output"
+
+
+@dataclass(frozen=True)
+class Row:
+    """Slope of a rate or an output to either side; jump: of its value from below to above, 0 at a mere kink."""
+
+    of: str
+    name: str
+    below: float
+    above: float
+    jump: float
+
+    def __str__(self) -> str:
+        what = f"the rate of {self.name}" if self.of == RATE else f"output {self.name}"
+        jump = f", and it jumps by {self.jump:.4g}" if self.jump else ""
+        return f"{what} has slope {self.below:.4g} below and {self.above:.4g} above{jump}"
+
+
+@dataclass(frozen=True)
+class Kink:
+    """A state or input at whose value slopes in it differ from side to side; side: whose slopes were taken."""
+
+    variable: str
+    value: float
+    rows: tuple[Row, ...]
+    side: str = ""
+
+    @property
+    def told(self) -> str:
+        """Where it is, and what each side gives; three rows of many."""
+        rows = "; ".join(map(str, self.rows[:3]))
+        more = f"; and {len(self.rows) - 3} rows more" if len(self.rows) > 3 else ""
+        what = "jump" if any(r.jump for r in self.rows) else "kink"
+        return f"{self.variable} = {self.value:.6g} is a {what}: {rows}{more}"
+
+    def kept(self, states: Sequence[str], outputs: Sequence[str]) -> Kink:
+        """With the rows of these alone."""
+        names = {RATE: states, OUTPUT: outputs}
+        return replace(self, rows=tuple(r for r in self.rows if r.name in names[r.of]))
+
+    def taken(self, slopes: Mapping[tuple[str, str], float]) -> Kink:
+        """With the side whose slopes, by kind and name, these are."""
+
+        def off(side: str) -> float:
+            return sum(abs(slopes[r.of, r.name] - float(getattr(r, side))) for r in self.rows)
+
+        return replace(self, side=min(SIDES, key=off))
+
+    def as_json(self) -> dict[str, Any]:
+        """For a script."""
+        rows = [vars(r) for r in self.rows]
+        return {"variable": self.variable, "value": self.value, "side": self.side, "rows": rows}
+
+
+def kinks_at(
+    rates: Callable[[Array], Array], z: Array, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
+) -> list[Kink]:
+    """Kinks of a function of states and inputs that gives rates and outputs, at z."""
+    here, found = rates(z), []
+    rows = [*((RATE, n) for n in states), *((OUTPUT, n) for n in outputs)]
+    for k, name in enumerate((*states, *inputs)):
+        h = STEP * max(1.0, abs(float(z[k])))
+        along = np.zeros_like(z)
+        along[k] = 1.0
+        up, down = rates(z + h * along), rates(z - h * along)
+        ahead, behind = (up - here) / h, (here - down) / h
+        size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
+        bent = np.abs(ahead - behind) > BENT * size + 1e-8 * np.abs(here) / h + 1e-9 / h
+        if not bent.any():
+            continue
+        # nearer to the point a curve is straight, a kink is not
+        near = h / NEARER
+        up, further, down, back = (rates(z + m * near * along) for m in (1.0, 2.0, -1.0, -2.0))
+        bent &= np.abs(up - 2.0 * here + down) / near > 0.5 * np.abs(ahead - behind)
+        # slopes beyond the first step of each side, so that a jump at the point is in neither
+        above, below = (further - up) / near, (down - back) / near
+        jump = (2.0 * up - further) - (2.0 * down - back)
+        jump = np.where(np.abs(jump) > 0.5 * np.abs(up - down), jump, 0.0)
+        told = [Row(*rows[i], *(float(v[i]) for v in (below, above, jump))) for i in np.flatnonzero(bent)]
+        if told:
+            found.append(Kink(name, float(z[k]), tuple(told)))
+    return found
