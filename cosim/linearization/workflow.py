@@ -11,7 +11,8 @@ import numpy as np
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
-from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
+from cosim.folders import check_left
+from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
 from cosim.linearization.linear import Linear, Point, chosen, missing_states, residualised
@@ -56,6 +57,7 @@ def linearize(
     component: str = "",
     step: float | None = None,
     report: bool = True,
+    force: bool = True,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
 
@@ -65,6 +67,7 @@ def linearize(
     residualize: states that settle at once
     component:   of the scenario, where several would do
     step:        of central differences, for an FMU in place of its directional derivatives
+    force:       also over what another model's, or another command, left in `out`
     Raises InputError, FmuError, SimulationError.
     """
     where, folder = read_at(at), None if out is None else Path(out)
@@ -73,6 +76,7 @@ def linearize(
         source = _source(stack, Path(model), set, step)
         asked = _checked(source, asked)
         if folder is not None:
+            check_left(folder, "cosim linearize", str(model), force=force)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -106,11 +110,11 @@ def _idle(found: Sequence[Linear]) -> list[str]:
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
     """The equations or the FMU that is named."""
     text = str(path)
-    if text not in MODELS and text != BASE and ".py:" not in text:
-        kind = kind_of(path)
-        if kind == FMU:
+    if text not in MODELS and text != BASE and ".py:" not in text and not names_refine(path):
+        if path.exists():
+            check_given(path, MODEL, FMU, CODE)
+        if kind_of(path) == FMU:
             return _fmu(stack, path, given, step)
-        refuse_other(path, None if names_refine(path) else kind, MODEL, FMU, CODE)
     if step is not None:
         told = "is of FMUs; equations are differentiated exactly, so leave it out"
         raise InputError([Fault(Path("--step"), 0, 0, told)])
