@@ -96,7 +96,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "value": (described(DESCRIPTION.replace('Reference="0"', 'Reference="zero"')), "is not a valid FMU"),
     "empty": (lambda p: archive(p, None), "has no modelDescription.xml"),
     "text": (lambda p: p.write_text("no archive"), "is not a zip archive"),
-    "nothing": (lambda p: p.write_bytes(b""), "is not a zip archive"),
+    "nothing": (lambda p: p.write_bytes(b""), "is empty; give"),
 }
 INTERNALS = ("NoneType", "object has no", "Traceback", "Error:", "KeyError", "[Errno", "invalid literal", "argument of")
 

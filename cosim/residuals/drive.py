@@ -17,7 +17,7 @@ from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
-from cosim.errors import Fault, InputError, SimulationError
+from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.kinds import FMU, LOG, check_given
 from cosim.logs.log import Log, SignalLike, read_log
@@ -40,14 +40,18 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
 
 
 def check_files(log: Path, fmu: Path | None) -> None:
-    """InputError with what each is where it is no log, or no FMU."""
+    """InputError with what each is where it is no log, or no FMU; beside a faulty log, what is wrong with an FMU too."""
     faults: list[Fault] = []
     for given, kind in ((log, LOG), (fmu, FMU)):
         try:
             if given is not None:
                 check_given(given, kind)
+                if faults:
+                    read_description(given)
         except InputError as error:
             faults += error.faults
+        except FmuError as error:
+            faults.append(Fault(Path(given or ""), 0, 0, str(error).removeprefix(f"{given} "), error.exit_code))
     if faults:
         raise InputError(faults)
 
