@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from cosim import kinds
 from cosim.blocks.fmu import read_description
@@ -18,7 +18,7 @@ from cosim.errors import Crashed, DiskFull, Fault, FmuError, InputError, Interru
 from cosim.files import FilePath
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.kinds import kind_by_keys, kind_by_name
+from cosim.kinds import kind_by_form, kind_by_keys, refuse_unreadable
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
 from cosim.models.file import load_model, only_model, read_model
@@ -34,6 +34,7 @@ from cosim.yaml_file import YamlFile
 from plant.model import Model
 from plant.traits import Traits
 
+WANTED = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 LONGEST = 60.0  # [s] that a call may take while an FMU is tried
 STEP, STEPS = 0.01, 500  # [s] of an FMU that says nothing, steps in the experiment of one that says no step
 
@@ -59,9 +60,9 @@ def check_files(files: FilePath | Iterable[FilePath], model: str = BASE, *, load
 
 def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
-    if path.exists() and not path.is_file():
-        raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
-    match kind_by_name(path):
+    if not path.suffix.startswith(".py:"):
+        refuse_unreadable(path, WANTED)
+    match kind_by_form(path):
         case kinds.FMU:
             if faults := check_fmu(path, worker):
                 raise InputError(faults)
@@ -73,14 +74,14 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case kinds.CODE:
             only_model(path)
             return []
+        case str() as other:
+            _refuse_unchecked(path, other)
     if path.suffix.startswith(".py:"):  # FILE.py:Class
         text = str(path)
         only_model(Path(text.removesuffix(":"))) if text.endswith(":") else load_model(text, Path())
         return []
     root = YamlFile(path).root
     match kind_by_keys(root):
-        case kinds.ANSWER:
-            raise InputError([Fault(path, 1, 1, f"is {kinds.ANSWER}; check the study or model.yaml beside it")])
         case kinds.MODEL:
             read_model(path)
         case kinds.PROTOCOL:
@@ -95,9 +96,16 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
             return [f"warning: {text}" for text in read_study(path).warnings]
         case None if root.keys() & {"model", "candidates"} and "step" not in root:
             return [f"warning: {text}" for text in read_study(path).warnings]
-        case _:
+        case None | kinds.SCENARIO | kinds.MANIFEST:
             check_scenario(path, worker)
+        case other:
+            _refuse_unchecked(path, other)
     return []
+
+
+def _refuse_unchecked(path: Path, kind: str) -> NoReturn:
+    cure = kinds.READ_BY[kind].format(file=kinds.as_typed(path))
+    raise InputError([Fault(path, 0, 0, f"is {kind}, in which there is nothing to check: {cure}")])
 
 
 def log_findings(path: Path, model: Model) -> list[str]:

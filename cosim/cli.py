@@ -14,6 +14,7 @@ import typer
 
 from cosim.errors import CosimError, Fault, FmuError, InputError, Interrupted, Signalled, SimulationError, Terminated
 from cosim.files import check_text, is_full
+from cosim.folders import folder_named, folder_of_file, name_of
 from cosim.garbage import collect_seldom
 from cosim.program import STOPPED, as_program
 from cosim.verbs import register
@@ -191,7 +192,9 @@ def replay(
     plant: Annotated[
         Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
     ] = None,
-    out: Out = Path("replayed"),
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the log without.")
+    ] = None,
     start: Annotated[
         list[str] | None,
         typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
@@ -206,32 +209,37 @@ def replay(
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
     ] = "",
     open_: Open = False,
+    force: Force = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
+    place = folder_of_file(log) if out is None else out
     with progress_bar("replaying") as progress:
         comparison = replay_log(
-            log, out, plant, start=start or (), columns=column or (), report=report,
+            log, place, plant, start=start or (), columns=column or (), report=report, force=force,
             in_process=in_process, limits=limits, progress=progress,
         )  # fmt: skip
     for finding in comparison.findings:
         if finding.severity == "warning":
             echo(finding.line, err=True)
     say(verdict(comparison))
-    say(f"residual: {out / 'residual.csv'}" + (f", report: {out / 'report.html'}" if report else ""))
+    say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
     if report and open_:
-        show(out / "report.html")
+        show(place / "report.html")
 
 
 @app.command()
 def refine(
     study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
-    out: Out = Path("refined"),
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     in_process: InProcess = False,
     open_: Open = False,
+    force: Force = False,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
@@ -240,21 +248,22 @@ def refine(
     from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
+    place = folder_of_file(study) if out is None else out
     with stages(numbered) as progress:
-        result = refine_study(study, out, progress, report=report, in_process=in_process)
+        result = refine_study(study, place, progress, report=report, force=force, in_process=in_process)
     for warning in result.study.warnings:
         warn(warning)
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
-    say(f"verdict: {result.record['verdict']}, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}")
+    say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
     if report:
-        say(f"report: {out / 'report.html'}")
+        say(f"report: {place / 'report.html'}")
     if report and open_:
-        show(out / "report.html")
+        show(place / "report.html")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
         from cosim.experiment.ranges import inputs_to_limit
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
-        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(out)), *limits])}")
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
 
 
 @app.command()
@@ -265,7 +274,9 @@ def excite(
     against: Annotated[
         list[str] | None, typer.Option("--against", help="An effect, sensor or parameter to tell apart; repeatable.")
     ] = None,
-    out: Out = Path("excitation"),
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-excitation without.")
+    ] = None,
     limit: Annotated[
         list[str] | None,
         typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
@@ -281,20 +292,23 @@ def excite(
         float | None, typer.Option(help="Of the experiment, in seconds; 40 without, longer for a slow model.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
+    force: Force = False,
 ) -> None:
     """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that plays it."""
     from cosim.experiment.excite import excite as choose
 
+    place = folder_named(name_of(model), "excitation") if out is None else out
     with stages() as progress:
         found = choose(
-            model, out, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
-            duration=duration, seed=seed, progress=progress,
+            model, place, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
+            duration=duration, seed=seed, force=force, progress=progress,
         )  # fmt: skip
     if found.warning:
         warn(found.warning)
     for line in found.sentences:
         say(line)
-    say(f"excitation: {out / 'excitation.csv'}, played by: cosim run {out / 'excitation.yaml'}")
+    played = shlex.quote(str(place / "excitation.yaml"))
+    say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {played}")
 
 
 @app.command()
@@ -303,20 +317,31 @@ def identify(
         Path,
         typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
     ],
-    out: Out = Path("identified"),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Force = False,
 ) -> None:
     """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
+    from cosim.identification.given import results_of
     from cosim.identification.workflow import identify as identify_bench
 
+    place = results_of(protocol) if out is None else out
     with stages() as progress:
-        outcome = identify_bench(protocol, out, progress, report=report, seed=seed)
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
     for line in outcome.sentences:
         say(line)
-    say(outcome.closing(out))
+    say(outcome.closing(place))
+    if report:
+        say(f"report: {place / 'report.html'}")
+    if report and open_:
+        show(place / "report.html")
 
 
 @app.command()

@@ -96,7 +96,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "value": (described(DESCRIPTION.replace('Reference="0"', 'Reference="zero"')), "is not a valid FMU"),
     "empty": (lambda p: archive(p, None), "has no modelDescription.xml"),
     "text": (lambda p: p.write_text("no archive"), "is not a zip archive"),
-    "nothing": (lambda p: p.write_bytes(b""), "is not a zip archive"),
+    "nothing": (lambda p: p.write_bytes(b""), "is empty; give"),
 }
 INTERNALS = ("NoneType", "object has no", "Traceback", "Error:", "KeyError", "[Errno", "invalid literal", "argument of")
 
@@ -108,7 +108,7 @@ def test_a_hostile_archive_is_refused_with_a_reason(tmp_path: Path, kind: str) -
     make(path)
     with pytest.raises(InputError) as caught:
         check_files(path)
-    assert caught.value.exit_code == 3
+    assert caught.value.exit_code == (2 if kind == "nothing" else 3)  # an empty file is no FMU at all
     assert words in str(caught.value)
     assert not any(word in str(caught.value) for word in INTERNALS), caught.value
     assert list(tmp_path.iterdir()) == [path]

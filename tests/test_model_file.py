@@ -396,7 +396,7 @@ def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) 
         ("class A(Model): pass\nB = A\n", "own.py", "own.py:3:1: A has no equations"),
         ("class A(Model): pass\n", "own.py:", "own.py:3:1: A has no equations"),
         ("import (\n", "own.py", "own.py:3:8: does not load: SyntaxError"),
-        ("", "none.py", "none.py: no such model file"),
+        ("", "none.py", "none.py: no such file"),
         ("", "none.py:A", "none.py: no such model file"),
     ],
 )

@@ -13,11 +13,11 @@ from cosim.comparison.differences import Compared, Difference, compared, criteri
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
+from cosim.folders import check_left, folder_named
 from cosim.report.data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
-from cosim.simulation.folder import folder_named
 from cosim.text import amount, display, written
 from cosim.version import __version__
 
@@ -35,11 +35,12 @@ def compare(
     absolute: float = 0.0,
     report: bool = True,
     write: bool = True,
+    force: bool = False,
 ) -> tuple[Compared, Path]:
     """Hold run b against run a; leaves comparison.json and report.html in the folder returned.
 
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    write:     without, nothing is left
+    write:     without, nothing is left; force: also over what another command left there
     Raises InputError where they share no signal or no time.
     """
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
@@ -50,8 +51,7 @@ def compare(
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    if any((place / name).exists() for name in ("manifest.json", "refine.json", "residual.csv")):
-        raise InputError([Fault(place, 0, 0, "holds what another command left; give another folder as --out")])
+    check_left(place, "cosim compare", force=force)
     check_writable(place, MADE, read)
     with atomic_write(place / "comparison.json") as stream:
         json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)

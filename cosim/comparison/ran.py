@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import Fault, InputError
-from cosim.kinds import LOG, check_given
+from cosim.folders import manifest_in
+from cosim.kinds import LOG, check_given, refuse_folder
 from cosim.results import Results, read_results
-from cosim.simulation.folder import manifest_in
+
+WANTED = "the folder of a run or a CSV"
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ def read_ran(path: Path) -> Ran:
         return Ran(path, path.stem, read_results(path))
     csv = path / "results.csv"
     if not csv.is_file():
+        refuse_folder(path, WANTED)
         cure = "give the folder that a run left, or a CSV"
         raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
     manifest = manifest_in(path)

@@ -11,8 +11,8 @@ import numpy as np
 from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.page import page
 from cosim.files import atomic_write, check_writable
+from cosim.folders import check_left
 from cosim.registry import BASE_NAME, MODELS, resolve
-from cosim.simulation.folder import check_ours
 
 SHORTEST = 100  # steps; errors count after the first second
 RECORD, PAGE = "consistency.json", "report.html"
@@ -38,7 +38,7 @@ def consistency(
 
 def check_folder(folder: Path, *, force: bool = False) -> None:
     """Make the folder; InputError where it cannot be written, or, without force, holds what another command left."""
-    check_ours(folder, force=force)
+    check_left(folder, "cosim consistency", force=force)
     check_writable(folder, [RECORD, PAGE])
 
 

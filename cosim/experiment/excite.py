@@ -21,6 +21,7 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
 from cosim.files import FilePath, atomic_write, check_writable
+from cosim.folders import check_left
 from cosim.logs.log import slowness
 from cosim.table import write_columns
 from cosim.text import counted
@@ -132,9 +133,13 @@ def excite(
     duration: float | None = None,
     seed: int = 1,
     experiments: int = EXPERIMENTS,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> Excitation:
-    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`. Raises InputError."""
+    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
+
+    force: also over what another command left there. Raises InputError.
+    """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
     question, folder = ask(text, against, limits, measured, ranges), Path(folder)
@@ -142,6 +147,7 @@ def excite(
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
+    check_left(folder, "cosim excite", force=force)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
     found = _choose(question, rig, time, seed, experiments, report)
     if found is None:

@@ -13,8 +13,10 @@ from cosim.estimation.candidates import Candidate, candidates, neutral_values
 from cosim.experiment.ranges import allowed, inputs_to_limit, seen_in
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
+from cosim.kinds import ANSWER, CODE, MODEL, check_form, check_given
 from cosim.logs.log import read_log
 from cosim.models.file import LoadedModel, load_model
+from cosim.models.refined import names_refine
 from cosim.refinement.hypotheses import TOGETHER
 from cosim.refinement.judgement import SIGNIFICANT
 from cosim.refinement.study import StudyFile
@@ -83,7 +85,9 @@ def ask(
 ) -> Question:
     """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
     path = Path(text)
-    if folder := refinement_folder(text):
+    if path.exists() and not names_refine(path) and ".py:" not in text:
+        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
+    if (folder := refinement_folder(text)) and path.exists():
         path = folder / "refine.json" if path.is_dir() else path
         question = _of_refinement(path, against)
     else:

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cosim.errors import InputError
+from cosim.folders import folder_named
 from cosim.identification.craft import read_craft
 from cosim.identification.protocol import read_protocol
-from cosim.kinds import PROTOCOL, kind_of, refuse_other
+from cosim.kinds import PROTOCOL, check_given
 from cosim.yaml_file import YamlFile
 
 
 def craft_file(path: Path) -> YamlFile | None:
     """The file where it is about logs of a craft in place of a bench."""
-    refuse_other(path, kind_of(path), PROTOCOL)
+    check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
+
+
+def results_of(path: Path) -> Path:
+    """results/NAME, of the name that the file gives, of its own where it has none."""
+    try:
+        named = YamlFile(path).root.get("name")
+    except InputError:  # which is told when it is read
+        named = None
+    return folder_named(named if isinstance(named, str) else path.stem)
 
 
 def check_protocol(path: Path) -> None:

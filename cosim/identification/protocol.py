@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cosim.errors import Fault, InputError
-from cosim.kinds import PROTOCOL, kind_of, refuse_other
+from cosim.kinds import PROTOCOL, check_given
 from cosim.yaml_file import NotNegative, Number, Part, Positive, YamlFile, did_you_mean
 from fmus.units import factor
 from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
@@ -140,7 +140,7 @@ class Protocol:
 
 def read_protocol(path: Path) -> Protocol:
     """Read a protocol; InputError with every fault that can be known without a recording."""
-    refuse_other(path, kind_of(path), PROTOCOL)
+    check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     content, faults = yaml.partly(ProtocolFile, "tests")
     if content is None:

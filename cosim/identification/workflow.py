@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, check_writable
+from cosim.folders import check_left
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
 from cosim.identification.craft import CraftOutcome
@@ -22,6 +23,7 @@ from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
 from cosim.identification.write import RECORD, REPORT, model_text, write
+from cosim.kinds import PROTOCOL, check_given
 from cosim.models.file import load_model, named_model
 from cosim.registry import MODELS, resolve
 from plant.bench import Bench
@@ -34,13 +36,22 @@ Progress = Callable[[str, float], None]
 
 
 def identify(
-    path: FilePath, out: FilePath, progress: Progress | None = None, *, report: bool = True, seed: int | None = None
+    path: FilePath,
+    out: FilePath,
+    progress: Progress | None = None,
+    *,
+    report: bool = True,
+    seed: int | None = None,
+    force: bool = True,
 ) -> Outcome | CraftOutcome:
     """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
 
-    Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train.
+    Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
+    command left in `out`.
     """
     path, out = Path(path), Path(out)
+    check_given(path, PROTOCOL)
+    check_left(out, "cosim identify", force=force)
     if (yaml := craft_file(path)) is not None:
         return identify_craft(yaml, out, report=report)
     protocol = read_protocol(path)

@@ -12,7 +12,8 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
-from cosim.kinds import CODE, FMU, MODEL, kind_of, refuse_other
+from cosim.folders import check_left
+from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
 from cosim.linearization.kinks import BESIDE, OUTPUT, RATE, SIDES, Kink
@@ -62,6 +63,7 @@ def linearize(
     step: float | None = None,
     side: str | None = None,
     report: bool = True,
+    force: bool = True,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
 
@@ -72,6 +74,7 @@ def linearize(
     component:   of the scenario, where several would do
     step:        of central differences, for an FMU in place of its directional derivatives
     side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
+    force:       also over what another model's, or another command, left in `out`
     Raises InputError, FmuError, SimulationError.
     """
     if side is not None and side not in SIDES:
@@ -82,6 +85,7 @@ def linearize(
         source = _source(stack, Path(model), set, step)
         asked = _checked(source, asked)
         if folder is not None:
+            check_left(folder, "cosim linearize", str(model), force=force)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -119,11 +123,11 @@ def _idle(found: Sequence[Linear]) -> list[str]:
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
     """The equations or the FMU that is named."""
     text = str(path)
-    if text not in MODELS and text != BASE and ".py:" not in text:
-        kind = kind_of(path)
-        if kind == FMU:
+    if text not in MODELS and text != BASE and ".py:" not in text and not names_refine(path):
+        if path.exists():
+            check_given(path, MODEL, FMU, CODE)
+        if kind_of(path) == FMU:
             return _fmu(stack, path, given, step)
-        refuse_other(path, None if names_refine(path) else kind, MODEL, FMU, CODE)
     if step is not None:
         told = "is of FMUs; equations are differentiated exactly, so leave it out"
         raise InputError([Fault(Path("--step"), 0, 0, told)])

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFun
 
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
+from cosim.kinds import CODE, MODEL, check_form, kind_by_keys, refuse_other
 from cosim.models.declared import checked
 from cosim.models.refined import NoNearest, names_refine, refined_file
 from cosim.models.source import Source
@@ -128,7 +129,7 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     if path.suffix == ".py":
         message = f"names no class: write {text}:{(Source(path).classes or ['Class'])[-1]}; {GIVEN}"
         raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
-    if not path.is_file():
+    if not path.exists():
         raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
     return read_model(path)
 
@@ -138,8 +139,10 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
 
     read: files on the way here, by `parameters_from`
     """
+    check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
     _refuse_study(yaml)
+    refuse_other(path, kind_by_keys(yaml.root), MODEL)
     content, faults = yaml.partly(ModelFile, "model")
     if content is None:
         raise InputError(faults)

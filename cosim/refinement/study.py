@@ -17,7 +17,7 @@ from cosim.errors import Fault, InputError
 from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
-from cosim.kinds import STUDY, kind_by_keys, kind_by_name, refuse_other
+from cosim.kinds import STUDY, check_form, kind_by_keys, refuse_other
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
@@ -167,7 +167,7 @@ class Study:
 
 def read_study(path: Path) -> Study:
     """Read a study and its logs; InputError with every fault of all of them."""
-    refuse_other(path, kind_by_name(path), STUDY)
+    check_form(path, STUDY)
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
     content, faults = yaml.partly(StudyFile, "model")

@@ -24,6 +24,7 @@ from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
+from cosim.folders import check_left
 from cosim.isolation.process import Worker
 from cosim.models.file import LoadedModel, write_model
 from cosim.models.refined import ANSWER, NEAREST, REFINED
@@ -61,17 +62,20 @@ def refine(
     progress: Progress | None = None,
     *,
     report: bool = False,
+    force: bool = True,
     in_process: bool = False,
 ) -> Refinement:
     """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them.
 
-    With `report`, report.html too. in_process: FMUs are loaded into this process, for a debugger.
+    With `report`, report.html too. force: also over what another study or command left there.
+    in_process: FMUs are loaded into this process, for a debugger.
     Raises InputError, FmuError; SimulationError where an FMU fails.
     """
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
     study, folder = read_study(Path(path)), Path(folder)
+    check_left(folder, "cosim refine", str(path), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
     found = attributed(study.loaded.model, problem, _on_trial(study, problem), progress)

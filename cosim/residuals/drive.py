@@ -19,7 +19,7 @@ from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
-from cosim.kinds import LOG, kind_of, refuse_other
+from cosim.kinds import FMU, LOG, check_given
 from cosim.logs.log import Log, SignalLike, read_log
 from cosim.yaml_file import did_you_mean
 from fmus.annotation import traits_of
@@ -39,19 +39,30 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
     return block.inputs, block.outputs
 
 
+def check_files(log: Path, fmu: Path | None) -> None:
+    """InputError with what each is where it is no log, or no FMU; beside a faulty log, what is wrong with an FMU too."""
+    faults: list[Fault] = []
+    for given, kind in ((log, LOG), (fmu, FMU)):
+        try:
+            if given is not None:
+                check_given(given, kind)
+                if faults:
+                    read_description(given)
+        except InputError as error:
+            faults += error.faults
+        except FmuError as error:
+            faults.append(Fault(Path(given or ""), 0, 0, str(error).removeprefix(f"{given} "), error.exit_code))
+    if faults:
+        raise InputError(faults)
+
+
 def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
     """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault.
 
     columns: name in the log → name in the FMU, where they differ
     """
-    refuse_other(path, kind_of(path), LOG)
-    try:
-        signals = model_signals(fmu)
-    except FmuError as error:
-        if path.is_file():
-            raise
-        faulty = Fault(fmu, 0, 0, str(error).removeprefix(f"{fmu} "), error.exit_code)
-        raise InputError([Fault(path, 0, 0, "no such file"), faulty]) from None
+    check_files(path, fmu)
+    signals = model_signals(fmu)
     if (traits := traits_of(fmu)) is not None and traits.static:
         cure = "list the table in a study, `cosim refine` holds each row against the model"
         raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])

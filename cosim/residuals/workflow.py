@@ -14,6 +14,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import DiskFull, Terminated, stopped
 from cosim.files import FilePath, atomic_write, check_writable, is_full
+from cosim.folders import check_left
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.finding import Finding
@@ -24,7 +25,7 @@ from cosim.registry import BASE
 from cosim.report.template import render
 from cosim.residuals.apart import MODULES, DriveApart
 from cosim.residuals.compare import Comparison, compare, steps_of
-from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, log_of_fmu
+from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
 from cosim.residuals.given import renamed, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
@@ -44,6 +45,7 @@ def replay(
     start: Sequence[str] = (),
     columns: Sequence[str] = (),
     report: bool = True,
+    force: bool = True,
     in_process: bool = False,
     limits: str = "",
     progress: Callable[[int, int], None] | None = None,
@@ -53,10 +55,12 @@ def replay(
     start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
     Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
-    in_process: the FMU is loaded into this process, for a debugger.
+    force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
+    check_files(Path(log), None if fmu is None else Path(fmu))
+    check_left(Path(folder), "cosim replay", force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:

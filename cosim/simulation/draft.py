@@ -16,9 +16,9 @@ from cosim.blocks.interface import Signal
 from cosim.blocks.summary import experiment_of, platforms_of
 from cosim.errors import Fault, InputError
 from cosim.files import check_writable
+from cosim.folders import check_ours
 from cosim.kinds import LOG, check_given
 from cosim.simulation.draft_text import BY, scenario_text
-from cosim.simulation.folder import check_ours
 from cosim.simulation.matching import Match, Matches, Port, matched, text
 from cosim.simulation.order import AlgebraicLoop, stages
 from cosim.simulation.parts import STEPS, STOP, Part, Times, parts_of, times_of

@@ -14,7 +14,7 @@ from typing import Any
 
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write, check_writable
-from cosim.kinds import SSP, kind_by_name
+from cosim.kinds import SSP, kind_by_form
 from cosim.simulation.scenario_file import ROUNDING, ScenarioFile
 from cosim.simulation.system import build_system
 from cosim.ssp.elements import Element
@@ -30,8 +30,8 @@ STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say
 
 
 def is_ssp(path: Path) -> bool:
-    """Whether a file is taken for an SSP, by its name."""
-    return kind_by_name(path) == SSP
+    """Whether a file is taken for an SSP, by its name or what is in it."""
+    return kind_by_form(path) == SSP
 
 
 @dataclass

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.errors import Fault, InputError
-from cosim.kinds import MANIFEST, SCENARIO, check_given, kind_by_keys, kind_by_name, refuse_other
+from cosim.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
 from cosim.registry import BASE, MODELS
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
@@ -35,9 +35,7 @@ class ScenarioFile:
 
     def __init__(self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None) -> None:
         self.path = path
-        if path.is_dir():
-            check_given(path, SCENARIO, MANIFEST)
-        refuse_other(path, kind_by_name(path), SCENARIO, MANIFEST)
+        check_form(path, SCENARIO, MANIFEST)
         self.yaml = YamlFile(path, origin)
         refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None

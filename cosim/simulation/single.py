@@ -10,8 +10,8 @@ from typing import Any
 from cosim.blocks.summary import read_fmus
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
+from cosim.folders import folder_named
 from cosim.simulation.draft import write_single
-from cosim.simulation.folder import folder_named
 from cosim.simulation.parts import parts_of
 from cosim.simulation.workflow import Outcome, run
 from cosim.yaml_file import short

@@ -11,15 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cosim import kinds
 from cosim.errors import DiskFull, SimulationError
 from cosim.files import FilePath, check_writable, is_full, uninterrupted
+from cosim.folders import check_ours, folder_named
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
+from cosim.kinds import check_form
 from cosim.results import Results
 from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
-from cosim.simulation.folder import check_ours, folder_named
 from cosim.simulation.manifest import check_pinned, manifest, sha256, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -67,6 +69,8 @@ def run(
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
     began, path = time.perf_counter(), Path(scenario)
+    if not is_ssp(path):
+        check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before a worker is started
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:

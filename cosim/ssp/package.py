@@ -10,6 +10,8 @@ from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlsplit
 
 from cosim.errors import Fault, InputError
+from cosim.kinds import SSP as SSP_FILE
+from cosim.kinds import check_form
 from cosim.ssp.elements import Element, parse
 from cosim.ssp.schema import slips
 from fmus.archive import SSP, STRUCTURE, BadArchive, unpack
@@ -77,8 +79,7 @@ class Package:
 @contextmanager
 def opened(path: Path) -> Iterator[Package]:
     """A package whose archive is unpacked as long as the block lasts; InputError where it is none that is safe."""
-    if not path.is_file():
-        raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+    check_form(path, SSP_FILE)
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)
         return

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.errors import Fault, InputError
-from cosim.kinds import SWEEP, kind_of, refuse_other
+from cosim.kinds import SWEEP, check_given
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import resolve_scenario
 from cosim.simulation.scenario import Scenario, resolved
@@ -81,7 +81,7 @@ class Sweep:
 
 def read_sweep(path: Path) -> Sweep:
     """Read a sweep; InputError with every fault, those of its scenario too."""
-    refuse_other(path, kind_of(path), SWEEP)
+    check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")
     if file is None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.files import FilePath, atomic_write, check_writable
-from cosim.simulation.folder import folder_named
+from cosim.folders import check_left, folder_named
 from cosim.simulation.scenario import Criterion
 from cosim.sweeps.batch import kinds_of
 from cosim.sweeps.outcome import Swept, criterion_names
@@ -49,6 +49,7 @@ def sweep(
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else Path(out)
     read = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
+    check_left(folder, "cosim sweep", force=force)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
     with ExitStack() as stack:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, Open, say, say_json, show, table, warn
+from cosim.folders import folder_named, name_of
+from cosim.verbs.terminal import Force, Json, Open, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.linearization.outcome import Outcome
@@ -45,18 +46,21 @@ def linearize(
         str | None, typer.Option("--side", help="below or above: whose slopes are taken where there is no derivative.")
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
-    ] = Path("linearized"),
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-linear without.")
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     open_: Open = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Linearise a model about a point: A, B, C, D, poles, rank; linear.json, linear.mat, linear.py and report.html."""
     from cosim.linearization.workflow import linearize as linearize_model
 
+    place = folder_named(name_of(model), "linear") if out is None else out
     outcome = linearize_model(
-        model, out, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs), outputs=_names(outputs),
-        residualize=_names(residualize), component=component, step=step, side=side, report=report,
+        model, place, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs),
+        outputs=_names(outputs), residualize=_names(residualize), component=component, step=step, side=side,
+        report=report, force=force,
     )  # fmt: skip
     for note in outcome.notes:
         warn(note)
@@ -65,16 +69,16 @@ def linearize(
 
         say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
     else:
-        _tell(outcome, out)
+        _tell(outcome, place, report=report)
     if report and open_:
-        show(out / "report.html")
+        show(place / "report.html")
 
 
 def _names(given: list[str] | None) -> list[str]:
     return [name.strip() for text in given or () for name in text.split(",") if name.strip()]
 
 
-def _tell(outcome: Outcome, out: Path) -> None:
+def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
     from cosim.linearization.words import HEAD, headline, matrix_lines, pole_table
 
     m = outcome.first
@@ -92,4 +96,5 @@ def _tell(outcome: Outcome, out: Path) -> None:
         else ""
     )
     say(f"by {m.method}{several}")
-    say(f"linear model: {out / 'linear.json'}, linear.mat, linear.py; report: {out / 'report.html'}")
+    page = f"; report: {out / 'report.html'}" if report else ""
+    say(f"linear model: {out / 'linear.json'}, linear.mat, linear.py{page}")

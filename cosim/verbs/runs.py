@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.errors import CriterionMissed
-from cosim.verbs.terminal import Json, Open, judged, say, say_json, show, table
+from cosim.verbs.terminal import Force, Json, Open, judged, say, say_json, show, table
 
 SHOWN = 12  # signals told on the terminal
 
@@ -29,10 +29,11 @@ def compare(
     absolute: Annotated[float, typer.Option("--abs", help="In each signal's unit, added to --tol.")] = 0.0,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for comparison.json and report.html; results/A and B without."),
+        typer.Option("--out", "-o", help="Folder for comparison.json and report.html; results/A-and-B without."),
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     open_: Open = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
@@ -43,7 +44,9 @@ def compare(
 
     if absolute and tolerance is None:
         tolerance = 0.0
-    made, folder = compare_runs(read_ran(a), read_ran(b), out, tolerance=tolerance, absolute=absolute, report=report)
+    made, folder = compare_runs(
+        read_ran(a), read_ran(b), out, tolerance=tolerance, absolute=absolute, report=report, force=force
+    )
     if as_json:
         say_json(made.as_json())
     else:
