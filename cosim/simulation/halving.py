@@ -25,7 +25,7 @@ def why_not(system: System) -> str:
     for stage in system.stages:
         component = stage.component
         if isinstance(component, FmuBlock):
-            if not component.rolls_back:
+            if not component.instance.rolls_back:
                 return f"{component.name} gives no state away, or takes no step of another length"
         elif not isinstance(component, Source):
             return f"{component.name} cannot be taken back"
@@ -71,14 +71,14 @@ class Halved(_Run):
         states = []
         for part in parts:
             self.doing[0] = CALLS * self.components.index(part) + OTHER
-            states.append(part.saved())
+            states.append(part.instance.saved())
         return states
 
     def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
         """Give each FMU a state back, and free it."""
         for part, state in zip(parts, states, strict=True):
             self.doing[0] = CALLS * self.components.index(part) + OTHER
-            part.take_back(state)
+            part.instance.take_back(state)
 
     def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Outputs are what they were: SimulationError of an FMU that only says that it takes its state back."""
