@@ -14,7 +14,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
 from cosim.errors import SimulationError
 from cosim.isolation.rows import CALLS, GET, OTHER
-from cosim.simulation.master import _close, _Run, _transfer
+from cosim.simulation.copying import copy_values
+from cosim.simulation.initialization import settled
+from cosim.simulation.master import Master
 from cosim.simulation.system import System
 
 
@@ -32,7 +34,7 @@ def why_not(system: System) -> str:
     return ""
 
 
-class Halved(_Run):
+class Halved(Master):
     """A run whose rows are the differences of its steps from the same in halves; the first row has none."""
 
     def _step_on(self) -> None:
@@ -62,9 +64,9 @@ class Halved(_Run):
     def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
         """One exchange of values and the steps of all."""
         for step, transfers in zip(calls, copies, strict=True):
-            _transfer(self.row, transfers, k)
+            copy_values(self.row, transfers, k)
             step(t, end - t)
-        _transfer(self.row, held, k)
+        copy_values(self.row, held, k)
 
     def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
         """The state of each."""
@@ -86,6 +88,6 @@ class Halved(_Run):
             before = list(self.row)
             self.doing[0] = CALLS * self.components.index(part) + GET
             part.get()
-            if not _close(before, self.row):
+            if not settled(before, self.row):
                 raise SimulationError(part.name, t, "it does not come back to the state that it gave away")
         ctypes.memmove(self.row, row, len(row))
