@@ -83,9 +83,7 @@ def linearize(
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked)
-    notes += [f"{name} {IDLE}" for name in _idle(found)]
-    if found[0].notes:
-        notes += [n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in notes]
+    notes += _notes(found, notes)
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
     if folder is not None:
         write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)
@@ -95,6 +93,14 @@ def linearize(
             with atomic_write(folder / "report.html") as stream:
                 stream.write(page(outcome))
     return outcome
+
+
+def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
+    """What is to be known of the models beside what is known: inputs that do nothing, and their own notes."""
+    idle = [f"{name} {IDLE}" for name in _idle(found)]
+    if not found[0].notes:
+        return idle
+    return [*idle, *(n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in (*known, *idle))]
 
 
 def _idle(found: Sequence[Linear]) -> list[str]:
