@@ -11,16 +11,24 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from controller.design_model import Matrix
-from controller.gains import variance
-from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from controller.gains import Settings, variance
+from plant.hovercraft import Hovercraft
 from plant.integrate import Moment, Stepper
 from plant.model import Parametric
-from plant.quantities import parameter
+from plant.quantities import parameter, parameters_of
 
 SENSED = ("psi", "psi_dot", "ax")
 AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
 STATES = tuple(q.name for q in Hovercraft.base_states)
 ESTIMATED = ("x", "vx", "psi", "psi_dot")
+LINEAR = {p.name: p for p in parameters_of(Settings)}
+
+
+def of_linear(name: str) -> float:
+    """A number that the linear filter has too."""
+    p = LINEAR[name]
+    value: float = parameter(p.default, unit=p.unit, bounds=p.bounds, doc=p.doc)
+    return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,27 +39,25 @@ class ExtendedSettings(Parametric):
     along its own axes moves it in the world's: the world position has no noise of its own.
     """
 
-    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
+    process_variance_x: float = of_linear("process_variance_x")
     process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
-    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
-    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
+    process_variance_psi: float = of_linear("process_variance_psi")
+    process_variance_vx: float = of_linear("process_variance_vx")
     process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
-    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
+    process_variance_psi_dot: float = of_linear("process_variance_psi_dot")
     process_variance_phi: float = variance(1e-8, "rad2", "process noise of phi per step")
     process_variance_phi_dot: float = variance(1e-6, "rad2/s2", "process noise of phi_dot per step")
     process_variance_thrust_right: float = variance(1e-6, "N2", "process noise of the right thrust per step")
     process_variance_thrust_left: float = variance(1e-6, "N2", "process noise of the left thrust per step")
     process_variance_tilt_right: float = variance(4e-6, "rad2", "process noise of the right tilt per step, a's 1e-4")
     process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
-    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
-    measurement_variance_psi_dot: float = variance(
-        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
-    )
-    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_psi: float = of_linear("measurement_variance_psi")
+    measurement_variance_psi_dot: float = of_linear("measurement_variance_psi_dot")
+    measurement_variance_ax: float = of_linear("measurement_variance_ax")
     measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x, §7.1")
     measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
-    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
-    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
+    fix_latency: float = of_linear("fix_latency")
+    sample_time: float = of_linear("sample_time")
 
     axes: str = "own"
 

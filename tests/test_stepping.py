@@ -470,8 +470,8 @@ def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
     def stop(text: str) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(block, "_remember", stop)
-    block._listen(1, b"a word")  # called by C, out of which no exception leads
+    monkeypatch.setattr(block.instance, "remember", stop)
+    block.instance.listen(1, b"a word")  # called by C, out of which no exception leads
     with pytest.raises(KeyboardInterrupt):
         block.came_to(1.0)
     block.came_to(1.0)

@@ -76,25 +76,25 @@ class DifferentiableFmu(FmuBlock):
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """To a time, states and inputs, with the events that come of it; the states after them."""
-        with self._failing():
-            self._fmu.setTime(t)
+        with self.instance.failing():
+            self.instance.fmu.setTime(t)
             self._put_states(states)
-            self._fmu.enterEventMode()
+            self.instance.fmu.enterEventMode()
             self._write_reals(self._fed, inputs)
             calls = self._calls
             assert isinstance(calls, ModelExchange2)
-            calls._update()
-            self._fmu.enterContinuousTimeMode()
+            calls.update()
+            self.instance.fmu.enterContinuousTimeMode()
         return self._continuous()
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Derivatives, then outputs, at states and inputs within the mode that it is in."""
-        with self._failing():
+        with self.instance.failing():
             self._put_states(states)
             self._write_reals(self._fed, inputs)
             found = (ctypes.c_double * max(1, self.order))()
             if self.order:
-                derivatives_of(self._fmu)(ctypes.cast(found, DOUBLES), self.order)
+                derivatives_of(self.instance.fmu)(ctypes.cast(found, DOUBLES), self.order)
         return np.concatenate([np.array(found[: self.order]), self._read(self._shown)])
 
     def given_slopes(self) -> Array:
@@ -102,9 +102,9 @@ class DifferentiableFmu(FmuBlock):
         knowns = [v.valueReference for v in (*self._states, *self._fed)]
         unknowns = [v.valueReference for v in (*self._rates, *self._shown)]
         columns = []
-        with self._failing():
+        with self.instance.failing():
             for known in knowns:
-                columns.append(self._fmu.getDirectionalDerivative(unknowns, [known], [1.0]))
+                columns.append(self.instance.fmu.getDirectionalDerivative(unknowns, [known], [1.0]))
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
     # -- within -------------------------------------------------------------------------------
@@ -112,27 +112,27 @@ class DifferentiableFmu(FmuBlock):
     def _continuous(self) -> Array:
         found = (ctypes.c_double * max(1, self.order))()
         if self.order:
-            with self._failing():
-                self._fmu.getContinuousStates(ctypes.cast(found, DOUBLES), self.order)
+            with self.instance.failing():
+                self.instance.fmu.getContinuousStates(ctypes.cast(found, DOUBLES), self.order)
         return np.array(found[: self.order])
 
     def _put_states(self, states: Array) -> None:
         if self.order:
             values = (ctypes.c_double * self.order)(*states.tolist())
-            self._fmu.setContinuousStates(ctypes.cast(values, DOUBLES), self.order)
+            self.instance.fmu.setContinuousStates(ctypes.cast(values, DOUBLES), self.order)
 
     def _read(self, variables: Sequence[Any]) -> Array:
         if not variables:
             return np.zeros(0)
         references = [v.valueReference for v in variables]
-        with self._failing():
-            if self._fmi3:
-                return np.array(self._fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            return np.array(self._fmu.getReal(references), float)
+        with self.instance.failing():
+            if self.instance.fmi3:
+                return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
+            return np.array(self.instance.fmu.getReal(references), float)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
-            setter = self._fmu.setFloat64 if self._fmi3 else self._fmu.setReal
+            setter = self.instance.fmu.setFloat64 if self.instance.fmi3 else self.instance.fmu.setReal
             setter([v.valueReference for v in variables], values.tolist())
 
 

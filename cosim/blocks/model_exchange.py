@@ -52,7 +52,7 @@ class ModelExchange2(Calls):
     def leave(self) -> None:
         self.fmu.exitInitializationMode()
         self.time = self.start_time
-        self._update()
+        self.update()
         self.fmu.enterContinuousTimeMode()
         self.solver = self._solver()
         self._started = True
@@ -66,7 +66,7 @@ class ModelExchange2(Calls):
             return
         self.fmu.enterEventMode()
         take()
-        self._update()
+        self.update()
         self.fmu.enterContinuousTimeMode()
         self.solver.reset(self.time)
 
@@ -134,11 +134,11 @@ class ModelExchange2(Calls):
             within = f"{len(self._events)} events within {AT_ONCE * h:.2g} s"
             raise SimulationError(self.name, self.time, f"it chatters: {within}, so that time stands still")
         self.fmu.enterEventMode()
-        self._update()
+        self.update()
         self.fmu.enterContinuousTimeMode()
         self.solver.reset(self.time)
 
-    def _update(self) -> None:
+    def update(self) -> None:
         """Update discrete states until they need no more and no event is due, and learn when the next of time is."""
         due: float | None = None
         for _ in range(MOST_EVENTS):

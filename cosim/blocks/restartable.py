@@ -17,13 +17,9 @@ class RestartableFmu(FmuBlock):
     def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Enter initialization at `start` with these start values."""
         self.start_values = values
-        if self._fmu is not None and self._reset():
-            self._begin(start, stop)
-            return
-        self._unload()
-        if self._folder is None:
-            self._unpack()
-        self._load()
+        if self.instance.fmu is None or not self._reset():
+            self.instance.free()
+            self._load()
         self._begin(start, stop)
 
     def own(self) -> Own:
@@ -33,16 +29,18 @@ class RestartableFmu(FmuBlock):
     def remember(self, memory: Memory) -> None:
         """Put this into the state of an FMU of ours: start values know but a constant past."""
         state = with_memory(self._state(), memory)
-        with self._failing():
-            after = self._fmu.deSerializeFMUstate(state)
-            self._fmu.setFMUstate(after)
-            self._fmu.freeFMUstate(after)
+        with self.instance.failing():
+            fmu = self.instance.fmu
+            after = fmu.deSerializeFMUstate(state)
+            fmu.setFMUstate(after)
+            fmu.freeFMUstate(after)
 
     def _state(self) -> bytes:
-        with self._failing():
-            held = self._fmu.getFMUstate()
-            state: bytes = self._fmu.serializeFMUstate(held)
-            self._fmu.freeFMUstate(held)
+        with self.instance.failing():
+            fmu = self.instance.fmu
+            held = fmu.getFMUstate()
+            state: bytes = fmu.serializeFMUstate(held)
+            fmu.freeFMUstate(held)
         return state
 
     @cached_property
@@ -54,7 +52,7 @@ class RestartableFmu(FmuBlock):
         if not self._ours:
             return False
         try:
-            self._fmu.reset()
+            self.instance.fmu.reset()
         except Exception:  # FMPy raises bare Exceptions; what cannot be reset is opened anew
             return False
         return True

@@ -96,13 +96,7 @@ def linearize(
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked, side)
-    notes += [f"{name} {IDLE}" for name in _idle(found)]
-    beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
-    notes += beside[:MOST_TOLD]
-    if len(beside) > MOST_TOLD:
-        notes.append(f"{len(beside) - MOST_TOLD} kinks more; linear.json has all")
-    if found[0].notes:
-        notes += [n for n in dict.fromkeys(n for each in found for n in each.notes) if n not in notes]
+    notes += _notes(found, notes)
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
     if folder is not None:
         write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)
@@ -112,6 +106,16 @@ def linearize(
             with atomic_write(folder / "report.html") as stream:
                 stream.write(page(outcome))
     return outcome
+
+
+def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
+    """What is to be known beside what is known: inputs that do nothing, whose slopes at kinks, the models' own notes."""
+    idle = [f"{name} {IDLE}" for name in _idle(found)]
+    beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
+    more = [f"{len(beside) - MOST_TOLD} kinks more; linear.json has all"] if len(beside) > MOST_TOLD else []
+    told = [*idle, *beside[:MOST_TOLD], *more]
+    own = dict.fromkeys(n for each in found for n in each.notes) if found[0].notes else ()
+    return [*told, *(n for n in own if n not in (*known, *told))]
 
 
 def _idle(found: Sequence[Linear]) -> list[str]:

@@ -177,7 +177,7 @@ def read_study(path: Path) -> Study:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
         raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
-    model, traits = loaded.model, Traits.of(loaded.model)
+    model = loaded.model
     faults += _unknown_names(yaml, content, loaded)
     lists, on_trial = content.logs, content.candidates or ()
     faults += per_log_faults(yaml, model, content.per_log, content.groups, lists.estimation, lists.validation, on_trial)
@@ -185,16 +185,33 @@ def read_study(path: Path) -> Study:
         cure = "none is left to learn from; move one to estimation"
         sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
         faults.append(yaml.fault(("logs", "estimation"), sealed))
+    logs, digests, warnings, of_logs = _read_logs(yaml, content, model)
+    faults += of_logs
+    faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
+    faults += _listed_twice(yaml, content.logs, digests)
+    faults += _too_few(yaml, content, loaded, logs["estimation"])
+    faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
+    if faults:
+        raise InputError(faults)
+    return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
+
+
+def _read_logs(
+    yaml: YamlFile, content: StudyFile, model: Model
+) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
+    """Each list's stretches that can be used, the digest of each file, warnings, and every fault."""
+    folder, traits = yaml.path.parent, Traits.of(model)
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []
+    faults: list[Fault] = []
     for part, name in _entries(content.logs):
-        if not os.path.exists(path.parent / name):
+        if not os.path.exists(folder / name):
             place = ("logs", part, getattr(content.logs, part).index(name))
             faults.append(yaml.fault(place, f"{name}: no such file beside the study; its logs are named from there"))
             continue
         try:
-            log = read_log(path.parent / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
+            log = read_log(folder / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
         except InputError as error:
             faults += error.faults
             continue
@@ -210,13 +227,7 @@ def read_study(path: Path) -> Study:
         if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
-    faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
-    faults += _listed_twice(yaml, content.logs, digests)
-    faults += _too_few(yaml, content, loaded, logs["estimation"])
-    faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
-    if faults:
-        raise InputError(faults)
-    return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
+    return logs, digests, warnings, faults
 
 
 def _entries(logs: LogLists) -> list[tuple[str, str]]:

@@ -88,27 +88,16 @@ def refine(
     near = _nearest(found, attribution, verdict)
     left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
     verdict = _in_full(study, verdict, near, left_out)
-    refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
     with scratch_folder(folder, ".refine-") as scratch:
         progress("building the refined FMU", 0.0)
-        write_model(scratch / "model.yaml", refined, folder)
-        after, variant = build(refined.recipe(), scratch / "plant.fmu"), None
-        fmus = (after if refined is study.loaded else scratch / "given.fmu"), after  # the former is built when needed
-        if verdict.grade != "claimed":
-            write_model(scratch / "nearest.yaml", nearer, folder)
-            variant = _nearest_variant(study, attribution, verdict, near, nearer, fmus, scratch)
-        variants = variants_of(study, attribution, verdict.claimed, refined, fmus, variant)
-        if variant is not None and variant.fmu == fmus[1]:
-            variants["nearest"] = variants["after"]
+        variants, given = _models(study, attribution, verdict, near, folder, scratch)
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
         with nullcontext() if in_process else Worker(*MODULES) as worker:
             replayer = Replayer(problem, sets, worker, study.content.limits)
-            played, way = replayed(replayer, study.loaded, variants, partial(_built, study.loaded, fmus[0]), scratch)
+            played, way = replayed(replayer, study.loaded, variants, partial(_built, study.loaded, given), scratch)
         progress("measuring the noise floor", 0.0)
-        rng = np.random.default_rng(FLOOR_SEED)
-        quiet = of_noise(variants["after"], attribution, verdict.claimed, found.heard)
-        floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
+        floors = _floors(of_noise(variants["after"], attribution, verdict.claimed, found.heard), problem, sets)
         study = replace(
             study, warnings=(*study.warnings, *warnings_of(way), *_too_calm(floors, played, study.loaded.model))
         )
@@ -197,6 +186,26 @@ def _in_full(
     return replace(verdict, sentence=" ".join(said))
 
 
+def _models(
+    study: Study, a: Attribution, verdict: Verdict, near: Hypothesis | None, folder: Path, scratch: Path
+) -> tuple[dict[str, Variant], Path]:
+    """The refined model and its FMU, the nearest too where not all is claimed: what is replayed.
+
+    And the place of the FMU of the model that was given, which is built when it is needed.
+    """
+    refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
+    write_model(scratch / "model.yaml", refined, folder)
+    after, variant = build(refined.recipe(), scratch / "plant.fmu"), None
+    fmus = (after if refined is study.loaded else scratch / "given.fmu"), after
+    if verdict.grade != "claimed":
+        write_model(scratch / "nearest.yaml", nearer, folder)
+        variant = _nearest_variant(study, a, verdict, near, nearer, fmus, scratch)
+    variants = variants_of(study, a, verdict.claimed, refined, fmus, variant)
+    if variant is not None and variant.fmu == fmus[1]:
+        variants["nearest"] = variants["after"]
+    return variants, fmus[0]
+
+
 def _nearest_variant(
     study: Study,
     a: Attribution,
@@ -226,6 +235,12 @@ def _unsealed(study: Study) -> LogSets:
     """The logs of the study; those of validation, where there are any, are opened here."""
     sealed = study.unseal()
     return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
+
+
+def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
+    """What noise alone leaves of each set's errors; from one seed, so that a study gives the same again."""
+    rng = np.random.default_rng(FLOOR_SEED)
+    return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
 
 
 def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:

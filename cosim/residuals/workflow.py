@@ -29,7 +29,7 @@ from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check
 from cosim.residuals.given import renamed, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
-from cosim.residuals.windows import free_run
+from cosim.residuals.windows import Replay, free_run
 from cosim.results import Results
 from fmus.build import build as build_fmu
 from fmus.sampled import AUTHOR
@@ -118,19 +118,7 @@ def write_replay(
         check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
         for name in ("report.html", "residual.csv"):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
-        try:
-            free = free_run(drive, start)
-        except StoppedReplay as failed:
-            _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
-            raise
-        except (KeyboardInterrupt, Terminated) as stop:
-            if drive.left is None:
-                raise
-            made = results(drive, as_columns(drive.left, drive.outputs))
-            _write_rows(made, folder)
-            raise stopped(stop, made.time[-1] if made.time.size else log.time[0], "the replay") from None
-        _write_rows(results(drive, free.outputs), folder)
-        comparison = compare(drive, free, findings)
+        comparison = compare(drive, _free_run(drive, start, folder), findings)
         try:
             residuals(comparison).write_csv(folder / "residual.csv")
             if report:
@@ -141,6 +129,23 @@ def write_replay(
                 raise
             raise _full(folder, log) from None
     return comparison
+
+
+def _free_run(drive: Drive, start: Mapping[str, Any] | None, folder: Path) -> Replay:
+    """The whole log in one run, its rows in results.csv; those so far where it stops, and the error."""
+    try:
+        free = free_run(drive, start)
+    except StoppedReplay as failed:
+        _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
+        raise
+    except (KeyboardInterrupt, Terminated) as stop:
+        if drive.left is None:
+            raise
+        made = results(drive, as_columns(drive.left, drive.outputs))
+        _write_rows(made, folder)
+        raise stopped(stop, made.time[-1] if made.time.size else drive.log.time[0], "the replay") from None
+    _write_rows(results(drive, free.outputs), folder)
+    return free
 
 
 def _full(folder: Path, log: Log) -> DiskFull:

@@ -14,7 +14,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
 from cosim.errors import SimulationError
 from cosim.isolation.rows import CALLS, GET, OTHER
-from cosim.simulation.master import _close, _Run, _transfer
+from cosim.simulation.copying import copy_values
+from cosim.simulation.initialization import settled
+from cosim.simulation.master import Master
 from cosim.simulation.system import System
 
 
@@ -25,14 +27,14 @@ def why_not(system: System) -> str:
     for stage in system.stages:
         component = stage.component
         if isinstance(component, FmuBlock):
-            if not component.rolls_back:
+            if not component.instance.rolls_back:
                 return f"{component.name} gives no state away, or takes no step of another length"
         elif not isinstance(component, Source):
             return f"{component.name} cannot be taken back"
     return ""
 
 
-class Halved(_Run):
+class Halved(Master):
     """A run whose rows are the differences of its steps from the same in halves; the first row has none."""
 
     def _step_on(self) -> None:
@@ -62,23 +64,23 @@ class Halved(_Run):
     def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
         """One exchange of values and the steps of all."""
         for step, transfers in zip(calls, copies, strict=True):
-            _transfer(self.row, transfers, k)
+            copy_values(self.row, transfers, k)
             step(t, end - t)
-        _transfer(self.row, held, k)
+        copy_values(self.row, held, k)
 
     def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
         """The state of each."""
         states = []
         for part in parts:
             self.doing[0] = CALLS * self.components.index(part) + OTHER
-            states.append(part.saved())
+            states.append(part.instance.saved())
         return states
 
     def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
         """Give each FMU a state back, and free it."""
         for part, state in zip(parts, states, strict=True):
             self.doing[0] = CALLS * self.components.index(part) + OTHER
-            part.take_back(state)
+            part.instance.take_back(state)
 
     def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Outputs are what they were: SimulationError of an FMU that only says that it takes its state back."""
@@ -86,6 +88,6 @@ class Halved(_Run):
             before = list(self.row)
             self.doing[0] = CALLS * self.components.index(part) + GET
             part.get()
-            if not _close(before, self.row):
+            if not settled(before, self.row):
                 raise SimulationError(part.name, t, "it does not come back to the state that it gave away")
         ctypes.memmove(self.row, row, len(row))

@@ -11,39 +11,27 @@ import bisect
 import ctypes
 import itertools
 import math
-from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.blocks.faults import Added, Linked
 from cosim.blocks.interface import EndedEarly
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.errors import SimulationError, Terminated, stopped
-from cosim.isolation.rows import CALLS, GET, OTHER, PUT, Rows
+from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.results import Results
 from cosim.simulation.compiled import CompiledSteps, Run, compiled
+from cosim.simulation.copying import Copying, Noisy, Plain, Through, doubles
+from cosim.simulation.initialization import Initialization
 from cosim.simulation.schedule import Stage
 from cosim.simulation.system import System
-from cosim.simulation.wiring import Transfer, through
 
-Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # stretches of the row, target first
-Noisy = tuple[tuple[int, int, Sequence[float]], ...]
-# from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
-Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
-Copies = tuple[Plain, Noisy, Through]
-Transferring = tuple[int, tuple[Any, ...]]  # which of the three, and its entry
 # what steps it; the number of steps that are one of its own, and the length of that, 0.0 of one from communication
 # point to communication point; and the transfers before it
 Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
 Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
-EXACT_SWEEPS = 10  # of initialization, that end where not a bit changes; further ones end on a tolerance
-MOST_SWEEPS = 1000  # after which initial values that still change are an error where they do not change less and less
-LAST_SWEEP = 50_000  # and where they do
-SETTLED = 1e-12  # relative change of a sweep
-SHRINKS = 0.9  # of the change, over MOST_SWEEPS, of values that come to rest
 PROGRESS_EVERY = 50
 LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
 
@@ -72,11 +60,14 @@ def simulate(
     in_c: the loop is in C where it can be; `Results.loop` tells
     """
     room = rows or Rows.in_memory(steps + 1, len(system.columns))
-    return _Run(system, steps, h, progress, room, in_c=in_c).results()
+    return Master(system, steps, h, progress, room, in_c=in_c).results()
 
 
-class _Run:
-    """One run: its row of signals, what stands beside it, and the table of rows."""
+class Master:
+    """One run, from opening to closing: its row of signals, what stands beside it, and the table of rows.
+
+    What makes its steps otherwise is a subclass that overrides `_step_on`.
+    """
 
     def __init__(
         self,
@@ -101,10 +92,9 @@ class _Run:
         self.notes: list[str] = []
         self.events = sorted(system.events)
         self.after = self._after(progress)
-        self._made: dict[str, Transferring] = {}
-        self._links: dict[str, Sequence[Linked]] = {}
-        self.pulls = {s.component.name: self._copies(s.pulls) for s in system.stages}
-        self.held = self._copies(system.held)
+        self.copying = Copying(system, self.row, self.beside, steps, h)
+        self.pulls = self.copying.by_component()
+        self.held = self.copying.of(system.held)
 
     def results(self) -> Results:
         """Run from beginning to end."""
@@ -139,44 +129,9 @@ class _Run:
             component.open(self.system.start, float(self.time[-1]))
 
     def _initialize(self) -> None:
-        """Exchange values in initialization mode until none changes; then end it, and read what that changed."""
-        self._settle()
-        before = self._values()
-        for k, component in enumerate(self.components):
-            self.doing[0] = CALLS * k + OTHER
-            component.start()
-        for k, component in enumerate(self.components):
-            self.doing[0] = CALLS * k + GET
-            component.get()
-        if self._values() != before:  # outputs that are right only after initialization, as of 20-sim
-            self._sweep()
-
-    def _settle(self) -> None:
-        earlier = math.inf
-        for sweep in range(1, LAST_SWEEP + 1):
-            before, row = self._values(), list(self.row)
-            self._sweep()
-            if self._values() == before or (sweep > EXACT_SWEEPS and _close(row, self.row)):
-                return
-            if sweep % MOST_SWEEPS == 0:
-                change = max((abs(a - b) for a, b in zip(self.row, row, strict=True)), default=0.0)
-                if not change < SHRINKS * earlier:
-                    break
-                earlier = change
-        raise SimulationError(
-            "initialization",
-            self.system.start,
-            f"values still change after {sweep} exchanges: an algebraic loop that exchanging values does not settle",
-        )
-
-    def _sweep(self) -> None:
-        for k, component in enumerate(self.components):
-            _transfer(self.row, self.pulls[component.name], 0)
-            self.doing[0] = CALLS * k + PUT
-            component.put()
-            self.doing[0] = CALLS * k + GET
-            component.get()
-        _transfer(self.row, self.held, 0)
+        """Exchange values until none changes; then every component starts."""
+        known = self.components, self.row, self.beside, self.pulls, self.held
+        Initialization(*known, self.system.start, self.doing).run()
 
     def _record_first(self) -> None:
         for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.pulls)):
@@ -259,16 +214,13 @@ class _Run:
         """The steps in C. Raises NotCompiled."""
         if not self.in_c:
             raise NotCompiled("asked for")
-        links = self._links.__getitem__
+        links = self.copying.links
         known = self.system, self.components, self.steps, self.h, self.row, self.rows
-        return compiled(Run(*known, lambda t: links(t.name), self.after, self._asked))
+        return compiled(Run(*known, lambda t: links[t.name], self.after, self._asked))
 
     def _tell_loop(self, loop: str) -> None:
         self.loop = loop
         self.rows.tell_loop(loop)
-
-    def _values(self) -> tuple[bytes, list[Any]]:
-        return bytes(self.row), list(self.beside)
 
     def _asked(self, k: int) -> int:
         """The next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
@@ -312,7 +264,7 @@ class _Run:
             if key not in made:
                 made[key] = (
                     tuple(self._active(stage) for stage in stepping),
-                    *self._copies(t for t in held if k % every[t.name.partition(".")[0]] == 0),
+                    *self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0),
                 )
             return made[key]
 
@@ -323,38 +275,6 @@ class _Run:
         length = stage.every * self.h if component.nominal_step else 0.0
         step = component.stepping(self.doing, CALLS * self.components.index(component))
         return step, stage.every, length, *self.pulls[component.name]
-
-    def _copies(self, transfers: Iterable[Transfer]) -> Copies:
-        """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
-        kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
-        for transfer in transfers:
-            if transfer.name not in self._made:
-                self._made[transfer.name] = self._transferring(transfer)
-            kind, entry = self._made[transfer.name]
-            kinds[kind].append(entry)
-        plain, noisy, through = kinds
-        return self._stretches(plain), tuple(noisy), tuple(through)
-
-    def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
-        """Places that follow one another, from and to, as one."""
-        found: list[list[int]] = []
-        for source, target in places:
-            if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
-                found[-1][2] += 1
-            else:
-                found.append([source, target, 1])
-        return tuple((self.view[b : b + n], self.view[a : a + n]) for a, b, n in found)
-
-    def _transferring(self, transfer: Transfer) -> Transferring:
-        chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-        self._links[transfer.name] = chain
-        if not transfer.plain:
-            origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-            return 2, (origin, transfer.source, goal, transfer.target, through(chain))
-        for added in chain:
-            if isinstance(added, Added):
-                return 1, (transfer.source, transfer.target, added.samples)
-        return 0, (transfer.source, transfer.target)
 
     def _so_far(self) -> Results:
         kept = self.kept if isinstance(self.kept, list) else []
@@ -376,26 +296,6 @@ def results_of(
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
 
 
-def doubles(buffer: Any) -> memoryview[float]:
-    """A buffer of doubles as one flat sequence of them."""
-    flat = memoryview(buffer)
-    return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))
-
-
 def _first_places(columns: Sequence[str]) -> dict[str, int]:
     """Component → place of its first column."""
     return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}
-
-
-def _transfer(row: Any, copies: Copies, k: int) -> None:
-    plain, noisy, through = copies
-    for target_places, places in plain:
-        target_places[:] = places
-    for source, target, samples in noisy:
-        row[target] = row[source] + samples[k]
-    for origin, source, goal, target, function in through:
-        goal[target] = function(k, origin[source])
-
-
-def _close(before: Iterable[float], after: Iterable[float]) -> bool:
-    return all(abs(a - b) <= SETTLED * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

@@ -50,28 +50,19 @@ def stages(
             return _sorted(components, edges, immediate), immediate, tuple(notes)
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
+            within = [(target, name) for source, target, name, _ in edges if source in cycle and target in cycle]
             # in a loop only those outputs count that go on
-            around = {
-                (target, name) for source, target, name, _ in edges if source in cycle and target in cycle
-            } - freed
-            unneeded = {(c, name) for c, name in around if components[c].depends_on(name, used[c]) is False}
+            unneeded = {(c, n) for c, n in {*within} - freed if components[c].depends_on(n, used[c]) is False}
             if unneeded:
                 freed |= unneeded
                 continue
-            undeclared = [
-                component
-                for component in components  # in the order of the file
-                if component in cycle
-                and any(
-                    target == component and source in cycle and components[target].depends_on(name) is None
-                    for source, target, name, _ in edges
-                )
-            ]
-            if not undeclared or undeclared[0] in held:
+            silent = {component for component, name in within if components[component].depends_on(name) is None}
+            undeclared = next((component for component in components if component in silent), None)
+            if undeclared is None or undeclared in held:
                 raise AlgebraicLoop(cycle) from None
-            held.add(undeclared[0])
+            held.add(undeclared)
             notes.append(
-                f"{undeclared[0]} does not declare which outputs depend directly on its inputs; "
+                f"{undeclared} does not declare which outputs depend directly on its inputs; "
                 "taken as none, so that it steps first. State order: if that is wrong"
             )
 

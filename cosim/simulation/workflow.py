@@ -92,14 +92,7 @@ def run(
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure, written = stepped.failure, list[str]()
-        try:
-            _write(place, stepped.results, record, written, report=report, figures=figures)
-        except OSError as error:
-            if not is_full(error):
-                raise
-            rows = file.scenario.steps + 1 if isinstance(failure, DiskFull) else len(stepped.results.time)
-            failure = _write_what_fits(place, stepped.results, record, written, rows, failure)
+        failure = _left(place, file.scenario, stepped, record, report=report, figures=figures)
     if failure is not None:
         failure.left = place
         raise failure
@@ -117,6 +110,21 @@ def _read(
     check_ours(place, ssp=path, force=force)
     file, warnings = lay_out(path, place, overrides)
     return file, place, warnings
+
+
+def _left(
+    place: Path, scenario: Scenario, stepped: Stepped, record: dict[str, Any], *, report: bool, figures: bool
+) -> SimulationError | None:
+    """Leave everything in the folder, or what fits of it; the failure of the run, or of the disk."""
+    written: list[str] = []
+    try:
+        _write(place, stepped.results, record, written, report=report, figures=figures)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
+        return _write_what_fits(place, stepped.results, record, written, rows, stepped.failure)
+    return stepped.failure
 
 
 def _stepped(

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.blocks.noise import samples_of, stream
-from cosim.simulation.master import EXACT_SWEEPS
+from cosim.simulation.initialization import EXACT_SWEEPS
 from cosim.simulation.system import System
 from cosim.simulation.wiring import Transfer
 from cosim.sweeps.compiled import WIDTH

@@ -1,0 +1,220 @@
+"""The life of one instance of an FMU: unpacked, loaded and freed; what it says, and what its statuses mean."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cosim.blocks.description import library_of, offer_libm
+from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
+from cosim.blocks.guard import without_wrapping
+from cosim.blocks.interface import EndedEarly
+from cosim.blocks.model_exchange import ModelExchange2
+from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
+from fmus.archive import unpack
+from fmus.files import is_full
+from fmus.lifetime import let_go_at_exit
+from fmus.sampled import sampled_by
+
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+WARNING, DISCARD, FATAL = 1, 2, 4
+KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # of a talkative FMU, the last ones; characters
+
+
+class Instance:
+    """One instance, and the folder in which its FMU lies unpacked.
+
+    fmu:       FMPy's object, None while there is none and after Fatal; `component` is C's
+    time:      to which it came [s], for messages
+    place:     where the FMU lies unpacked already, which stays as it is
+    logging:   its debug messages are asked for
+    """
+
+    def __init__(self, path: Path, calls: Calls, *, logging: bool = False) -> None:
+        self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
+        self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
+        self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
+        self.fmi3 = self.description.fmiVersion.startswith("3")
+        self.step_name = f"{calls.prefix}DoStep"
+        self.fmu: Any = None
+        self.component: Any = None
+        self.place: Path | None = None
+        self.time = 0.0
+        self.initialized = False
+        self._logging = logging
+        self._folder: Path | None = None
+        self._stopped: BaseException | None = None
+
+    # -- life ---------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Unpack the FMU where that is to be done, load its library, make the instance. FmuError, DiskFull."""
+        folder = self._folder or self._unpacked()
+        here = os.getcwd()
+        try:
+            library, warning = library_of(folder, self.description, self.calls.identifier)
+            if warning:
+                self.remember(warning)
+            try:
+                self.calls.load(folder, library)
+            except Exception as error:
+                if "undefined symbol" not in str(error) or not offer_libm():
+                    raise
+                self.calls.load(folder, library)
+            # pythonfmu gives its reasons to who asks for debugging, and to nobody else
+            talks = self._logging or self.by_pythonfmu
+            self.calls.instantiate(self.listen, talks)
+            if talks and not self._logging:
+                self.calls.limit_logging()
+        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
+            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+        finally:
+            os.chdir(here)  # FMPy loads from within the FMU's folder
+        self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
+        let_go_at_exit(folder)  # of what pythonfmu, if it made this FMU, releases twice
+
+    def _unpacked(self) -> Path:
+        if self.place is not None:
+            self._folder = self.place
+            return self.place
+        try:
+            self._folder = folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+            unpack(self.path, folder)
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+            if is_full(error):
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
+                raise DiskFull(self.name, self.time, full) from None
+            raise FmuError(f"{self.path} does not load: {error}") from None
+        return folder
+
+    def free(self) -> None:
+        """End and free it; the folder stays."""
+        fmu, self.fmu = self.fmu, None
+        if fmu is not None:
+            try:
+                if self.initialized:
+                    fmu.terminate()
+            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
+                self.log.append(str(error))
+            fmu.freeInstance()
+        self.initialized = False
+
+    def remove(self) -> None:
+        """Delete the folder, if it is its own."""
+        if self._folder is not None and self._folder != self.place:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    # -- its state ----------------------------------------------------------------------------
+
+    @property
+    def rolls_back(self) -> bool:
+        """It gives its state away, takes it back, and makes steps of any length."""
+        about = self.description.coSimulation
+        states = getattr(about, "canGetAndSetFMUstate", False) or getattr(about, "canGetAndSetFMUState", False)
+        anyhow = about is not None and about.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
+        return bool(states and anyhow and isinstance(self.calls, CoSimulation2 | CoSimulation3))
+
+    def saved(self) -> Any:
+        """Its state, to be taken back once."""
+        with self.failing():
+            return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
+
+    def take_back(self, state: Any) -> None:
+        """Be as it was, and free that state."""
+        with self.failing():
+            if self.fmi3:
+                self.fmu.setFMUState(state)
+                self.fmu.freeFMUState(state)
+            else:
+                self.fmu.setFMUstate(state)
+                self.fmu.freeFMUstate(state)
+
+    # -- what it says -------------------------------------------------------------------------
+
+    def listen(self, status: int, message: bytes | None) -> None:
+        """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
+        try:
+            if status >= WARNING or self._logging:
+                self.remember((message or b"").decode("utf-8", "replace"))
+        except (KeyboardInterrupt, Terminated) as stop:  # no exception passes through C
+            self._stopped = stop
+
+    def raise_stopped(self) -> None:
+        """Raise what was to stop this process while the FMU spoke."""
+        if self._stopped is not None:
+            stopped, self._stopped = self._stopped, None
+            raise stopped
+
+    def remember(self, text: str) -> None:
+        """Keep a message."""
+        text = text[:LONGEST_MESSAGE]
+        if text in self.log:  # a warning at every step is one
+            self.log.remove(text)
+        self.log.append(text)
+
+    def last_words(self) -> str:
+        """The FMU's last log message, on one line."""
+        return without_wrapping(" ".join(self.log[-1].split())) if self.log else ""
+
+    # -- what its statuses mean ---------------------------------------------------------------
+
+    @contextmanager
+    def failing(self) -> Iterator[None]:
+        """Tell which of FMPy's calls failed."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            yield
+        except FMICallException as error:
+            self.judge(error.function, error.status)
+
+    def stepping(self) -> Step:
+        """What makes a step; of model exchange, which is many calls, the one that failed is told, at its time."""
+        calls, step = self.calls, self.calls.stepping()
+        if not isinstance(calls, ModelExchange2):
+            return step
+        from fmpy.fmi1 import FMICallException
+
+        def judged(component: Any, t: float, h: float, flag: int) -> int:
+            try:
+                return step(component, t, h, flag)
+            except FMICallException as error:
+                self.time = calls.time
+                self.judge(error.function, error.status)
+                return 0
+
+        return judged
+
+    def judge(self, function: str, status: int) -> None:
+        """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed.
+
+        SimulationError, EndedEarly.
+        """
+        if status == WARNING:
+            self.remember(f"{function} returned Warning")
+            return
+        if status == DISCARD and function == self.step_name and (reached := self.calls.ended(self.time)) is not None:
+            reason = f"{function} returned Discard: the FMU ended the simulation early"
+            words = self.last_words()
+            raise EndedEarly(self.name, reached, f"{reason}: {words}" if words else reason, readable=True)
+        self._fail(function, status)
+
+    def _fail(self, function: str, status: int) -> None:
+        """Tell which call failed and why. After Fatal the instance is not touched again, as FMI demands."""
+        reason = f"{function} returned {STATUS[status] if 0 <= status < len(STATUS) else status}"
+        if status == FATAL:
+            self.fmu = None
+        if "KeyboardInterrupt" in self.last_words():  # it came while the FMU's Python ran
+            raise KeyboardInterrupt
+        if words := self.last_words():
+            reason += f": {words}"
+        raise SimulationError(self.name, self.time, reason)

@@ -1,0 +1,213 @@
+"""Values of an FMU's variables, moved by their types between the instance, the row and what stands beside it.
+
+Reals move as they are, to and from the row itself; all other types by way of a buffer.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cosim.blocks.instance import Instance
+from cosim.blocks.interface import PUT, Row
+from cosim.blocks.kinds import Exchange
+from cosim.blocks.ports import Ports
+from cosim.blocks.stepping import Move, Plan, Why, move
+from cosim.errors import SimulationError
+
+Arguments = tuple[Any, ...]  # of a function for doubles that go straight to the row
+
+
+class Values:
+    """What is put into one instance and got from it: `bind`, `loaded`, then anything.
+
+    watched: of model exchange the inputs that it was given last, for those that are what they were are no event
+    """
+
+    def __init__(self, instance: Instance, ports: Ports) -> None:
+        self.instance, self.ports = instance, ports
+        self._calls, self._fmi3 = instance.calls, ports.fmi3
+        prefix, real = instance.calls.prefix, "Float64" if ports.fmi3 else "Real"
+        self.setter, self.getter = f"{prefix}Set{real}", f"{prefix}Get{real}"
+        self.watched: list[Any] | None = None
+        self._variables = {v.name: v for v in instance.description.modelVariables}
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None, first_beside: int) -> None:
+        """Tell where they stand, inputs first."""
+        ports, address = self.ports, ctypes.addressof(row)
+        exact = len(ports.exact_inputs) + len(ports.exact_outputs)
+        self.row, self._beside = row, [None] * exact if beside is None else beside
+        ports.place(first, first_beside)
+        self._put_arguments, self._other_puts = ports.split(ports.fed, address)
+        self._reading = ports.split(ports.read, address)
+        self.out, self._finite = ports.real_outputs()
+
+    def loaded(self) -> None:
+        """The instance is there: its library's bare functions are looked up."""
+        calls, self._component = self._calls, self.instance.component
+        real = "Float64" if self._fmi3 else "Real"
+        self._set_real, self._get_real = (calls.bare(calls.exchange, f"{verb}{real}") for verb in ("Set", "Get"))
+        self._setters: dict[str, Any] = {}
+        self._getters: dict[str, Any] = {}
+        for exchange in (*self.ports.inward, *self.ports.read):
+            kind = exchange.kind.function
+            if exchange.buffer is not None and kind not in self._getters:
+                self._getters[kind] = calls.bare(calls.exchange, f"Get{kind}")
+                self._setters[kind] = calls.bare(calls.exchange, f"Set{kind}")
+
+    def readable(self, readable: bool) -> None:
+        """Outputs can be got from now on, or not yet."""
+        self._get_arguments, self._other_gets = self._reading if readable else (None, ())
+
+    # -- all of them --------------------------------------------------------------------------
+
+    def put(self) -> None:
+        """Inputs from where they stand to the FMU."""
+        if self.watched is not None:
+            self._put_if_changed()
+        elif self.ports.fed:
+            self._put_all()
+
+    def get(self) -> None:
+        """Outputs, and what is recorded beside them, to where they stand; SimulationError of one that is not finite."""
+        arguments = self._get_arguments
+        if arguments is not None:
+            status = self._get_real(self._component, *arguments)
+            if status:
+                self.instance.judge(self.getter, status)
+            values = self.row[self.out]
+            if not math.isfinite(sum(values)):
+                self.not_finite(values)
+        if self._other_gets:
+            for exchange in self._other_gets:
+                self.read_in(exchange)
+                self._check_finite(exchange)
+
+    @property
+    def straight(self) -> tuple[Arguments | None, Arguments] | None:
+        """What the functions take that put (None: nothing is fed) and get, where all values are doubles; else None."""
+        if self._other_puts or self._other_gets or self._get_arguments is None:
+            return None
+        return self._put_arguments, self._get_arguments
+
+    def _put_if_changed(self) -> None:
+        values = [self._target(e)[e.places] for e in self.ports.fed]
+        if values == self.watched:
+            return
+        self.watched = values
+        with self.instance.failing():
+            self._calls.inputs_changed(self._put_all)
+
+    def _put_all(self) -> None:
+        if self._put_arguments is not None:
+            status = self._set_real(self._component, *self._put_arguments)
+            if status:
+                self.instance.judge(self.setter, status)
+        for exchange in self._other_puts:
+            self._write(exchange)
+
+    # -- some of them -------------------------------------------------------------------------
+
+    def read_in(self, exchange: Exchange) -> None:
+        """Values of the FMU to where they stand."""
+        function = exchange.kind.function
+        if exchange.buffer is None:
+            with self.instance.failing():
+                values = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
+                self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: of no bytes, from NULL
+            return
+        status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
+        if status:
+            self.instance.judge(f"{self._calls.prefix}Get{function}", status)
+        self._target(exchange)[exchange.places] = exchange.decoded()
+
+    def _write(self, exchange: Exchange) -> None:
+        """Values from where they stand to the FMU."""
+        function, values = exchange.kind.function, self._target(exchange)[exchange.places]
+        if exchange.buffer is None:
+            with self.instance.failing():
+                self.instance.fmu.setBinary(exchange.vrs, values)
+            return
+        try:
+            exchange.encode(values)
+        except ValueError as error:
+            name, _, why = str(error).partition(": ")
+            at = f"{self.instance.name}.{name}"
+            raise SimulationError(at, self.instance.time, f"the input {why} of its type") from None
+        status = self._setters[function](self._component, *exchange.arguments(self._fmi3))
+        if status:
+            self.instance.judge(f"{self._calls.prefix}Set{function}", status)
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Give variables values, arrays as lists of theirs."""
+        for name, value in values.items():
+            variable = self._variables[name]
+            exchange = Exchange(self.ports.kinds[variable.type], [variable])
+            given = value if isinstance(value, (list, tuple)) else [value] * exchange.count
+            function = exchange.kind.function
+            if exchange.buffer is None:
+                self.instance.fmu.setBinary(
+                    exchange.vrs, [bytes.fromhex(v) if isinstance(v, str) else v for v in given]
+                )
+                continue
+            exchange.encode(given)
+            # FMPy's own setters do not hand the status on
+            setter = self._calls.bare(self._calls.exchange, f"Set{function}")
+            if status := setter(self._component, *exchange.arguments(self._fmi3)):
+                self.instance.judge(f"{self._calls.prefix}Set{function} of {name}", status)
+
+    def show(self, values: Mapping[str, Any]) -> None:
+        """Of FMI 1.0, whose inputs cannot be read before it starts: these, or their start values."""
+        for exchange in self.ports.inward:
+            text = exchange.kind.function == "String"
+            shown: list[Any] = []
+            for variable in exchange.variables:
+                value = values.get(variable.name, variable.start)
+                if exchange.kind.function == "Boolean" and isinstance(value, str):
+                    value = value.strip() in {"true", "1"}
+                shown.append(str(value or "") if text else float(value or 0.0))
+            self._target(exchange)[exchange.places] = shown
+
+    def _target(self, exchange: Exchange) -> Any:
+        return self._beside if exchange.kind.beside else self.row
+
+    # -- finite -------------------------------------------------------------------------------
+
+    def not_finite(self, values: Sequence[float], names: Sequence[str] | None = None) -> None:
+        """SimulationError where one of these values, of the outputs that are doubles, is not finite."""
+        for name, value in zip(self._finite if names is None else names, values, strict=True):
+            if not math.isfinite(value):
+                raise SimulationError(f"{self.instance.name}.{name}", self.instance.time, f"the value is {value}")
+
+    def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
+        """Those of its scalars that must be finite, which come first: outputs of 64 and of 32 bits."""
+        return self.ports.outputs_of(exchange) if exchange.kind.ctype in (ctypes.c_double, ctypes.c_float) else ()
+
+    def _check_finite(self, exchange: Exchange) -> None:
+        if names := self._finite_of(exchange):
+            first = exchange.places.start
+            self.not_finite(self.row[first : first + len(names)], names)
+
+    # -- moved by C ---------------------------------------------------------------------------
+
+    def moves(self) -> tuple[list[Move], list[Move]] | None:
+        """What C calls to put and to get them; None where values stand beside the row."""
+        ports = self.ports
+        if any(exchange.kind.beside for exchange in (*ports.fed, *ports.read)):
+            return None
+        puts = [move(self._setters[e.kind.function], e, self.row) for e in ports.fed]
+        gets = [move(self._getters[e.kind.function], e, self.row, len(self._finite_of(e))) for e in ports.read]
+        return puts, gets
+
+    def tell(self, why: Why, plan: Plan) -> None:
+        """What C met when it moved some, as if it had been met here: SimulationError; nothing of a warning."""
+        fed, read = self.ports.fed, self.ports.read
+        if why == Why.NOT_FINITE:
+            self._check_finite(read[plan.moving])
+        elif why == Why.UNFIT:
+            self._write(fed[plan.moving])
+        else:
+            verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)
+            self.instance.judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)

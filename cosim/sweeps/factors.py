@@ -1,0 +1,238 @@
+"""What varies in a sweep, read: each factor with its values or its distribution, and every fault of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.blocks.description import unit_of
+from cosim.blocks.fmu import FmuBlock
+from cosim.errors import Fault, InputError
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario import Scenario
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.start_values import Misfit, settable, typed
+from cosim.simulation.start_values import kind_of as kind_of_variable
+from cosim.simulation.system import System, build_system
+from cosim.sweeps.design import MOST_RUNS, Factor, distribution, drawn_rows, saltelli_base
+from cosim.sweeps.study import SweepFile, Varied
+from cosim.yaml_file import YamlFile, did_you_mean, short
+
+FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # the same for all runs
+FILES = ("fmu", "file", "model")  # last keys of paths whose values are names of files
+MOST_TRIED = 50  # values of a path that are tried before anything runs
+Location = tuple[str | int, ...]
+
+
+def beside(sweep: Path, name: str, value: Any) -> Any:
+    """The value of a path of the scenario; names of files are relative to the sweep."""
+    last = name.rpartition(".")[2]
+    return str((sweep.parent / value).resolve()) if last in FILES and isinstance(value, str) else value
+
+
+class Factors:
+    """Factors out of a file, and the faults of each; InputError of one that asks for too many runs."""
+
+    def __init__(
+        self, yaml: YamlFile, file: SweepFile, scenario: ScenarioFile, system: System, overrides: tuple[str, ...]
+    ) -> None:
+        self.yaml, self.file, self.scenario, self.system, self.overrides = yaml, file, scenario, system, overrides
+        self.components = {s.component.name: s.component for s in system.stages}
+        self.faults: list[Fault] = []
+        self.counts: dict[str, int] = {}
+        self._check_size()
+
+    def _check_size(self) -> None:
+        """Before anything is made of very many."""
+        sampled = [n for n, v in self.file.vary.items() if _size(v) is None and v.each is None]
+        listed = {name: size for name, v in self.file.vary.items() if (size := _size(v)) is not None}
+        count = 1
+        for size in listed.values():
+            count *= size
+        counted = any(v.each is not None for v in self.file.vary.values())
+        count *= drawn_rows(len(sampled), counted, self.file.runs, self.file.sampling)
+        if count > MOST_RUNS:
+            largest = max(listed, key=lambda n: listed[n], default=None)
+            in_list = largest is not None and (not sampled or listed[largest] > self.file.runs)
+            where: Location = ("vary", str(largest)) if in_list else ("runs",)
+            message = (
+                f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            )
+            raise InputError([self.yaml.fault(where, message, key=in_list)])
+        if self.file.sampling == "saltelli":
+            if not sampled or listed:
+                message = (
+                    "saltelli needs distributions, and nothing listed; vary by distributions, or take another sampling"
+                )
+                self.faults.append(self.yaml.fault(("sampling",), message))
+            elif not saltelli_base(self.file.runs, len(sampled)):
+                self.faults.append(self.yaml.fault(("runs",), f"saltelli needs {len(sampled) + 2} runs at least"))
+
+    def _note(self, where: Location, message: str, *, key: bool = False) -> None:
+        self.faults.append(self.yaml.fault(where, message, key=key))
+
+    def factor(self, name: str, varied: Varied) -> Factor | None:
+        """What varies and how; None, faults noted, where something is wrong with it."""
+        before = len(self.faults)
+        component, _, variable = name.partition(".")
+        if name == "seed":
+            return self._seed(varied)
+        if varied.way in {"count", "each"}:
+            self._note(("vary", name, varied.way), f"{varied.way} is for `seed`; give values, a grid or a distribution")
+            return None
+        if component in self.scenario.scenario.components:
+            found = self._of_variable(name, component, variable, varied)
+        else:
+            found = self._of_path(name, varied)
+        return None if len(self.faults) > before else found
+
+    def _seed(self, varied: Varied) -> Factor | None:
+        first = self.scenario.scenario.seed
+        if varied.each is not None:
+            return Factor("seed", first=varied.each)
+        if varied.count is not None:
+            return Factor("seed", values=list(range(first, first + varied.count)))
+        values = varied.values
+        if values is None or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in values):
+            self._note(("vary", "seed"), "seeds are whole numbers: values: [1, 2], count: 20 or each: 1")
+            return None
+        return Factor("seed", values=values)
+
+    def _of_variable(self, name: str, component: str, variable_name: str, varied: Varied) -> Factor | None:
+        block = self.components.get(component)
+        if not isinstance(block, FmuBlock):
+            cure = f"vary a path such as components.{component}.… by values"
+            self._note(("vary", name), f"{component} is no FMU and has no start values; {cure}", key=True)
+            return None
+        variables = {v.name: v for v in block.description.modelVariables}
+        variable = variables.get(variable_name)
+        if variable is None or not settable(variable):
+            if variable is None:
+                known = [v.name for v in variables.values() if settable(v)]
+                what = f'{component} has no variable "{short(variable_name)}"{did_you_mean(variable_name, known)}'
+            else:
+                what = f"{name} is {kind_of_variable(variable)}; it takes no start value"
+            self._note(("vary", name), what, key=True)
+            return None
+        if variable.shape:
+            self._note(("vary", name), "is an array; vary a path of the scenario by values", key=True)
+            return None
+        if variable_name in block.connected:
+            self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
+            return None
+
+        def value(where: Location, given: Any) -> Any:
+            found = typed(block.description, variable, given)
+            if isinstance(found, Misfit):
+                self._note(("vary", name, *where), f"{name} is {given!r}; {found.reason}")
+                return None
+            return found
+
+        return self._made(name, varied, value, unit_of(variable) or "")
+
+    def _of_path(self, name: str, varied: Varied) -> Factor | None:
+        first = name.partition(".")[0]
+        known = [*Scenario.model_fields, *self.scenario.scenario.components]
+        if first not in Scenario.model_fields:
+            message = f'no component and no key of the scenario is "{short(first)}"{did_you_mean(first, known)}'
+            self._note(("vary", name), message, key=True)
+            return None
+        if first in FIXED:
+            self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
+            return None
+
+        def value(where: Location, given: Any) -> Any:
+            if where[0] not in {"values", "grid"} and isinstance(given, str):
+                self._note(("vary", name, *where), f"{name} is {given!r}; it is a number")
+                return None
+            return beside(self.yaml.path, name, given)
+
+        factor = self._made(name, varied, value, "")
+        if factor is not None:
+            tried = factor.values
+            if tried is None:
+                tried = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
+            for k, v in enumerate(tried[:MOST_TRIED]):
+                where: Location = ("vary", name, "values", k) if varied.values is not None else ("vary", name)
+                self._try(where, f"{name}={json.dumps(v)}")
+        return factor
+
+    def _try(self, where: Location, override: str) -> None:
+        try:
+            file = ScenarioFile(self.scenario.path, (*self.overrides, override))
+            build_system(file, designed_values(file))
+        except InputError as error:
+            self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in error.faults]
+
+    def _made(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
+        """The factor, its values by `value`, which notes what is wrong with one."""
+        way = varied.way
+        if way == "values":
+            return Factor(name, unit, [value(("values", k), v) for k, v in enumerate(varied.values or ())])
+        if way == "grid":
+            assert varied.grid is not None
+            ends = [value(("grid", key), v) for key, v in (("from", varied.grid.begin), ("to", varied.grid.end))]
+            if any(isinstance(e, (bool, str)) or e is None for e in ends):
+                self._not_numbers(name, way, ends)
+                return None
+            return Factor(name, unit, np.linspace(ends[0], ends[1], varied.grid.count).tolist())
+        given = getattr(varied, way)
+        numbers = [v if (way, k) == ("normal", 1) else value((way, k), v) for k, v in enumerate(given)]
+        within = None if varied.within is None else [value(("within", k), v) for k, v in enumerate(varied.within)]
+        if any(
+            (isinstance(e, (bool, str, int)) and not isinstance(e, float)) or e is None
+            for e in (*numbers, *(within or ()))
+        ):
+            self._not_numbers(name, way, [*numbers, *(within or ())])
+        if any(isinstance(e, (bool, str)) or e is None for e in (*numbers, *(within or ()))):
+            return None
+        try:
+            return Factor(name, unit, drawn=distribution(way, [float(n) for n in numbers], within))
+        except ValueError as error:
+            self._note(("vary", name, way), str(error))
+            return None
+
+    def _not_numbers(self, name: str, way: str, given: Sequence[Any]) -> None:
+        component, _, variable_name = name.partition(".")
+        block = self.components.get(component)
+        whole = isinstance(block, FmuBlock) and any(
+            v.name == variable_name and v.type in {"Boolean", "String", "Enumeration", "Integer"}
+            for v in block.description.modelVariables
+        )
+        if whole or any(isinstance(g, (bool, str)) for g in given):
+            self._note(("vary", name, way), f"{name} is no real number; give its values as a list, values: […]")
+
+    def signal_faults(self) -> Iterator[Fault]:
+        """Signals that are kept are there."""
+        for k, signal in enumerate(self.file.signals):
+            if signal not in self.system.columns:
+                hint = did_you_mean(signal, self.system.columns)
+                yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
+
+    def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
+        """What is drawn lies in the bounds of its variable."""
+        for factor in factors:
+            component, _, name = factor.name.partition(".")
+            block = self.components.get(component)
+            if factor.drawn is None or not isinstance(block, FmuBlock):
+                continue
+            variable = next(v for v in block.description.modelVariables if v.name == name)
+            for drawn in (min(columns[factor.name]), max(columns[factor.name])):
+                found = typed(block.description, variable, drawn)
+                if isinstance(found, Misfit):
+                    way = self.file.vary[factor.name].way
+                    cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+                    yield self.yaml.fault(
+                        ("vary", factor.name, way), f"{factor.name} would be {drawn:g}; {found.reason}; {cure}"
+                    )
+
+
+def _size(varied: Varied) -> int | None:
+    """How many values are listed; None of a distribution, and of a seed for each run."""
+    if varied.values is not None:
+        return len(varied.values)
+    return varied.grid.count if varied.grid is not None else varied.count
