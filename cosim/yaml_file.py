@@ -8,9 +8,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Tag, ValidationError
 
 from cosim.errors import Fault, InputError
 from cosim.yaml_nodes import Location, NotYaml, document_of
@@ -118,8 +118,9 @@ class YamlFile:
         location = (*at, *within)
         name = ".".join(short(part) for part in location)
         if kind == "extra_forbidden":
-            known = _known_keys(model, within[:-1])
-            message = f'unknown key "{short(location[-1])}"{did_you_mean(str(location[-1]), known)}'
+            known, takers = _known_keys(model, error["loc"])
+            hint = f": {takers}" if takers else did_you_mean(str(location[-1]), known)
+            message = f'unknown key "{short(location[-1])}"{hint}'
             return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
         if kind == "missing":
             return self.fault(location[:-1], f'"{name}" is missing; add it')
@@ -231,17 +232,43 @@ def _leave_out(data: Any, location: Location) -> None:
     data.pop(location[-1], None)
 
 
-def _known_keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
-    """Keys allowed at a place, as far as the model's annotations say."""
-    current: Any = model
-    for step in location:
-        annotation = current.model_fields[step].annotation if _has_field(current, step) else current
-        current = _inner_model(annotation) or current
-    return [f.alias or name for name, f in current.model_fields.items()]
+def _known_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
+    """Keys allowed where pydantic finds one that is not, and which of a union's other branches take that one."""
+    annotation: Any = model
+    branches: dict[str, Any] = {}
+    here = ""
+    for step in places[:-1]:
+        inner, found = _plain(annotation), _branches(annotation)
+        if step in found:
+            annotation, branches, here = found[str(step)], found, str(step)
+            continue
+        field = getattr(inner, "model_fields", {}).get(step)
+        annotation = field.annotation if field is not None else (get_args(inner) or (inner,))[-1]
+        branches = {}
+    keys = _keys(annotation)
+    takers = [tag.strip("«»") for tag, branch in branches.items() if places[-1] in _keys(branch)]
+    said = f"{' and '.join(takers)} {'take' if takers[1:] else 'takes'} it, {here.strip('«»')} does not"
+    return keys, said if takers else ""
 
 
-def _has_field(model: Any, step: str | int) -> bool:
-    return isinstance(step, str) and step in getattr(model, "model_fields", {})
+def _keys(annotation: Any) -> list[str]:
+    fields = getattr(_inner_model(annotation), "model_fields", {})
+    return [f.alias or name for name, f in fields.items()]
+
+
+def _plain(annotation: Any) -> Any:
+    """An annotation without what is said beside it."""
+    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+
+
+def _branches(annotation: Any) -> dict[str, Any]:
+    """Branches of a union by their tags."""
+    return {
+        mark.tag: branch
+        for branch in get_args(_plain(annotation))
+        for mark in getattr(branch, "__metadata__", ())
+        if isinstance(mark, Tag)
+    }
 
 
 def _inner_model(annotation: Any) -> type[BaseModel] | None:

@@ -20,6 +20,7 @@ from cosim.kinds import READ_BY
 from cosim.results import read_results
 from cosim.simulation.draft_text import scalar
 from cosim.simulation.matching import Port, matched, text
+from cosim.simulation.parts import component_name
 from tests.typed import typed_fmu
 
 EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'
@@ -88,6 +89,23 @@ def test_what_is_no_fmu_is_named_with_the_command_that_reads_it(tmp_path: Path, 
 
 def test_every_file_that_is_no_fmu_is_told_at_once(tmp_path: Path) -> None:
     assert len(told("info", tmp_path, tmp_path / "none.fmu", code=2).splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("stem", "model", "name"),
+    [
+        ("tank", "Plant.Tank", "tank"),
+        ("2tanks", "", "fmu_2tanks"),
+        ("Größe", "", "Groesse"),
+        ("日本", "", "fmu"),
+        ("ControlledTemperature_v2.1_linux64_cs", "ControlledTemperature", "ControlledTemperature"),
+        ("Rotational_Examples_CoupledClutches_0_9", "Lib.Rotational.Clutches", "Clutches"),
+        ("Drive.Train.Controller.v12.linux64", "", "Drive_Train_Controller"),
+        ("x" * 60, "y" * 60, "y" * 24),
+    ],
+)
+def test_a_component_has_a_name_that_is_short_to_read(stem: str, model: str, name: str) -> None:
+    assert component_name(stem, model) == name
 
 
 # -- which output goes to which input -------------------------------------------------------------

@@ -200,6 +200,24 @@ def test_rows_are_those_of_a_run_where_its_manifest_lies_beside_them(shelf: Path
     assert kind_of(shelf / "replayed" / "results.csv") == LOG
 
 
+@pytest.mark.parametrize(
+    ("component", "words"),
+    [
+        ("{block: reference, step: 0.2, signals: {x: {}}}", 'unknown key "step": fmu takes it, reference does not'),
+        ("{block: playback, file: log.csv, rate: 2}", 'unknown key "rate": fix takes it, playback does not'),
+        ("{block: reference, signals: {x: {stat: 1}}}", 'did you mean "start"? (known here: unit, start, changes)'),
+        ("{fmu: x.fmu, stepp: 1}", 'did you mean "step"? (known here: fmu, process, start'),
+    ],
+)
+def test_a_key_of_another_kind_of_component_is_told_with_what_takes_it(
+    shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, component: str, words: str
+) -> None:
+    monkeypatch.chdir(shelf)
+    (tmp_path / "s.yaml").write_text(f"name: s\nduration: 1\nstep: 0.1\ncomponents: {{a: {component}}}\n")
+    done = CliRunner().invoke(app, ["run", "--in-process", str(tmp_path / "s.yaml")])
+    assert words in str(done.exception)
+
+
 @pytest.mark.parametrize("name", ["a" * 300 + ".yaml", "loop/x.yaml"])
 def test_a_name_that_no_file_may_have_is_told_as_such(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.errors import InputError
 from cosim.models.native import build_native
+from cosim.simulation.coupling import coupling_error
 from fmus.native.compiler import compiler
 from fmus.native.platforms import commands as compilers
 from fmus.native.platforms import crossing, glibc_floor, here
@@ -424,6 +426,43 @@ def test_a_compiler_that_fails_is_quoted(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(InputError, match=r"failed: model.c:1: error: no space left; mend the compiler"):
         build_native(tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("makes", "words"),
+    [
+        ("exit 0", "ended without an error and made no library"),
+        ('while [ "$1" != -o ]; do shift; done; echo text > "$2"', "is no library that has fmi2Instantiate"),
+        ('while [ "$1" != -o ]; do shift; done; cp /bin/sh "$2"', "is no library that has fmi2Instantiate"),
+    ],
+)
+def test_a_compiler_that_only_says_that_it_is_done_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, makes: str, words: str
+) -> None:
+    pretending = tmp_path / "cc"
+    pretending.write_text(f"#!/bin/sh\n{makes}\n")
+    pretending.chmod(0o755)
+    monkeypatch.setenv("CC", str(pretending))
+    with pytest.raises(InputError, match=f"{words}.*; mend the compiler, or say another in CC") as refused:
+        build_native(tmp_path / "out")
+    assert refused.value.exit_code == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_step_that_an_fmu_does_not_halve_is_told_with_both_steps(tmp_path: Path, native_fmus: Path) -> None:
+    signals = {name: {} for name in ("psi", "psi_dot", "ax", "x_ref", "psi_ref")}
+    scenario = {
+        "name": "sampled", "duration": 0.1, "step": 0.02,
+        "components": {
+            "controller": {"fmu": str(native_fmus / "controller-native.fmu")},
+            "reference": {"block": "reference", "signals": signals},
+        },
+        "connections": [{"from": f"reference.{name}", "to": f"controller.{name}", "factor": 1} for name in signals],
+    }  # fmt: skip
+    (tmp_path / "s.json").write_text(json.dumps(scenario))
+    said = coupling_error(tmp_path / "s.json", in_process=True).sentence
+    assert "halved by --coupling-error: 0.01 s for 0.02 s" in said
+    assert said.endswith("controller is sampled at 0.02 s (sample_time)")
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
 
 
 def check_files(log: Path, fmu: Path | None) -> None:
-    """InputError with what each is where it is no log, or no FMU; beside a faulty log, what is wrong with an FMU too."""
+    """InputError with what each is where it is no log or FMU; beside a faulty log also why an FMU is not read."""
     faults: list[Fault] = []
     for given, kind in ((log, LOG), (fmu, FMU)):
         try:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import Interrupted
+from cosim.errors import InputError, Interrupted
 from cosim.files import FilePath
 from cosim.isolation.process import Worker
 from cosim.results import Results
@@ -107,7 +107,13 @@ def _results(
     for one in (given, file):
         if nearest:
             take_nearest(one)
-    system = build_system(file, designed_values(given))
+    try:
+        system = build_system(file, designed_values(given))
+    except InputError as error:
+        if parts == 1:
+            raise
+        why = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # that cure is of a run
+        return f"(halved by --coupling-error: {step:g} s for {given.scenario.step:g} s) it cannot be run: {why}"
     if halved:
         if reason := why_not(system):
             return reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from cosim.simulation.matching import Port
 from fmus.sampled import sampled_by
 
 STOP, STEPS = 1.0, 500  # [s] where no FMU says how long; steps where none says how fine
+LONGEST = 24  # characters of a component's name, which is read in every signal
+SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"})
 MOST_STEPS = 20_000  # of a first run, which is to answer soon
 
 
@@ -64,12 +67,28 @@ class Times:
     why_step: str
 
 
+def component_name(stem: str, model: str = "") -> str:
+    """What an FMU is called: its file's name; where that is long, the last part of its model's name, shortened."""
+    name = _identifier(stem)
+    if len(name) > LONGEST:
+        name = _identifier(model.rpartition(".")[2]) or name
+    if len(name) > LONGEST:
+        whole = name.rfind("_", LONGEST // 2, LONGEST + 1)  # between words
+        name = name[: whole if whole > 0 else LONGEST]
+    return (f"fmu_{name}" if name[:1].isdigit() else name) or "fmu"
+
+
+def _identifier(text: str) -> str:
+    """Letters of ASCII, digits and underscores: accents are left off, ä is ae."""
+    plain = unicodedata.normalize("NFKD", text.translate(SPELT))
+    return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
+
+
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
     """FMUs with names that a scenario takes, each its own; InputError with what is wrong with every one."""
     found: list[Part] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
-        stem = re.sub(r"\W+", "_", path.stem, flags=re.ASCII).strip("_") or "fmu"
-        stem = f"fmu_{stem}" if stem[0].isdigit() else stem
+        stem = component_name(path.stem, description.modelName or "")
         taken = {p.name for p in found}
         name = next(n for n in (stem, *(f"{stem}_{k}" for k in range(2, 10_000))) if n not in taken)
         found.append(Part(name, path, description, start or {}))

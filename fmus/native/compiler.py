@@ -15,6 +15,7 @@ from pathlib import Path
 from fmus.native.cache import cached
 
 OPTIONS = ("-O3", "-fno-math-errno", "-shared", "-fPIC", "-std=c99")  # errno of sin and pow is not looked at
+PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # Linux, Windows; macOS
 
 
 def compiler() -> list[str] | None:
@@ -36,12 +37,15 @@ class CompilerFailed(RuntimeError):
     """What the compiler said."""
 
 
-def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str]) -> bytes:
-    """The shared library of sources, from the cache or compiled now; CompilerFailed with what the compiler said."""
+def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str], exports: Sequence[str] = ()) -> bytes:
+    """The shared library of sources, from the cache or compiled now; CompilerFailed with what the compiler said.
+
+    exports: functions that it is looked at for: some commands end without an error and make something else
+    """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command))).encode()).hexdigest()
     stem = cached(content, "")
     for kept in stem.parent.glob(f"{stem.name}-*.so"):
-        if kept == _named(stem, kept):
+        if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
             return kept.read_bytes()
         kept.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory(dir=stem.parent) as name:
@@ -57,8 +61,20 @@ def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str]) ->
         if done.returncode or not library.is_file():
             said = (done.stderr or done.stdout).strip().splitlines()
             first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
+            if done.returncode == 0:
+                first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
             raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}")
+        if missing := _missing(library.read_bytes(), exports):
+            told = f"it ended without an error, but what it made is no library that has {missing[0]}"
+            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {told}")
         return library.replace(_named(stem, library)).read_bytes()
+
+
+def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
+    """Functions that a library does not name; all of them where it is none."""
+    if library.startswith(PACKED):  # names in a tree of their parts
+        return []
+    return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
 def loaded(source: str) -> ctypes.CDLL:

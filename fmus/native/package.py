@@ -22,6 +22,10 @@ from plant.model import Model
 
 HERE = Path(__file__).resolve().parent
 WAYS = {2: "FMI 2.0", 3: "FMI 3.0"}
+EXPORTS = {
+    2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
+    3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
+}
 BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiBuildDescription fmiVersion="3.0">
   <BuildConfiguration modelIdentifier="{identifier}">
@@ -93,7 +97,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon.read_bytes()
     floors = {}
     for platform, command in targets.items():
-        library = library_of(sources, "all.c", command)
+        library = library_of(sources, "all.c", command, EXPORTS[fmi])
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
     members["modelDescription.xml"] = description(guid)
