@@ -7,16 +7,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-from controller.gains import ESTIMATORS, Settings
+from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.variants import INTEGRAL, POLES, PREDICTIVE, PredictiveSettings, conflicts
 from plant.design import BadOption, Option
 from plant.hovercraft import Hovercraft
 from plant.model import Model
 from plant.quantities import parameters_of
-
-GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))
-
 
 INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))
 WEIGHTS = (

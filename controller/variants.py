@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from controller.gains import Settings, gain
+from controller.gains import GAINS, Settings
 from plant.quantities import parameter
 
 POLES, INTEGRAL, PREDICTIVE = LAWS = ("poles", "integral", "predictive")  # what `design:` knows; "" is the LQR
@@ -27,36 +28,22 @@ def weight(default: float, unit: str, doc: str) -> Any:
     return parameter(default, unit=unit, bounds=(0, 1e6), doc=f"weight of {doc}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlacedSettings(Settings):
-    """Of pole placement: the same gains, placed."""
+def mirrored(row: Sequence[float]) -> dict[str, Any]:
+    """The ten gains of the right tilt's five: those of ψ and ψ̇ have the other sign for the left."""
+    signs = (1.0, 1.0, -1.0, -1.0, 1.0)
+    left = (sign * k for sign, k in zip(signs, row, strict=True))
+    return dict(zip(GAINS, (*row, *left), strict=True))
 
-    k_1_1: float = gain(PLACED[0], "right", "x")
-    k_1_2: float = gain(PLACED[1], "right", "vx")
-    k_1_3: float = gain(PLACED[2], "right", "psi")
-    k_1_4: float = gain(PLACED[3], "right", "psi_dot")
-    k_1_5: float = gain(PLACED[4], "right", "a")
-    k_2_1: float = gain(PLACED[0], "left", "x")
-    k_2_2: float = gain(PLACED[1], "left", "vx")
-    k_2_3: float = gain(-PLACED[2], "left", "psi")
-    k_2_4: float = gain(-PLACED[3], "left", "psi_dot")
-    k_2_5: float = gain(PLACED[4], "left", "a")
+
+def placed_settings() -> Settings:
+    """Of pole placement: the same gains, placed."""
+    return replace(Settings(), **mirrored(PLACED))
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntegralSettings(Settings):
     """Of the LQR with integrals of what is measured of x and ψ, states six and seven."""
 
-    k_1_1: float = gain(WITH_INTEGRAL[0], "right", "x")
-    k_1_2: float = gain(WITH_INTEGRAL[1], "right", "vx")
-    k_1_3: float = gain(WITH_INTEGRAL[2], "right", "psi")
-    k_1_4: float = gain(WITH_INTEGRAL[3], "right", "psi_dot")
-    k_1_5: float = gain(WITH_INTEGRAL[4], "right", "a")
-    k_2_1: float = gain(WITH_INTEGRAL[0], "left", "x")
-    k_2_2: float = gain(WITH_INTEGRAL[1], "left", "vx")
-    k_2_3: float = gain(-WITH_INTEGRAL[2], "left", "psi")
-    k_2_4: float = gain(-WITH_INTEGRAL[3], "left", "psi_dot")
-    k_2_5: float = gain(WITH_INTEGRAL[4], "left", "a")
     k_1_6: float = integral_gain(OF_X_INTEGRAL, "right", "rad/m/s", "x")
     k_1_7: float = integral_gain(OF_PSI_INTEGRAL, "right", "1/s", "psi")
     k_2_6: float = integral_gain(OF_X_INTEGRAL, "left", "rad/m/s", "x")
@@ -66,6 +53,11 @@ class IntegralSettings(Settings):
     def integral_matrix(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Gains of the integrals, shape (2, 2)."""
         return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
+
+
+def integral_settings() -> IntegralSettings:
+    """Of the LQR with integrals, all gains designed."""
+    return IntegralSettings(**mirrored(WITH_INTEGRAL))
 
 
 def conflicts(p: Any) -> list[str]:
@@ -88,8 +80,8 @@ def conflicts(p: Any) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictiveSettings(Settings):
-    """Of the predictive law: numbers of roll and motors, weights, limits, horizon. Its gains `k_i_j` are not used."""
+class FullSettings(Settings):
+    """With the numbers of roll and motors: all that is in the fourteen states linearised at hover."""
 
     ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="design model: roll inertia, eq 5.4")
     ground_gain: float = parameter(
@@ -107,6 +99,12 @@ class PredictiveSettings(Settings):
     roll_damping: float = parameter(
         0.45, unit="N.m.s/rad", bounds=(0, 10), doc="design model: roll moment per roll rate"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveSettings(FullSettings):
+    """Of the predictive law: weights, limits, horizon. Its gains `k_i_j` are not used."""
+
     weight_x: float = weight(1.0, "1/m2", "x")
     weight_vx: float = weight(0.5, "s2/m2", "vx")
     weight_psi: float = weight(0.1, "1/rad2", "psi")

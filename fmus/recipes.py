@@ -96,7 +96,7 @@ def _controller(
         law=law,
     )
     module = slave.__module__.rpartition(".")[2]
-    needed = () if module == "controller_fmu" else ("controller_fmu",)
+    needed = ("craft_ports",) if module == "controller_fmu" else ("controller_fmu", "craft_ports")
     text = documented(Loop, discrete_model, *more, slave)
     return Recipe((module, slave.__name__), ("plant", "controller"), description, text, (), needed, without=DESIGNING)
 
