@@ -10,6 +10,7 @@ from controller.gains import GAINS, Settings
 from plant.quantities import parameter
 
 POLES, INTEGRAL, PREDICTIVE = LAWS = ("poles", "integral", "predictive")  # what `design:` knows; "" is the LQR
+INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
 
 # Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn); of the LQR with weights 0.3 and 0.05 of the
 # integrals. Tests design them anew.
@@ -60,22 +61,26 @@ def integral_settings() -> IntegralSettings:
     return IntegralSettings(**mirrored(WITH_INTEGRAL))
 
 
-def conflicts(p: Any) -> list[str]:
-    """What keeps the predictive law from a solution, by the numbers of `PredictiveSettings` together."""
-    found = []
+def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
+    """What keeps the predictive law from a solution: by which numbers of `PredictiveSettings`, and why."""
+    found: list[tuple[tuple[str, ...], str]] = []
     if not p.duty_min < p.duty_nominal < p.duty_max:
-        found.append(
+        low = not p.duty_min < p.duty_nominal
+        said = (
             f"no duty of {p.duty_min:g} to {p.duty_max:g} % holds the craft, which hovers at {p.duty_nominal:.6g} %:"
-            " the predictive law has no solution; widen duty_min and duty_max about it"
+            " the predictive law has no solution; widen the limits about it"
         )
-    if not (p.weight_tilt > 0 and p.weight_duty > 0):
-        found.append("weight_tilt and weight_duty are above 0, so that there is one best command")
-    if not (p.weight_x > 0 and p.weight_psi > 0 and p.weight_y > 0):
-        found.append("weight_x, weight_y and weight_psi are above 0, so that no position is left to itself")
+        found.append((("duty_min" if low else "duty_max", "duty_nominal"), said))
+    for names, why in (
+        (("weight_tilt", "weight_duty"), "so that there is one best command"),
+        (("weight_x", "weight_y", "weight_psi"), "so that no position is left to itself"),
+    ):
+        found += [((n,), f"{n} is {getattr(p, n):g}; it is above 0, {why}") for n in names if not getattr(p, n) > 0]
     if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
-        found.append("the horizon has 1 to 1000 steps of prediction_step")
+        said = f"the horizon of {p.horizon:g} s has 1 to 1000 steps of prediction_step, {p.prediction_step:g} s"
+        found.append((("horizon", "prediction_step"), said))
     if not p.tilt_max > 0:
-        found.append("tilt_max is above 0; with 0 nothing can be commanded")
+        found.append((("tilt_max",), "tilt_max is above 0; with 0 nothing can be commanded"))
     return found
 
 
@@ -130,6 +135,6 @@ class PredictiveSettings(FullSettings):
             super().__post_init__()
         except ValueError as error:
             faults.append(str(error))
-        faults += conflicts(self)
+        faults += [said for _, said in conflicts(self)]
         if faults:
             raise ValueError("; ".join(faults))

@@ -9,7 +9,13 @@ from fmus.description import Description
 from fmus.documentation import documented
 from fmus.ports import Port
 
-DESIGNING = ("controller/synthesis.py", "controller/designer.py")  # what an estimator does without
+DESIGNING = (
+    "controller/synthesis.py",
+    "controller/designer.py",
+    "controller/placement.py",
+    "controller/stability.py",
+    "controller/judging.py",
+)  # what an estimator does without
 NEEDED = ("craft_ports",)  # of `fmus`
 
 

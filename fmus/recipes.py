@@ -17,7 +17,13 @@ HEAVY = {
     "actuator_second_order.damping_ratio": 0.5,
 }
 
-DESIGNING = ("controller/synthesis.py", "controller/designer.py", "controller/placement.py")  # offline
+DESIGNING = (
+    "controller/synthesis.py",
+    "controller/designer.py",
+    "controller/placement.py",
+    "controller/stability.py",
+    "controller/judging.py",
+)  # offline
 Dependencies = Mapping[str, Sequence[str]]
 
 
