@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from pythonfmu.enums import Fmi2Status
+
 from controller.gains import Settings
 from controller.laws import Law, StateFeedback
 from controller.loop import Loop
 from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_ports, start_ports
 from fmus.ports import Port, Value, parameter_port
-from fmus.slave import Slave
+from fmus.slave import STEP, Slave
 from plant.quantities import parameters_of
 
 
@@ -102,6 +104,11 @@ class HovercraftController(Slave):
         psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
         self.loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
         self._publish()
+
+    def terminate(self) -> None:
+        """What the law has to say of the run is a warning."""
+        if self.phase is STEP and (words := self.loop.law.words(self.start_time)):
+            self.log(words, Fmi2Status.warning)
 
     def snapshot(self) -> Any:
         """Estimate, covariance, last command, last fix."""

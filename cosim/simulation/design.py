@@ -73,7 +73,7 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     except InputError as error:
         file.faults += error.faults
         return {}
-    file.warnings += judged.warnings
+    file.warnings += [*judged.warnings, *_two_numbers(design.component, designer.given(options), own)]
     return {design.component: designed}
 
 
@@ -152,6 +152,15 @@ def _kind(option: Option) -> Any:
         return Optional[number]  # noqa: UP045
     several: Any = Annotated[list[number], Field(min_length=option.length, max_length=option.length)]
     return Optional[several] if option.laws else several  # noqa: UP045
+
+
+def _two_numbers(component: str, given: Mapping[str, Any], own: Mapping[str, Any]) -> list[str]:
+    """A number of which the design takes one value and the component, by its own start values, another."""
+    return [
+        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design: it runs with the first and is designed with the second"
+        for name, value in given.items()
+        if not isinstance(value, str) and isinstance(own.get(name), (int, float)) and own[name] != value
+    ]
 
 
 @dataclass(frozen=True)
