@@ -12,32 +12,37 @@ from controller.gains import GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.placement import placed_gain
 from controller.stability import FlownLoop, kept, worst
-from controller.synthesis import integral_gain, lqr_gain
+from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
 from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
-from plant.design import Judged, Objection
+from plant.design import Judged, Objection, Undesigned
 from plant.quantities import parameters_of
 
 AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # of the five poles
 SLOWER_FIRST = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
+TURNING = "347"  # columns of K and K_i that act on ψ
+WEIGHTS = {"Q": list(Q_THESIS), "R": list(R_THESIS), "Q_integral": list(Q_INTEGRAL)}
 Place = tuple[str | int, ...]
 
 
 def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tuple[Matrix, Matrix | None]:
-    """K (2, 5), and K_i (2, 2) of the law that has integrals, else None."""
-    if law == POLES:
-        return placed_gain(p, [complex(pole) for pole in options["poles"]]), None
-    if law == INTEGRAL:
-        return integral_gain(p, options["Q"], options["R"], options["Q_integral"])
-    return lqr_gain(p, options["Q"], options["R"]), None
+    """K (2, 5), and K_i (2, 2) of the law that has integrals, else None. Raises Undesigned."""
+    try:
+        if law == POLES:
+            return placed_gain(p, [complex(pole) for pole in options["poles"]]), None
+        if law == INTEGRAL:
+            return integral_gain(p, options["Q"], options["R"], options["Q_integral"])
+        return lqr_gain(p, options["Q"], options["R"]), None
+    except ValueError as error:
+        raise Undesigned(Objection(_place_of("forward", options, law)[:1], str(error))) from None
 
 
 def judged_gains(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
     """Of designed gains with a scenario's `own` over them: whether the controller takes them, and they are stable."""
-    objections = _too_large(values, law)
+    objections = _too_large(values, options, law)
     return Judged(objections) if objections else _judged_loop(values, own, options, law)
 
 
-def _too_large(values: Mapping[str, Any], law: str) -> list[Objection]:
+def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) -> list[Objection]:
     """Gains that the controller does not take."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
     large = [p for p in gains if p.fault(values[p.name])]
@@ -45,11 +50,8 @@ def _too_large(values: Mapping[str, Any], law: str) -> list[Objection]:
         return []
     size = max(abs(values[p.name]) for p in large)
     said = f"asks for a gain of {size:.3g}, and the controller takes {large[0].bounds[1]:g} at most"
-    return [Objection(_main(law), said, tuple(p.name for p in large))]
-
-
-def _main(law: str) -> Place:
-    return ("poles",) if law == POLES else ("Q",)
+    axis = "turning" if large[0].name[-1] in TURNING else "forward"
+    return [Objection(_place_of(axis, options, law), said, tuple(p.name for p in large))]
 
 
 def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
@@ -79,9 +81,10 @@ def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Map
 
 
 def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
-    """What makes an axis as fast as it is: its fastest pole, or the weights."""
+    """What makes an axis as fast as it is: its fastest pole, or weights that are not ours."""
     if law != POLES:
-        return _main(law)
+        given = (name for name, ours in WEIGHTS.items() if options.get(name) not in (None, ours))
+        return (next(given, "Q"),)
     return "poles", max(AXES[axis], key=lambda k: abs(complex(options["poles"][k])))
 
 

@@ -41,6 +41,14 @@ class Objection(NamedTuple):
     values: tuple[str, ...] = ()
 
 
+class Undesigned(ValueError):
+    """There is no design with these options."""
+
+    def __init__(self, objection: Objection) -> None:
+        super().__init__(objection.message)
+        self.objection = objection
+
+
 class Judged(NamedTuple):
     """What is to be said of designed start values: why they cannot be, and what is worth a warning."""
 
@@ -66,7 +74,7 @@ class Designer(Protocol):
     def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
         """Designed start values by variable, for an FMU with this control law ("": the designer's first).
 
-        The options have no objections. Raises ValueError where there is no such design.
+        The options have no objections. Raises Undesigned, or ValueError where it is no matter of an option.
         """
 
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:

@@ -206,6 +206,24 @@ def test_a_limit_of_iterations_leaves_a_command_within_the_limits_and_says_so() 
     assert 0.0 < max(map(abs, tilts)) <= MPC.tilt_max
 
 
+def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_state(flown: Path) -> None:
+    swap = ["components.controller.fmu=../build/controller-mpc.fmu", "criteria={}", "duration=1", "start_time=5"]
+    few = [*swap, "components.controller.start.iterations_max=3"]
+    outcome = run("regulate.yaml", flown / "few", few, report=False, in_process=True)
+    solved = outcome.results["controller.solved"]
+    (told,) = [w for w in outcome.manifest["warnings"] if "solver" in w]
+    first = outcome.results.time[np.flatnonzero(solved == 0)[0]]
+    assert f"controller: the solver gave up in {(solved == 0).sum()} of {len(solved)} samples" in told
+    assert f"first at t = {first:g} s: its limit of 3 iterations (iterations_max) came first" in told
+    enough = run("regulate.yaml", flown / "enough", swap, report=False, in_process=True)
+    assert enough.manifest["warnings"] == []
+    law = PredictiveLaw(replace(MPC, iterations_max=2.0))
+    law.command([3.0, 0.0, 1.0, 0.0, 0.0], REST)
+    again = PredictiveLaw(replace(MPC, iterations_max=2.0))
+    again.restore(json.loads(json.dumps(law.snapshot())))
+    assert again.words(0.0) == law.words(0.0) != ""
+
+
 def test_a_limit_of_speed_is_kept_where_it_can_be_and_given_up_where_it_cannot() -> None:
     limited = PredictiveLaw(replace(MPC, speed_max=0.2))
     # beyond the limit from the start: there is no solution without slack, yet a command, and it brakes

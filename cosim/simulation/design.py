@@ -24,7 +24,7 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import NotNegative, Positive, short
 from fmus.native.cache import cached
 from fmus.sampled import law_of
-from plant.design import Designer, Judged, Objection, Option
+from plant.design import Designer, Judged, Objection, Option, Undesigned
 from plant.model import Model
 
 
@@ -70,6 +70,9 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         judged = made.judged(designed, own)
         if judged.objections:
             raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
+    except Undesigned as error:
+        file.faults.append(_fault(file, error.objection, own, design.component))
+        return {}
     except InputError as error:
         file.faults += error.faults
         return {}
@@ -114,7 +117,14 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
         named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
     except NoNearest as error:
         raise InputError([file.fault(("design", "nearest"), str(error))]) from None
-    loaded = load_model(BASE if design.model == BASE else str(named), Path())
+    try:
+        loaded = load_model(BASE if design.model == BASE else str(named), Path())
+    except InputError as error:  # of the whole file, not of a line of it: told where it is named
+        where = ("design", "model")
+        faults = [
+            f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
+        ]
+        raise InputError(faults) from None
     entry = known(type(loaded.model))
     if entry is None or not entry.design:
         message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
@@ -157,7 +167,8 @@ def _kind(option: Option) -> Any:
 def _two_numbers(component: str, given: Mapping[str, Any], own: Mapping[str, Any]) -> list[str]:
     """A number of which the design takes one value and the component, by its own start values, another."""
     return [
-        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design: it runs with the first and is designed with the second"
+        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
+        " it runs with the first and is designed with the second"
         for name, value in given.items()
         if not isinstance(value, str) and isinstance(own.get(name), (int, float)) and own[name] != value
     ]
@@ -178,6 +189,8 @@ class _Design:
         try:
             content = {"model": self.designer.depends_on(self.model)}
             made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))
+        except Undesigned:
+            raise
         except ValueError as error:
             raise InputError([self.file.yaml.fault(("design",), f"design: {error}", key=True)]) from None
         return {name: float(value) for name, value in made.items()}
