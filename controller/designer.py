@@ -7,18 +7,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-from controller.gains import ESTIMATORS, Settings
+from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, POLES, PREDICTIVE, PredictiveSettings, conflicts
-from plant.design import BadOption, Option
+from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIVE, PredictiveSettings, conflicts
+from plant.design import Judged, Objection, Option
 from plant.hovercraft import Hovercraft
 from plant.model import Model
 from plant.quantities import parameters_of
 
-GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))
-
-
-INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))
 WEIGHTS = (
     "weight_x",
     "weight_vx",
@@ -26,6 +22,7 @@ WEIGHTS = (
     "weight_psi_dot",
 )  # the fifth state has no place in the predictive law
 BY_WEIGHTS = ("", INTEGRAL, PREDICTIVE)
+Place = tuple[str | int, ...]
 
 
 class LqrDesigner:
@@ -34,7 +31,7 @@ class LqrDesigner:
     Q and R mean the same to every law that has weights, so that a scenario may swap its controller by one line.
     """
 
-    version = 4
+    version = 5
     options: Mapping[str, Option] = {
         "Q": Option(
             "weights of the five states, diagonal, eq 6.4",
@@ -79,23 +76,32 @@ class LqrDesigner:
             return self._predictive(options, model, numbers)
         return self._gains(options, settings, law) | numbers
 
+    def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
+        """Options out of the bounds of what they become, poles that cannot be, two weights where there is one."""
+        from controller.placement import pole_faults
+
+        declared = {p.name: p for p in parameters_of(PredictiveSettings)}
+        found = []
+        for name, (about, value) in _becomes(options, law).items():
+            low, high = declared[name].bounds
+            if not low <= value <= high:
+                said = f"{value:g} lies outside [{low:g}, {high:g}] {declared[name].unit}".rstrip()
+                found.append(Objection(about, said))
+        if law == POLES:
+            poles = [complex(pole) for pole in options["poles"]]
+            found += [Objection(("poles", k), said) for k, said in pole_faults(poles)]
+        if law == PREDICTIVE and options["R"][0] != options["R"][1]:
+            said = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
+            found.append(Objection(("R",), said))
+        return found
+
     def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
         """Of laws that are gains."""
-        from controller.placement import placed_gain
-        from controller.synthesis import integral_gain, lqr_gain
+        from controller.judging import designed_gains
 
-        more: dict[str, float] = {}
-        if law == POLES:
-            try:
-                K = placed_gain(settings, [complex(pole) for pole in options["poles"]])
-            except ValueError as error:
-                raise BadOption("poles", str(error)) from None
-        elif law == INTEGRAL:
-            K, K_i = integral_gain(settings, options["Q"], options["R"], options["Q_integral"])
-            more = {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)}
-        else:
-            K = lqr_gain(settings, options["Q"], options["R"])
-        return {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)} | more
+        K, K_i = designed_gains(options, settings, law)
+        gains = {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)}
+        return gains | ({} if K_i is None else {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)})
 
     def _predictive(
         self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float]
@@ -103,30 +109,52 @@ class LqrDesigner:
         """Of the predictive law: weights and limits, and more numbers of the craft."""
         from controller.synthesis import roll_numbers_of
 
-        if options["R"][0] != options["R"][1]:
-            raise BadOption("R", f"{options['R']} weighs one tilt more; the predictive law takes one weight for both")
-        values = {name: float(q) for name, q in zip(WEIGHTS, options["Q"], strict=False)}
-        values["weight_y"], values["weight_vy"] = map(float, options["Q_lateral"])
-        values["weight_tilt"], values["weight_duty"] = float(options["R"][0]), float(options["R_duty"])
-        values["duty_min"], values["duty_max"] = map(float, options["duty_limits"])
-        values["horizon"] = float(options["horizon"])
-        if options["speed_max"] is not None:
-            values["speed_max"] = float(options["speed_max"])
+        values = {name: float(value) for name, (_, value) in _becomes(options, PREDICTIVE).items()}
         values |= numbers
         if isinstance(model, Hovercraft):
             values |= roll_numbers_of(model)
         return values
 
-    def conflicts(self, values: Mapping[str, Any], law: str) -> list[str]:
-        """Why the predictive law would have no solution; the others take any values."""
-        if law != PREDICTIVE:
-            return []
-        numbers = {p.name: p.default for p in parameters_of(PredictiveSettings)}
-        return conflicts(SimpleNamespace(**{**numbers, **values}))
+    def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
+        """Why the predictive law would have no solution, or gains would not be stable on the craft that flies."""
+        own = {name: v for name, v in own.items() if name == "estimator" or not isinstance(v, str)}  # with a unit
+        if law == PREDICTIVE:
+            settings = {p.name: p.default for p in parameters_of(PredictiveSettings)} | {**values, **own}
+            becomes = _becomes(options, law)
+            return Judged(
+                [
+                    Objection(next((becomes[n][0] for n in names if n in becomes), ()), said, names)
+                    for names, said in conflicts(SimpleNamespace(**settings))
+                ]
+            )
+        from controller.judging import judged_gains
+
+        return judged_gains(values, own, options, law)
 
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Estimator, thrust and lag."""
         return {k: v for k in ("thrust_nominal", "lag", "estimator") if (v := options.get(k)) is not None}
+
+
+def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
+    """What options become as they are: start value → where its number stands among them, and the number."""
+    found: dict[str, tuple[Place, float]] = {
+        name: ((name,), options[name]) for name in ("thrust_nominal", "lag") if options.get(name) is not None
+    }
+    if law != PREDICTIVE:
+        return found
+    found |= {name: (("Q", k), q) for k, (name, q) in enumerate(zip(WEIGHTS, options["Q"], strict=False))}
+    for option, names in (
+        ("Q_lateral", ("weight_y", "weight_vy")),
+        ("R", ("weight_tilt",)),
+        ("duty_limits", ("duty_min", "duty_max")),
+    ):
+        found |= {name: ((option, k), options[option][k]) for k, name in enumerate(names)}
+    found["weight_duty"] = ("R_duty",), options["R_duty"]
+    found["horizon"] = ("horizon",), options["horizon"]
+    if options["speed_max"] is not None:
+        found["speed_max"] = ("speed_max",), options["speed_max"]
+    return found
 
 
 DESIGNER = LqrDesigner()

@@ -10,6 +10,7 @@ from plant.model import Parametric
 from plant.quantities import parameter, parameters_of
 
 ESTIMATORS = ("appendix_f", "lagged", "consistent")
+GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
 CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
 
 # Eq 6.5 in full: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test designs it anew.

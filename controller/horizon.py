@@ -16,7 +16,7 @@ from controller.variants import PredictiveSettings
 PREDICTED = [k for k, name in enumerate(STATES) if not name.endswith("_world")]
 NAMES = [STATES[k] for k in PREDICTED]
 BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps of the prediction over which a command is held; the last one to its end
-SOLVED = (1, 2)  # DAQP's flags: optimal, and where a soft limit is exceeded
+SOLVED, AT_LIMIT = (1, 2), -4  # DAQP's flags: optimal, and where a soft limit is exceeded; too many iterations
 HARD, SOFT = 0, 8  # its kinds of limits
 ROUNDING = 1e-9  # multipliers below are those of no limit
 
@@ -26,12 +26,18 @@ class Found(NamedTuple):
 
     command: the first one, a deviation from rest
     hot:     multipliers, whose signs say at which limits the next sample starts
+    flag:    how it ended, one of DAQP's
     """
 
     command: Matrix
     hot: Matrix
     iterations: int
-    solved: bool
+    flag: int
+
+    @property
+    def solved(self) -> bool:
+        """Whether it is the best command."""
+        return self.flag in SOLVED
 
 
 class Condensed(NamedTuple):
@@ -132,9 +138,8 @@ class Problem:
         U, _, flag, info = daqp.solve(
             self.cost.H, f, self.rows, high, low, self.kinds, iter_limit=self.iterations, dual_start=hot
         )
-        solved = flag in SOLVED
-        if solved:
+        if flag in SOLVED:
             hot = np.where(np.abs(info["lam"]) > ROUNDING, info["lam"], 0.0)
         else:  # what it leaves then is not all written
             U, hot = np.clip(-np.linalg.solve(self.cost.H, f), self.low, self.high), self.cold()
-        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), solved)
+        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag))

@@ -40,6 +40,9 @@ class Law(Protocol):
     def outputs(self) -> list[float]:
         """What it publishes beside its commands."""
 
+    def words(self, start: float) -> str:
+        """What is to be known at the end of a run that began at `start` [s]; "" for nothing."""
+
     def snapshot(self) -> Any:
         """What decides its future, as JSON knows it."""
 
@@ -66,6 +69,10 @@ class StateFeedback:
     def outputs(self) -> list[float]:
         """Nothing more."""
         return []
+
+    def words(self, start: float) -> str:
+        """Nothing."""
+        return ""
 
     def snapshot(self) -> Any:
         """It remembers nothing."""
@@ -112,6 +119,10 @@ class IntegralFeedback:
     def outputs(self) -> list[float]:
         """Both integrals."""
         return list(self.integrals)
+
+    def words(self, start: float) -> str:
+        """Nothing."""
+        return ""
 
     def snapshot(self) -> Any:
         """Both integrals."""

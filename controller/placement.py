@@ -29,9 +29,8 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
     A, B = design_model(p)
     check_controllable(A, B)
     wanted = [complex(pole) for pole in poles]
-    faults = [f for name, of in (("forward", wanted[:3]), ("turning", wanted[3:])) for f in _faults(name, of)]
-    if faults:
-        raise ValueError("; ".join(faults))
+    if faults := pole_faults(wanted):
+        raise ValueError("; ".join(said for _, said in faults))
     K = np.zeros((2, 5))
     for states, own, signs in zip((FORWARD, TURN), (wanted[:3], wanted[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)
@@ -48,19 +47,28 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
         scale = np.linalg.norm(reach, axis=1)[:, None]
         if np.linalg.matrix_rank(reach / np.where(scale > 0, scale, 1.0), tol=1e-9) < len(A):
             seen = [n for n, v in zip(names, vector, strict=True) if abs(v) > 1e-6]
-            raise ValueError(f"no input moves the pole {_said(complex(pole))} rad/s, of {', '.join(seen)}")
+            raise ValueError(f"no input moves the pole {said(complex(pole))} rad/s, of {', '.join(seen)}")
 
 
-def _faults(axis: str, poles: Sequence[complex]) -> list[str]:
+def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
+    """What is wrong with poles that are asked for: which one of the five, and why."""
+    of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
+    return [(first + k, said) for axis, first, of in of_axes for k, said in _faults(axis, of)]
+
+
+def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
+    numbered = list(enumerate(poles))
     faults = [
-        f"{_said(pole)} rad/s is not stable; the real part of a pole is below 0" for pole in poles if pole.real > -LEFT
+        (k, f"{said(a)} rad/s is not stable; the real part of a pole is below 0") for k, a in numbered if a.real > -LEFT
     ]
-    twice = [a for k, a in enumerate(poles) for b in poles[:k] if abs(a - b) <= ALIKE * abs(a)]
-    faults += [f"{_said(a)} stands twice in the {axis} axis; one input places a pole once" for a in twice]
-    lonely = [a for a in poles if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles)]
-    faults += [f"{_said(a)} needs {_said(a.conjugate())} in the same axis" for a in lonely]
+    for k, a in numbered:
+        if any(abs(a - b) <= ALIKE * abs(a) for b in poles[:k]):
+            faults.append((k, f"{said(a)} stands twice in the {axis} axis; one input places a pole once"))
+        if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles):
+            faults.append((k, f"{said(a)} needs {said(a.conjugate())} in the same axis"))
     return faults
 
 
-def _said(pole: complex) -> str:
+def said(pole: complex) -> str:
+    """A pole as one writes it."""
     return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real + 0.0:g}"

@@ -10,7 +10,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from controller.full_model import INPUTS, held
-from controller.horizon import NAMES, Problem, limits, predicted
+from controller.horizon import AT_LIMIT, NAMES, Problem, limits, predicted
 from controller.laws import Seen
 from controller.variants import PredictiveSettings
 
@@ -37,6 +37,11 @@ class PredictiveLaw:
         self.hot = self.problem.cold()
         self.last = np.zeros(len(INPUTS))
         self.fix, self.iterations, self.solved = 0.0, 0, True
+        self.sample = p.sample_time
+        self.samples, self.given_up = (
+            0,
+            [0, 0, 0],
+        )  # how many; of those without a solution how many, the first, its flag
 
     @property
     def duties(self) -> tuple[float, float]:
@@ -56,6 +61,10 @@ class PredictiveLaw:
         z[POSITIONS] -= seen.x_ref, seen.y_ref, seen.psi_ref
         found = self.problem.solve(z, self.hot)
         self.hot, self.iterations, self.solved = found.hot, found.iterations, found.solved
+        if not found.solved:
+            count, *first = self.given_up
+            self.given_up = [count + 1, *(first if count else (self.samples, found.flag))]
+        self.samples += 1
         self.last = np.clip(found.command, self.low, self.high) + 0.0  # within a rounding; -0.0 is 0.0
         return tuple((self.last + self.rest).tolist()[2:])
 
@@ -63,6 +72,19 @@ class PredictiveLaw:
         """ŷ [m] and its standard deviation, iterations, whether they ended in a solution."""
         sigma = math.sqrt(max(0.0, self.observer.P[0, 0]))
         return [float(self.observer.x[0]), sigma, float(self.iterations), float(self.solved)]
+
+    def words(self, start: float) -> str:
+        """That the solver gave up, how often and when first."""
+        count, first, flag = self.given_up
+        if not count:
+            return ""
+        at = start + first * self.sample
+        why = f"its limit of {self.problem.iterations} iterations (iterations_max) came first"
+        return (
+            f"the solver gave up in {count} of {self.samples} samples, first at t = {at:.6g} s:"
+            f" {why if flag == AT_LIMIT else f'there it found no solution (flag {flag} of daqp)'}; the command is then"
+            " the one without limits, cut off at them"
+        )
 
     def snapshot(self) -> Any:
         """Its own estimate, its last command, and where the solver starts from."""
@@ -72,6 +94,7 @@ class PredictiveLaw:
             "last": self.last.tolist(),
             "hot": self.hot.tolist(),
             "told": [self.fix, self.iterations, self.solved],
+            "given_up": [self.samples, *self.given_up],
         }
 
     def restore(self, snapshot: Any) -> None:
@@ -80,6 +103,7 @@ class PredictiveLaw:
         self.last = np.array(snapshot["last"])
         self.hot = np.array(snapshot["hot"])
         self.fix, self.iterations, self.solved = snapshot["told"]
+        self.samples, *self.given_up = snapshot["given_up"]
 
 
 def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:

@@ -14,6 +14,7 @@ from plant.symbolic.linearize import LinearModel, linearize
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
+Q_INTEGRAL = (0.3, 0.05)  # diagonal, of the integrals of x and ψ: ours
 STABLE = 1e-6  # [rad/s] how far left of the imaginary axis a pole must lie
 # Where friction is taken as viscous: about the mean of the manoeuvre. At rest the slope of dry friction is no damping.
 WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
@@ -110,7 +111,7 @@ def integral_gain(
     p: ModelNumbers,
     Q: Sequence[float] = Q_THESIS,
     R: Sequence[float] = R_THESIS,
-    Q_integral: Sequence[float] = (0.3, 0.05),
+    Q_integral: Sequence[float] = Q_INTEGRAL,
 ) -> tuple[Matrix, Matrix]:
     """K (2, 5) and K_i (2, 2) of the LQR with the integrals of x and ψ as further states, weights on their diagonal.
 

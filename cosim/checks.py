@@ -97,7 +97,7 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case None if root.keys() & {"model", "candidates"} and "step" not in root:
             return [f"warning: {text}" for text in read_study(path).warnings]
         case None | kinds.SCENARIO | kinds.MANIFEST:
-            check_scenario(path, worker)
+            return check_scenario(path, worker)
         case other:
             _refuse_unchecked(path, other)
     return []
@@ -154,13 +154,17 @@ def _experiment(description: Any) -> tuple[float, float]:
     return start, step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
 
 
-def check_scenario(path: Path, worker: Worker | None = None) -> None:
-    """Read a scenario or manifest as a run would, and with a worker step it once; InputError with its faults."""
+def check_scenario(path: Path, worker: Worker | None = None) -> list[str]:
+    """Read a scenario or manifest as a run would, step it once with a worker; what its design warns of.
+
+    Raises InputError with its faults.
+    """
     file = ScenarioFile(path)
     check_pinned(file)
     system = build_system(file, designed_values(file))
     if worker is not None and (faults := _run_once(file, system, path, worker)):
         raise InputError(faults)
+    return [f"warning: {text}" for text in file.warnings]
 
 
 def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:

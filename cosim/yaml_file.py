@@ -181,6 +181,9 @@ def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
         return f"it should be {dotted} of letters, digits and _ that begins with no digit"
     if kind in _WORDS:
         return _WORDS[kind]
+    if kind in _LENGTHS and more.get("field_type") in {"List", "Tuple"}:
+        bound, key = _LENGTHS[kind]
+        return f"it should have {bound} {more.get(key)} entries, not {more.get('actual_length')}"
     detail = message.removeprefix("Value error, ").replace("Input should be", "it should be")
     detail = re.sub(r"Input should have", "it should have", detail)
     return detail[:1].lower() + detail[1:]
@@ -198,6 +201,8 @@ _WORDS = {
     "int_parsing_size": "it should be a smaller number",
     "string_unicode": "it should be text",
 }
+
+_LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
 
 
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:

@@ -5,48 +5,34 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from pythonfmu.enums import Fmi2Status
+
 from controller.gains import Settings
 from controller.laws import Law, StateFeedback
 from controller.loop import Loop
+from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_ports, start_ports
 from fmus.ports import Port, Value, parameter_port
-from fmus.slave import Slave
+from fmus.slave import STEP, Slave
 from plant.quantities import parameters_of
-
-ESTIMATE = ("x_hat", "vx_hat", "psi_hat", "psi_dot_hat", "a_hat")
-ESTIMATE_UNITS = ("m", "m/s", "rad", "rad/s", "m/s2")
 
 
 def controller_ports(settings: Settings) -> tuple[Port, ...]:
     """All variables of the controller: inputs first, then outputs, parameters and start values."""
     duty = settings.duty_nominal
     return (
-        Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
-        Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
-        Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
+        *MEASURED,
         Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
         Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
-        Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
-        Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right; the five states know none", optional=True),
-        Port(
-            "fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True
-        ),
+        *fix_ports("; the five states know none"),
         Port("duty_right", "output", duty, "%", "duty command of the right motor"),
         Port("duty_left", "output", duty, "%", "duty command of the left motor"),
         Port("tilt_right", "output", 0.0, "rad", "tilt command of the right propeller, saturated"),
         Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
-        Port("x_hat", "output", 0.0, "m", "estimated distance along the craft's own axis"),
-        Port("vx_hat", "output", 0.0, "m/s", "estimated forward velocity"),
-        Port("psi_hat", "output", 0.0, "rad", "estimated heading"),
-        Port("psi_dot_hat", "output", 0.0, "rad/s", "estimated yaw rate"),
-        Port("a_hat", "output", 0.0, "m/s2", "estimated thrust acceleration"),
-        Port("x_sigma", "output", 0.0, "m", "standard deviation of x_hat the filter believes in"),
-        Port("psi_sigma", "output", 0.0, "rad", "standard deviation of psi_hat the filter believes in"),
+        *ESTIMATES,
+        *sigma_ports("filter"),
         *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
         Port("estimator", "parameter", settings.estimator, "", "Kalman filter: appendix_f, lagged or consistent"),
-        *(
-            Port(f"{name}_start", "parameter", 0.0, unit, f"start value of {name}; the filter knows where it starts")
-            for name, unit in zip(ESTIMATE, ESTIMATE_UNITS, strict=True)
-        ),
+        *start_ports("filter"),
     )
 
 
@@ -118,6 +104,11 @@ class HovercraftController(Slave):
         psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
         self.loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
         self._publish()
+
+    def terminate(self) -> None:
+        """What the law has to say of the run is a warning."""
+        if self.phase is STEP and (words := self.loop.law.words(self.start_time)):
+            self.log(words, Fmi2Status.warning)
 
     def snapshot(self) -> Any:
         """Estimate, covariance, last command, last fix."""

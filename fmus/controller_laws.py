@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from controller.laws import IntegralFeedback, Law
-from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
 from fmus.ports import Port, Value
 
@@ -38,14 +38,14 @@ class HovercraftPolesController(HovercraftController):
     poles are equal, one in either axis.
     """
 
-    settings = PlacedSettings()
+    settings = placed_settings()
     ports = controller_ports(settings)
 
 
 class HovercraftIntegralController(HovercraftController):
     """LQR with integrals of the errors of what is measured: of x by fixes, of ψ by the IMU."""
 
-    settings = IntegralSettings()
+    settings = integral_settings()
     ports = extended(controller_ports(settings), *INTEGRALS)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:

@@ -9,7 +9,7 @@ from typing import Any
 from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
-from fmus.controller_fmu import ESTIMATE
+from fmus.craft_ports import ESTIMATE
 from fmus.native.layout import Layout
 from fmus.native.package import Native, part
 from fmus.native.printing import LANGUAGE, Sources, quoted, variable_tables

@@ -13,31 +13,23 @@ from typing import Any, ClassVar
 from controller.extended import ExtendedFilter, ExtendedSettings
 from controller.gains import Settings
 from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
+from fmus.craft_ports import ESTIMATE, ESTIMATES, fix_ports, sigma_ports, start_ports
+from fmus.craft_ports import MEASURED as IMU
 from fmus.ports import Port, Value, parameter_port
 from fmus.slave import Slave
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from plant.quantities import Parameter, parameters_of
 
-STARTS = {"x_hat": "m", "vx_hat": "m/s", "psi_hat": "rad", "psi_dot_hat": "rad/s", "a_hat": "m/s2"}
 SIGNALS = (
-    Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
-    Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
-    Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
+    *IMU,
     Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
     Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
     Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
     Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
-    Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
-    Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
-    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
-    Port("x_hat", "output", 0.0, "m", "estimated distance along the craft's own axis"),
-    Port("vx_hat", "output", 0.0, "m/s", "estimated forward velocity"),
-    Port("psi_hat", "output", 0.0, "rad", "estimated heading"),
-    Port("psi_dot_hat", "output", 0.0, "rad/s", "estimated yaw rate"),
-    Port("a_hat", "output", 0.0, "m/s2", "estimated thrust acceleration"),
+    *fix_ports(),
+    *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
-    Port("x_sigma", "output", 0.0, "m", "standard deviation of x_hat the estimator believes in"),
-    Port("psi_sigma", "output", 0.0, "rad", "standard deviation of psi_hat the estimator believes in"),
+    *sigma_ports("estimator"),
     Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
     Port(
         "nis",
@@ -55,14 +47,6 @@ DEPENDENCIES = dict.fromkeys(OUTPUTS, MEASURED)
 NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
 
 
-def start_ports() -> tuple[Port, ...]:
-    """Where the estimate starts."""
-    return tuple(
-        Port(f"{n}_start", "parameter", 0.0, unit, f"start value of {n}; the estimator knows where it starts")
-        for n, unit in STARTS.items()
-    )
-
-
 def filter_ports() -> tuple[Port, ...]:
     """Variables of the linear filters and of double integration: the controller's numbers without its gains."""
     settings = Settings()
@@ -71,7 +55,7 @@ def filter_ports() -> tuple[Port, ...]:
         *SIGNALS,
         *(parameter_port(p, getattr(settings, p.name)) for p in numbers),
         Port("estimator", "parameter", settings.estimator, "", f"estimator: {', '.join(OBSERVERS)}"),
-        *start_ports(),
+        *start_ports("estimator"),
     )
 
 
@@ -85,13 +69,13 @@ def extended_ports() -> tuple[Port, ...]:
         Port(
             "axes", "parameter", settings.axes, "", "fixes are along the craft's own axes, or the world's: own, world"
         ),
-        *start_ports(),
+        *start_ports("estimator"),
     )
 
 
 def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
     """At the start an estimate is what it is told; a of the plant's equations depends on the plant's numbers too."""
-    known: dict[str, tuple[str, ...]] = {n: (f"{n}_start",) for n in STARTS}
+    known: dict[str, tuple[str, ...]] = {n: (f"{n}_start",) for n in ESTIMATE}
     if any(p.name == "axes" for p in ports):
         known["a_hat"] = tuple(p.name for p in ports if p.causality == "parameter")
     return {n: known.get(n, ()) for n in OUTPUTS}
@@ -140,7 +124,7 @@ class HovercraftFilter(Estimator):
         if not integrating:
             values["estimator"] = chosen
         settings = replace(Settings(), **values)
-        start = [float(given.get(f"{n}_start", 0.0)) for n in STARTS]
+        start = [float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE]
         self.sample = settings.sample_time
         self.running = (DoubleIntegration if integrating else LinearFilter)(settings, start, self.inputs[-1])
         self._publish()
@@ -170,7 +154,7 @@ class HovercraftEkf(Estimator):
             faults.append(str(error))
         if faults:
             raise ValueError("; ".join(faults))
-        start = {n.removesuffix("_hat"): float(given.get(f"{n}_start", 0.0)) for n in STARTS}
+        start = {n.removesuffix("_hat"): float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE}
         tilt = level_tilt(model, start.pop("a"))
         start |= {"tilt_right": tilt, "tilt_left": tilt}
         self.sample = settings.sample_time

@@ -9,7 +9,14 @@ from fmus.description import Description
 from fmus.documentation import documented
 from fmus.ports import Port
 
-DESIGNING = ("controller/synthesis.py", "controller/designer.py")  # what an estimator does without
+DESIGNING = (
+    "controller/synthesis.py",
+    "controller/designer.py",
+    "controller/placement.py",
+    "controller/stability.py",
+    "controller/judging.py",
+)  # what an estimator does without
+NEEDED = ("craft_ports",)  # of `fmus`
 
 
 def filter_recipe() -> Recipe:
@@ -21,7 +28,7 @@ def filter_recipe() -> Recipe:
     about = _about("Estimators of the hovercraft: three Kalman filters, double integration", HovercraftFilter.ports)
     text = documented(LinearFilter, discrete_model, DoubleIntegration, HovercraftFilter)
     slave = ("estimator_fmu", "HovercraftFilter")
-    return Recipe(slave, ("plant", "controller"), about, text, without=DESIGNING)
+    return Recipe(slave, ("plant", "controller"), about, text, (), NEEDED, without=DESIGNING)
 
 
 def extended_recipe() -> Recipe:
@@ -33,7 +40,7 @@ def extended_recipe() -> Recipe:
     text = documented(ExtendedFilter, Craft, HovercraftEkf)
     slave = ("estimator_fmu", "HovercraftEkf")
     printed = (("controller/printed.py", jacobians()),)
-    return Recipe(slave, ("plant", "controller"), about, text, without=DESIGNING, printed=printed)
+    return Recipe(slave, ("plant", "controller"), about, text, (), NEEDED, without=DESIGNING, printed=printed)
 
 
 def jacobians() -> str:

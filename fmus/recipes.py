@@ -17,7 +17,13 @@ HEAVY = {
     "actuator_second_order.damping_ratio": 0.5,
 }
 
-DESIGNING = ("controller/synthesis.py", "controller/designer.py", "controller/placement.py")  # offline
+DESIGNING = (
+    "controller/synthesis.py",
+    "controller/designer.py",
+    "controller/placement.py",
+    "controller/stability.py",
+    "controller/judging.py",
+)  # offline
 Dependencies = Mapping[str, Sequence[str]]
 
 
@@ -96,7 +102,7 @@ def _controller(
         law=law,
     )
     module = slave.__module__.rpartition(".")[2]
-    needed = () if module == "controller_fmu" else ("controller_fmu",)
+    needed = ("craft_ports",) if module == "controller_fmu" else ("controller_fmu", "craft_ports")
     text = documented(Loop, discrete_model, *more, slave)
     return Recipe((module, slave.__name__), ("plant", "controller"), description, text, (), needed, without=DESIGNING)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from plant.model import Model
 
@@ -30,12 +30,30 @@ class Option:
     laws: tuple[str, ...] = ()
 
 
-class BadOption(ValueError):
-    """One option is at fault, by its name."""
+class Objection(NamedTuple):
+    """What is wrong with a design: which option it is about, an entry of a list by its number, and the cure.
 
-    def __init__(self, option: str, message: str) -> None:
-        super().__init__(message)
-        self.option = option
+    values: start values that it is about; where a scenario gives one of them itself, it is that which is at fault
+    """
+
+    about: tuple[str | int, ...]
+    message: str
+    values: tuple[str, ...] = ()
+
+
+class Undesigned(ValueError):
+    """There is no design with these options."""
+
+    def __init__(self, objection: Objection) -> None:
+        super().__init__(objection.message)
+        self.objection = objection
+
+
+class Judged(NamedTuple):
+    """What is to be said of designed start values: why they cannot be, and what is worth a warning."""
+
+    objections: Sequence[Objection] = ()
+    warnings: Sequence[str] = ()
 
 
 class Designer(Protocol):
@@ -50,14 +68,17 @@ class Designer(Protocol):
         Raises ValueError where it designs for no such model.
         """
 
+    def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
+        """What is wrong with the options themselves, all of it."""
+
     def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
         """Designed start values by variable, for an FMU with this control law ("": the designer's first).
 
-        Raises BadOption where one option is at fault, ValueError where there is no such design.
+        The options have no objections. Raises Undesigned, or ValueError where it is no matter of an option.
         """
 
-    def conflicts(self, values: Mapping[str, Any], law: str) -> list[str]:
-        """Why a controller with these start values, each within its bounds, could not be."""
+    def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
+        """Of designed values, and over them a scenario's `own`, each within its bounds: whether they go together."""
 
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start values that the options say themselves; they win."""

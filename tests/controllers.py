@@ -20,7 +20,7 @@ from controller.gains import Settings
 from controller.laws import IntegralFeedback, Law, Seen, StateFeedback
 from controller.loop import Loop
 from controller.predictive import PredictiveLaw
-from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from cosim.blocks.profile import Change, Profile, profile_function
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.integrate import Moment, Stepper
@@ -30,8 +30,8 @@ from plant.quantities import Parameter, parameters_of
 STEP = 0.02  # [s], Fig 4.8
 LAWS: dict[str, tuple[Settings, Callable[[Any], Law]]] = {
     "LQR": (Settings(), StateFeedback),
-    "poles": (PlacedSettings(), StateFeedback),
-    "LQI": (IntegralSettings(), IntegralFeedback),
+    "poles": (placed_settings(), StateFeedback),
+    "LQI": (integral_settings(), IntegralFeedback),
     "MPC": (PredictiveSettings(), PredictiveLaw),
 }
 OUTPUTS = [q.name for q in Hovercraft.outputs]

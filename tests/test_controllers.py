@@ -22,7 +22,7 @@ from controller.loop import Loop
 from controller.placement import POLES, check_controllable, placed_gain
 from controller.predictive import PredictiveLaw
 from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, roll_numbers_of
-from controller.variants import IntegralSettings, PlacedSettings, PredictiveSettings
+from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
@@ -68,7 +68,7 @@ def test_the_poles_stand_where_they_are_asked_for() -> None:
 
 
 def test_the_frozen_gain_is_the_placed_one() -> None:
-    assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(PlacedSettings().gain_matrix)
+    assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(placed_settings().gain_matrix)
 
 
 def test_poles_drive_each_axis_alone() -> None:
@@ -107,7 +107,7 @@ def test_an_uncontrollable_pair_is_named_by_its_pole_and_states() -> None:
 
 def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_riccati_equation() -> None:
     K, K_i = integral_gain(Settings())
-    p = IntegralSettings()
+    p = integral_settings()
     assert pytest.approx(K, rel=1e-9) == np.array(p.gain_matrix)
     assert pytest.approx(K_i, rel=1e-9) == np.array(p.integral_matrix)
     A, B = design_model(p)
@@ -124,7 +124,7 @@ def test_an_integral_without_weight_is_refused(weights_of: tuple[float, float]) 
 
 
 def test_integrals_stand_still_while_a_tilt_is_saturated() -> None:
-    law = IntegralFeedback(IntegralSettings())
+    law = IntegralFeedback(integral_settings())
     far = Seen(5.0, 0.0, started=True)
     assert law.command([0.0] * 5, far) == (law.limit, law.limit)
     assert law.integrals == (0.0, 0.0)
@@ -204,6 +204,24 @@ def test_a_limit_of_iterations_leaves_a_command_within_the_limits_and_says_so() 
     assert not law.solved
     assert law.outputs()[2:] == [2.0, 0.0]
     assert 0.0 < max(map(abs, tilts)) <= MPC.tilt_max
+
+
+def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_state(flown: Path) -> None:
+    swap = ["components.controller.fmu=../build/controller-mpc.fmu", "criteria={}", "duration=1", "start_time=5"]
+    few = [*swap, "components.controller.start.iterations_max=3"]
+    outcome = run("regulate.yaml", flown / "few", few, report=False, in_process=True)
+    solved = outcome.results["controller.solved"]
+    (told,) = [w for w in outcome.manifest["warnings"] if "solver" in w]
+    first = outcome.results.time[np.flatnonzero(solved == 0)[0]]
+    assert f"controller: the solver gave up in {(solved == 0).sum()} of {len(solved)} samples" in told
+    assert f"first at t = {first:g} s: its limit of 3 iterations (iterations_max) came first" in told
+    enough = run("regulate.yaml", flown / "enough", swap, report=False, in_process=True)
+    assert enough.manifest["warnings"] == []
+    law = PredictiveLaw(replace(MPC, iterations_max=2.0))
+    law.command([3.0, 0.0, 1.0, 0.0, 0.0], REST)
+    again = PredictiveLaw(replace(MPC, iterations_max=2.0))
+    again.restore(json.loads(json.dumps(law.snapshot())))
+    assert again.words(0.0) == law.words(0.0) != ""
 
 
 def test_a_limit_of_speed_is_kept_where_it_can_be_and_given_up_where_it_cannot() -> None:
@@ -289,7 +307,7 @@ def test_conditions_are_every_effect_and_every_error_of_the_inertial_sensors() -
 
 
 @pytest.mark.parametrize(
-    ("name", "of"), [("pole", PlacedSettings()), ("lqi", IntegralSettings()), ("mpc", PredictiveSettings())]
+    ("name", "of"), [("pole", placed_settings()), ("lqi", integral_settings()), ("mpc", PredictiveSettings())]
 )
 def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: Settings) -> None:
     make = dict(zip(RECIPES, list(LAWS.values())[1:], strict=True))[name][1]

@@ -24,7 +24,7 @@ CRAFT = (
     "fmus/controller_native.py",
     "cosim/simulation/report/craft/",
     "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/bench_native.", "cosim/registry.py",
-    "fmus/estimator_fmu.py", "fmus/estimator_recipes.py",
+    "fmus/craft_ports.py", "fmus/estimator_fmu.py", "fmus/estimator_recipes.py",
 )  # fmt: skip
 NAMES = re.compile(r"duty_|tilt|\bpsi|_psi|x_world|Hovercraft")
 

@@ -214,7 +214,7 @@ def test_results_that_cannot_be_written_are_refused_before_the_run(project: Path
 
 def test_a_percent_sign_in_a_value_reaches_the_user_whole(project: Path) -> None:
     # FMI's logger formats like printf: "%s%n" in a message once brought the host down
-    done = cosim("run", "scenarios/regulate.yaml", "--out", "o", "--no-report", "--set",
+    done = cosim("run", "scenarios/regulate.yaml", "--out", "o", "--no-report", "--set", "design={}", "--set",
                  "components.controller.start.estimator=%s%s%n 50% sure", cwd=project)  # fmt: skip
     assert done.returncode == 4
     assert "'%s%s%n 50% sure'" in done.stderr

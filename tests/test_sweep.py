@@ -20,6 +20,8 @@ import pytest
 
 from cosim.errors import InputError, SweepFailed
 from cosim.models.file import load_model
+from cosim.simulation.design import designed_values
+from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps import twins
 from cosim.sweeps.design import Factor, columns_of, distribution
@@ -348,6 +350,44 @@ def test_a_sensitivity_names_what_an_outcome_depends_on(saltelli: bool) -> None:
     # of a sum the shares of the variance are 1 : 0.25 : 0; within what 640 runs can tell
     assert [first for first, _ in found.first] == pytest.approx([0.8, 0.2, 0.0], abs=0.1)
     assert bool(found.total) is saltelli
+
+
+def test_a_list_of_the_scenario_varies_as_a_whole_or_by_one_of_its_entries(
+    tmp_path: Path, plant_fmu: Path, controller_fmu: Path
+) -> None:
+    (tmp_path / "plant.fmu").symlink_to(plant_fmu)
+    (tmp_path / "controller.fmu").symlink_to(controller_fmu)
+    (tmp_path / "craft.yaml").write_text((ROOT / "scenarios" / "regulate.yaml").read_text().replace("../build/", ""))
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: craft.yaml\nruns: 1\nsignals: [controller.tilt_right]\nset: {duration: 0.1, criteria: {},"
+        " components.controller.start.x_hat_start: 0.1, components.controller.start.psi_hat_start: 0.1}\nvary:\n"
+        "  design.R: {values: [[1, 1], [2, 2.0]]}\n"
+        "  design.Q.2: {uniform: [0.1, 0.2]}\n"
+    )
+    study = read_sweep(tmp_path / "sweep.yaml")
+    runs = [study.asked(k) for k in range(study.count)]
+    assert runs[1].overrides[0] == "design.R=[2, 2.0]"
+    craft = tmp_path / "craft.yaml"
+    designed = [designed_values(ScenarioFile(craft, run.overrides))["controller"]["k_1_3"] for run in runs]
+    assert designed[0] == pytest.approx(designed[1] * 2**0.5)
+    swept = sweep(tmp_path / "sweep.yaml", tmp_path / "out", in_process=True, report=False)
+    table, _ = read_table(swept.folder / TABLE)
+    assert table.column("design.R").to_pylist() == ["[1, 1]", "[2, 2.0]"]
+    first = [tilts[0] for tilts in table.column("controller.tilt_right").to_pylist()]
+    assert abs(first[0]) > abs(first[1])
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: craft.yaml\nset: {duration: 0.1}\nvary:\n  design.R: {values: [[1, 1], [1], [1, [2]], [1, 0]]}\n"
+    )
+    assert faults_of(tmp_path / "sweep.yaml") == [
+        "4:36 vary.design.R.values.2 is a list: a value that is a list holds numbers, true or false, or text"
+    ]
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: craft.yaml\nset: {duration: 0.1}\nvary:\n  design.R: {values: [[1, 1], [1], [1, 0]]}\n"
+        "  plant.mass: {values: [[1]]}\n"
+    )
+    told = faults_of(tmp_path / "sweep.yaml")
+    assert [fault.split(" ")[0] for fault in told] == ["4:31", "4:36", "5:25"]
+    assert "it should have at least 2 entries, not 1" in told[0]
 
 
 # -- what is refused ---------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Optional
 
@@ -20,10 +21,10 @@ from cosim.models.refined import NoNearest, refined_file
 from cosim.registry import BASE, BASE_NAME, MODELS, known, resolve
 from cosim.simulation.scenario import Design
 from cosim.simulation.scenario_file import ScenarioFile
-from cosim.yaml_file import NotNegative, Positive
+from cosim.yaml_file import NotNegative, Positive, short
 from fmus.native.cache import cached
 from fmus.sampled import law_of
-from plant.design import BadOption, Designer, Option
+from plant.design import Designer, Judged, Objection, Option, Undesigned
 from plant.model import Model
 
 
@@ -50,7 +51,7 @@ class _Declared(Design):
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     """Start values by component that the design gives; its options are written into the scenario, defaults too.
 
-    A design that fails is one more fault of the file.
+    A design that fails is faults of the file; what is worth a warning is added to those of the file.
     """
     design = file.scenario.design
     if design is None:
@@ -59,25 +60,51 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         model, designer = _asked(file, design)
         law = _law(file, design.component)
         options = _options(file, design, designer, law)
-        if file.faults:  # a faulty scenario is not run
-            return {}
-        values = _designed(file, designer, options, model, law)
+        own = getattr(file.scenario.components.get(design.component), "start", None) or {}
+        faults = [_fault(file, o, own, design.component) for o in designer.objections(options, law)]
+        faults += _contradictions(file, design.component, designer, options, own)
+        if file.faults or faults:  # a faulty scenario is not run
+            raise InputError(faults)
+        made = _Design(file, designer, options, model, law)
+        designed = {**made.values(), **designer.given(options)}
+        judged = made.judged(designed, own)
+        if judged.objections:
+            raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
+    except Undesigned as error:
+        file.faults.append(_fault(file, error.objection, own, design.component))
+        return {}
     except InputError as error:
         file.faults += error.faults
         return {}
-    designed = {**values, **designer.given(options)}
-    _check_together(file, design.component, designer, designed, law)
+    file.warnings += [*judged.warnings, *_two_numbers(design.component, designer.given(options), own)]
     return {design.component: designed}
 
 
-def _check_together(
-    file: ScenarioFile, component: str, designer: Designer, designed: Mapping[str, Any], law: str
-) -> None:
-    """The scenario's own start values stand over what is designed: whether both go together."""
-    own = getattr(file.scenario.components.get(component), "start", None) or {}
-    numbers = {n: v for n, v in own.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
-    place = ("design",) if designer.conflicts(designed, law) else ("components", component, "start")
-    file.faults += [file.fault(place, said) for said in designer.conflicts({**designed, **numbers}, law)]
+def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], component: str) -> Fault:
+    """An objection at its place: the scenario's own start value where it is about that, else the option."""
+    started = next((name for name in objection.values if name in own), None)
+    if started is not None:
+        return file.fault(("components", component, "start", started), objection.message)
+    about = objection.about[:1]
+    written = file.yaml.root.get("design")
+    said = f"{about[0] if about else 'design'}: {objection.message}"
+    if not about or not isinstance(written, dict) or about[0] not in written:  # left at its default, or not in the file
+        return file.yaml.fault(("design",), said, key=True)
+    return file.fault(("design", *objection.about), said)
+
+
+def _contradictions(
+    file: ScenarioFile, component: str, designer: Designer, options: Mapping[str, Any], own: Mapping[str, Any]
+) -> list[Fault]:
+    """Options that the component's own start values leave without effect: one of both is not meant."""
+    return [
+        file.fault(
+            ("components", component, "start", name),
+            f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out",
+        )
+        for name, value in designer.given(options).items()
+        if isinstance(value, str) and name in own and own[name] != value
+    ]
 
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
@@ -90,7 +117,14 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
         named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
     except NoNearest as error:
         raise InputError([file.fault(("design", "nearest"), str(error))]) from None
-    loaded = load_model(BASE if design.model == BASE else str(named), Path())
+    try:
+        loaded = load_model(BASE if design.model == BASE else str(named), Path())
+    except InputError as error:  # of the whole file, not of a line of it: told where it is named
+        where = ("design", "model")
+        faults = [
+            f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
+        ]
+        raise InputError(faults) from None
     entry = known(type(loaded.model))
     if entry is None or not entry.design:
         message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
@@ -130,34 +164,65 @@ def _kind(option: Option) -> Any:
     return Optional[several] if option.laws else several  # noqa: UP045
 
 
-def _designed(
-    file: ScenarioFile, designer: Designer, options: Mapping[str, Any], model: Model | None, law: str
-) -> dict[str, float]:
-    """Designed values, from the cache or now; InputError where there is no such design."""
-    from cosim.version import __version__
+def _two_numbers(component: str, given: Mapping[str, Any], own: Mapping[str, Any]) -> list[str]:
+    """A number of which the design takes one value and the component, by its own start values, another."""
+    return [
+        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
+        " it runs with the first and is designed with the second"
+        for name, value in given.items()
+        if not isinstance(value, str) and isinstance(own.get(name), (int, float)) and own[name] != value
+    ]
 
-    try:
-        content = {"options": options, "model": designer.depends_on(model), "law": law}
-        key = {"version": __version__, "format": designer.version, "designer": type(designer).__qualname__, **content}
-        kept = cached(json.dumps(key, sort_keys=True), ".json")
+
+@dataclass(frozen=True)
+class _Design:
+    """One design, its results kept in the user's cache by what they depend on."""
+
+    file: ScenarioFile
+    designer: Designer
+    options: Mapping[str, Any]
+    model: Model | None
+    law: str
+
+    def values(self) -> dict[str, float]:
+        """Designed values; InputError where there is no such design."""
         try:
-            values = json.loads(kept.read_text(encoding="utf-8"))
-            if isinstance(values, dict) and values and all(type(v) is float for v in values.values()):
-                return values
+            content = {"model": self.designer.depends_on(self.model)}
+            made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))
+        except Undesigned:
+            raise
+        except ValueError as error:
+            raise InputError([self.file.yaml.fault(("design",), f"design: {error}", key=True)]) from None
+        return {name: float(value) for name, value in made.items()}
+
+    def judged(self, designed: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:
+        """What is to be said of them with the component's own start values over them."""
+
+        def judge() -> dict[str, Any]:
+            found = self.designer.judged(designed, dict(own), self.options, self.law)
+            return {"objections": list(found.objections), "warnings": list(found.warnings)}
+
+        told = self._kept({"designed": designed, "own": dict(own)}, judge)
+        objections = [Objection(tuple(about), said, tuple(names)) for about, said, names in told["objections"]]
+        return Judged(objections, told["warnings"])
+
+    def _kept(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """What was made of this before, or is now."""
+        from cosim.version import __version__
+
+        made_by = {"format": self.designer.version, "designer": type(self.designer).__qualname__}
+        key = {"version": __version__, **made_by, "options": self.options, "law": self.law, **content}
+        place = cached(json.dumps(key, sort_keys=True), ".json")
+        try:
+            found = json.loads(place.read_text(encoding="utf-8"))
+            if isinstance(found, dict) and found:
+                return found
         except (OSError, ValueError):
             pass  # none there, or it is not one
-        made = designer.values(options, model, law)
-    except ValueError as error:
-        raise InputError([_fault(file, error)]) from None
-    try:
-        with atomic_write(kept) as stream:
-            json.dump(made, stream)
-    except OSError:
-        pass  # a cache that cannot be written only costs time
-    return made
-
-
-def _fault(file: ScenarioFile, error: ValueError) -> Fault:
-    if isinstance(error, BadOption):
-        return file.fault(("design", error.option), f"{error.option}: {error}")
-    return file.fault(("design",), f"design: {error}")
+        made = make()
+        try:
+            with atomic_write(place) as stream:
+                json.dump(made, stream)
+        except OSError:
+            pass  # a cache that cannot be written only costs time
+        return made

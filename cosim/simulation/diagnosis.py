@@ -16,7 +16,7 @@ class Diagnosis:
     def __init__(self, file: ScenarioFile) -> None:
         self.file = file
         self.found: list[Fault] = list(file.faults)
-        self.warnings: list[str] = []
+        self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
         """Note a fault at a place of the scenario; of very many the first are enough, and InputError ends the rest."""

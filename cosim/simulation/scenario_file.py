@@ -49,6 +49,7 @@ class ScenarioFile:
         self.stands_in = False
         self.places = _numbered(data)
         self.faults: list[Fault] = []
+        self.warnings: list[str] = []  # of what is fit to be run
         self.scenario = self._validate(data)
         self.faults += [*self._step_faults(), *self._criteria_faults()]
 

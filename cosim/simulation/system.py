@@ -109,7 +109,9 @@ def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     if design is None or design.component in file.broken:
         return
     if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        diagnosis.note(("design",), f'design is for component "{design.component}", which is no FMU of components')
+        diagnosis.note(
+            ("design", "component"), f'design is for component "{design.component}", which is no FMU of components'
+        )
 
 
 def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:

@@ -135,9 +135,9 @@ def _columns(
 
 
 def _of_one_type(values: Sequence[Any]) -> list[Any]:
-    """Values as one column holds them: numbers as they are or as floats, a mixture as text."""
+    """Values as one column holds them: numbers as they are or as floats, lists and a mixture as text."""
     kinds = {type(v) for v in values}
-    if len(kinds) == 1:
+    if len(kinds) == 1 and list not in kinds:
         return list(values)
     return [float(v) for v in values] if kinds == {int, float} else [json.dumps(v) for v in values]
 

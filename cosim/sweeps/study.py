@@ -22,13 +22,22 @@ def _scalar(value: Any) -> Any:
     raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
 
 
+def _listed(value: Any) -> Any:
+    """A value that is listed: of a path also a list, such as poles."""
+    if not isinstance(value, list):
+        return _scalar(value)
+    if not value or any(isinstance(v, list) for v in value):
+        raise ValueError("a value that is a list holds numbers, true or false, or text")
+    return [_scalar(v) for v in value]
+
+
 def _quantity(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("it is a number, or text such as 12 deg")
     return _scalar(value)
 
 
-Scalar = Annotated[Any, AfterValidator(_scalar)]
+Listed = Annotated[Any, AfterValidator(_listed)]
 Quantity = Annotated[Any, AfterValidator(_quantity)]
 
 
@@ -48,7 +57,7 @@ class Grid(Part):
 class Varied(Part):
     """How one thing varies, by one of these; numbers in its unit, or text such as `12 deg`.
 
-    values:      a list; every value goes with every other
+    values:      a list; every value goes with every other; of a path a value may be a list itself
     grid:        evenly spaced values; likewise
     uniform:     [low, high]
     log_uniform: [low, high], evenly over the logarithm
@@ -59,7 +68,7 @@ class Varied(Part):
     each:        of `seed`: another seed for each run, counted from this number
     """
 
-    values: list[Scalar] | None = Field(default=None, min_length=1)
+    values: list[Listed] | None = Field(default=None, min_length=1)
     grid: Grid | None = None
     uniform: tuple[Quantity, Quantity] | None = None
     log_uniform: tuple[Quantity, Quantity] | None = None

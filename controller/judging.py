@@ -1,0 +1,121 @@
+"""Gains designed by a law, and judged on the craft that flies: offline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from controller.design_model import Matrix, ModelNumbers
+from controller.gains import GAINS, Settings
+from controller.placement import POLES as PLACED
+from controller.placement import placed_gain
+from controller.stability import FlownLoop, kept, worst
+from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
+from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
+from plant.design import Judged, Objection, Undesigned
+from plant.quantities import parameters_of
+
+AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # of the five poles
+SLOWER_FIRST = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
+TURNING = "347"  # columns of K and K_i that act on ψ
+WEIGHTS = {"Q": list(Q_THESIS), "R": list(R_THESIS), "Q_integral": list(Q_INTEGRAL)}
+Place = tuple[str | int, ...]
+
+
+def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tuple[Matrix, Matrix | None]:
+    """K (2, 5), and K_i (2, 2) of the law that has integrals, else None. Raises Undesigned."""
+    try:
+        if law == POLES:
+            return placed_gain(p, [complex(pole) for pole in options["poles"]]), None
+        if law == INTEGRAL:
+            return integral_gain(p, options["Q"], options["R"], options["Q_integral"])
+        return lqr_gain(p, options["Q"], options["R"]), None
+    except ValueError as error:
+        raise Undesigned(Objection(_place_of("forward", options, law)[:1], str(error))) from None
+
+
+def judged_gains(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
+    """Of designed gains with a scenario's `own` over them: whether the controller takes them, and they are stable."""
+    objections = _too_large(values, options, law)
+    return Judged(objections) if objections else _judged_loop(values, own, options, law)
+
+
+def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) -> list[Objection]:
+    """Gains that the controller does not take."""
+    gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
+    large = [p for p in gains if p.fault(values[p.name])]
+    if not large:
+        return []
+    size = max(abs(values[p.name]) for p in large)
+    said = f"asks for a gain of {size:.3g}, and the controller takes {large[0].bounds[1]:g} at most"
+    axis = "turning" if large[0].name[-1] in TURNING else "forward"
+    return [Objection(_place_of(axis, options, law), said, tuple(p.name for p in large))]
+
+
+def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
+    """Whether gains are stable on the craft with its lag, sampled, by what the filter believes, and damped."""
+    names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
+    every = {**values, **own}
+    try:
+        craft, p = (FullSettings(**{n: v for n, v in known.items() if n in names}) for known in (values, every))
+        loop = FlownLoop(craft, p)
+    except (ValueError, np.linalg.LinAlgError):  # the FMU refuses such values, and says why
+        return Judged()
+    K = np.array([every[name] for name in GAINS]).reshape(2, 5)
+    K_i = np.array([every[name] for name in INTEGRALS]).reshape(2, 2) if law == INTEGRAL else None
+    objections, warnings = [], []
+    for mode in worst(loop.modes(K, K_i)):
+        place = _place_of(mode.axis, options, law)
+        cure = "" if any(name in own for name in (*GAINS, *INTEGRALS)) else _cure(loop, craft, mode.axis, options, law)
+        flies = f"with the lag of {craft.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator}"
+        where = f"the {mode.axis} axis has a pole at {_short(mode.pole)} rad/s"
+        if mode.grows:
+            said = f"is not stable as it flies, {flies} {where}{cure}"
+            objections.append(Objection(place, said, (*GAINS, *INTEGRALS)))
+        else:
+            swing = f"damped by {mode.damping:.2g}: a swing keeps {100 * kept(mode.damping):.0f} % of its size"
+            warnings.append(f"design.{place[0]}: {flies} {where}, hardly {swing}{cure}")
+    return Judged(objections, warnings)
+
+
+def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
+    """What makes an axis as fast as it is: its fastest pole, or weights that are not ours."""
+    if law != POLES:
+        given = (name for name, ours in WEIGHTS.items() if options.get(name) not in (None, ours))
+        return (next(given, "Q"),)
+    return "poles", max(AXES[axis], key=lambda k: abs(complex(options["poles"][k])))
+
+
+def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any], law: str) -> str:
+    """Other options with which the axis is damped, the nearest first."""
+    for factor in SLOWER_FIRST:
+        if law == POLES:
+            poles = [complex(p) for p in options["poles"]]
+            poles = [_rounded(p * factor) if k in AXES[axis] else p for k, p in enumerate(poles)]
+            other: dict[str, Any] = {"poles": poles}
+        else:
+            other = {"R": [_rounded(r / factor**2).real for r in options["R"]]}
+        try:
+            modes = loop.modes(*designed_gains({**options, **other}, craft, law))
+        except ValueError:
+            continue
+        if any(mode.axis == axis for mode in worst(modes)):
+            continue
+        if law != POLES:
+            return f"; weigh the tilts more, R: [{', '.join(f'{r:.3g}' for r in other['R'])}] for one"
+        shown = ", ".join(_short(poles[k]) for k in AXES[axis])
+        return f"; take {'slower' if factor < 1 else 'faster'} poles there, {shown} for one"
+    return (
+        f"; take poles nearer to {', '.join(f'{p:g}' for p in PLACED)}" if law == POLES else "; weigh the states less"
+    )
+
+
+def _rounded(number: complex) -> complex:
+    """As it is shown."""
+    return complex(float(f"{number.real:.3g}"), float(f"{number.imag:.3g}"))
+
+
+def _short(pole: complex) -> str:
+    return f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
