@@ -41,6 +41,8 @@ class Series:
     over:   name and unit of the axis where that is not the time; ends: where it begins and ends if not at rows
     sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
     breaks: rows after which lines begin anew that do so
+    log:    the axis holds the logarithms to base 10 of what it is read as
+    points: places in a plane, of which the nearest one is meant
     """
 
     def __init__(
@@ -53,6 +55,8 @@ class Series:
         ends: tuple[float, float] | None = None,
         sparse: bool = False,
         breaks: Sequence[int] = (),
+        log: bool = False,
+        points: bool = False,
     ) -> None:
         self.time, self.name = time, name
         self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
@@ -61,6 +65,8 @@ class Series:
         self.about: dict[str, Any] = {"over": over} if over != TIME else {}
         self.about |= {"ends": ends} if ends else {}
         self.about |= {"sparse": 1} if sparse else {}
+        self.about |= {"log": 1} if log else {}
+        self.about |= {"points": 1} if points else {}
         self.about |= {"breaks": np.searchsorted(self.rows, list(breaks), "right").tolist()} if breaks else {}
 
     def add(self, panel: Panel) -> list[str]:

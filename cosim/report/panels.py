@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Array
 
 OTHERS_PER_PANEL = 6
-LINE, HELD, DOTS, STEMS, BARS = range(5)
+LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Trace:
     x:     places of its own, rising; else those of its drawing
     stems: from zero to each value, `shift` beside its place
     upper: bars from the values to these
-    A style that has the word `dots` draws points.
+    A style that has the word `dots` or `crosses` draws points.
     """
 
     label: str
@@ -37,10 +37,13 @@ class Trace:
 
     @property
     def way(self) -> int:
-        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS."""
+        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS, CROSSES."""
         if self.upper is not None:
             return BARS
-        return STEMS if self.stems else DOTS if "dots" in self.style.split() else HELD if self.held else LINE
+        if self.stems:
+            return STEMS
+        words = self.style.split()
+        return DOTS if "dots" in words else CROSSES if "crosses" in words else HELD if self.held else LINE
 
     @property
     def reach(self) -> list[Array]:

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Array, Rows
-from cosim.report.panels import BARS, DOTS, STEMS, Panel, Trace
+from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
+from cosim.text import plain
 
 WIDTH, HEIGHT = 4000, 1000
-CAP = 18  # half the width of a bar's ends
+CAP, RISE = 18, 11  # half the width of a bar's ends, half the height of a lone sample
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
 
@@ -46,11 +47,20 @@ class Axis:
 
 @dataclass(frozen=True)
 class Curve:
-    """One drawn line."""
+    """One drawn line; value: what is read out of it where nothing moves."""
 
     label: str
     style: str
     path: str
+    key: str
+    value: str = ""
+
+
+@dataclass(frozen=True)
+class Also:
+    """What is read out beside the curves: a label, and the key under which the script finds it."""
+
+    label: str
     key: str
 
 
@@ -66,7 +76,8 @@ class Keys:
 class Plot:
     """A panel ready to be set: curves, band and limits in the box, ticks in percent.
 
-    levels: the limits in the panel's unit; keys: where the script finds its rows
+    levels: the limits in the panel's unit; keys: where the script finds its rows; also: read out, but not drawn
+    uprights: where a line stands across the axis, as values of it; reach: ends of y where the script must know them
     """
 
     title: str
@@ -82,6 +93,9 @@ class Plot:
     summary: str
     levels: tuple[float, ...] = ()
     keys: Keys = field(default_factory=Keys)
+    also: tuple[Also, ...] = ()
+    uprights: tuple[float, ...] = ()
+    reach: tuple[float, float] | None = None
 
 
 NO_KEYS = Keys()
@@ -122,6 +136,33 @@ def tick_label(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}".replace("-", "\u2212")
 
 
+def log_axis(low: float, high: float) -> Axis:
+    """An axis over 10^low … 10^high: decades, or in fewer than two what is round between them."""
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    every = max(1, math.ceil((high - low) / 8))
+    choices = (
+        [10.0**d for d in decades if d % every == 0],
+        *([m * 10.0**d for d in decades for m in parts] for parts in ((1, 2, 5), range(1, 10))),
+    )
+    for values in choices:
+        ticks = [(math.log10(v), v) for v in values if low - 1e-9 <= math.log10(v) <= high + 1e-9]
+        if len(ticks) >= 3:
+            return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), _short(v)) for at, v in ticks))
+    linear = make_axis(10.0**low, 10.0**high, 6)
+    span = linear.high - linear.low
+    places = ((math.log10(linear.low + t.at / 100 * span), t.label) for t in linear.ticks)
+    return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), label) for at, label in places))
+
+
+def _short(value: float) -> str:
+    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("-", "\u2212")
+
+
+def lone_axis(value: float) -> Axis:
+    """An axis about one value, which it names, and no other."""
+    return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", "\u2212")),))
+
+
 def thin(values: Array, limit: int) -> Rows:
     """At most about `limit` rows that keep every peak: least and largest of each bucket, and every gap."""
     count = values.size
@@ -147,7 +188,7 @@ def runs(good: NDArray[np.bool_]) -> list[slice]:
 def polyline(u: Whole, v: Whole, held: bool = False) -> str:
     """A path in relative whole numbers, a few bytes a point; `held` draws steps."""
     if u.size == 1:
-        return f"M{u[0] - 9} {v[0]}h18"  # a lone sample: a dash wide enough to be seen
+        return f"M{u[0] - CAP} {v[0]}h{2 * CAP}m{-CAP} {-RISE}v{2 * RISE}"  # a lone sample: a cross that is seen
     path = [f"M{u[0]} {v[0]}"]
     flat = 0  # level stretches are drawn as one
     for du, dv in zip(np.diff(u).tolist(), np.diff(v).tolist(), strict=True):
@@ -167,7 +208,7 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
     """The line of a trace, broken where its samples cannot be drawn; or its dots, stems, bars."""
     time = time if trace.x is None else trace.x
-    if trace.way in (DOTS, STEMS, BARS):
+    if trace.way in (DOTS, STEMS, BARS, CROSSES):
         return _marks(x, y, time + trace.shift, trace)
     rows = thin(trace.values, limit)
     kept = trace.values[rows]
@@ -177,11 +218,17 @@ def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
 
 
 def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
-    """Points, stems from zero, or bars with caps, each value by itself."""
+    """Points, crosses, stems from zero, or bars with caps, each value by itself."""
     good = np.isfinite(places) & np.isfinite(trace.values)
     u, v = x.whole(places[good], WIDTH), HEIGHT - y.whole(trace.values[good], HEIGHT)
     if trace.way == DOTS:
         return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
+    if trace.way == CROSSES:
+        w, h = 2 * CAP, 2 * RISE
+        return "".join(
+            f"M{a - w} {b - h}l{2 * w} {2 * h}m{-2 * w} 0l{2 * w}{-2 * h}"
+            for a, b in zip(u.tolist(), v.tolist(), strict=True)
+        )
     if trace.way == STEMS:
         zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
         return "".join(f"M{a} {zero}V{b}" for a, b in zip(u.tolist(), v.tolist(), strict=True))
@@ -219,13 +266,19 @@ def time_axis(time: Array) -> Axis:
 
 
 def make_plot(
-    panel: Panel, time: Array, x: Axis, keys: Keys = NO_KEYS, limit: int = 1000, over: str = "time in s"
+    panel: Panel,
+    time: Array,
+    x: Axis,
+    keys: Keys = NO_KEYS,
+    limit: int = 1000,
+    over: str = "time in s",
+    y: Axis | None = None,
 ) -> Plot:
     """Draw a panel; `keys` name the series in which a script finds the rows of its curves, `over` says what x is."""
-    y = value_axis(panel)
+    y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
-        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key)
+        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key, _only(trace))
         for trace, key in zip(panel.traces, names, strict=True)
     )
     band = panel.band
@@ -238,6 +291,11 @@ def make_plot(
         panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
         panel.limit_label, x, y, zero, _summary(panel, over), tuple(panel.limits), keys,
     )  # fmt: skip
+
+
+def _only(trace: Trace) -> str:
+    """What a trace of one row is."""
+    return plain(float(trace.values[0]), 5) if trace.values.size == 1 else ""
 
 
 def _summary(panel: Panel, over: str) -> str:

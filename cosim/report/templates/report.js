@@ -3,7 +3,7 @@
 (async () => {
   "use strict";
   const found = JSON.parse(document.getElementById("run-data").textContent);
-  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1);
+  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1 || (block.rows && block.points));
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
   scrollable();
@@ -91,7 +91,7 @@
   class Axis {
     constructor(data, alone) {
       const { t } = data, count = t.length, [name, unit] = data.over;
-      this.data = data; this.time = t; this.nearest = count - 1;
+      this.data = data; this.time = t; this.nearest = count - 1; this.moved = [];
       if (!alone) { // begin where something can be read
         const every = Object.values(data.series), read = (row) => data.sparse || every.every(({ v }) => !Number.isNaN(v[row]));
         while (this.nearest > 0 && !read(this.nearest)) this.nearest--;
@@ -107,7 +107,7 @@
     }
 
     text(row) {
-      const { p, sparse, over } = this.data, value = this.time[row], time = over[0] === "time" && !sparse;
+      const { p, sparse, over, log } = this.data, value = log ? 10 ** this.time[row] : this.time[row], time = over[0] === "time" && !sparse;
       return String(Number(time ? value.toFixed(Math.max(0, p)) : value.toPrecision(5))).replace("-", "\u2212");
     }
     place(row) { return `${this.symbol} = ${this.text(row)}${this.unit}`; }
@@ -134,6 +134,7 @@
         host.classList.toggle("cursor-away", along < -1e-9 || along > 1 + 1e-9);
         host.classList.toggle("cursor-late", along > 0.8);
       }
+      for (const tell of this.moved) tell();
     }
 
     // tell: say at the foot of the page which row it is
@@ -145,7 +146,7 @@
       if (!tell || !shown || !this.cells.length) return;
       const { of, every, sparse } = this.data, count = this.time.length;
       shown.hidden = false;
-      shown.textContent = sparse ? `numbers: of each curve its point nearest to ${this.place(row)}`
+      shown.textContent = this.data.points ? `numbers: point ${row + 1} of ${count}` : sparse ? `numbers: of each curve its point nearest to ${this.place(row)}`
         : `numbers: row ${Math.min(of, 1 + row * every)} of ${of}, ${this.place(row)}`
           + (of > count ? `; ${count} of the rows are in this page, all are in results.csv` : "");
     }
