@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ def page(outcome: Outcome) -> str:
     return render(
         TEMPLATE,
         {
-            "name": outcome.name, "description": description, "outcome": headline(found, linear),
+            "name": PurePath(outcome.name).name, "description": description, "outcome": headline(found, linear),
             "badges": _badges(linear, found), "notes": outcome.notes,
             "states": _values(linear, linear.states, linear.point.states, linear.rates),
             "inputs": _values(linear, linear.inputs, linear.point.inputs),

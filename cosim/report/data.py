@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.report.packed import packed, power, power_of_time, whole
-from cosim.report.panels import LINE, Panel, Trace
+from cosim.report.panels import HELD, LINE, Panel, Trace
 
 MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
+COUNTS = 1e9  # below which what is held and whole is read without decimals
 TIME = ("time", "s")  # what a page is over unless it says so
 Numbers = list[float | None]
 
@@ -78,6 +79,7 @@ class Series:
         more: dict[str, Any] = {"b": 1} if trace.anew else {}
         more |= {"s": trace.shift} if trace.shift else {}
         more |= {"u": self.column(upper)} if upper is not None else {}
+        more |= {"i": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
         return self.column(values, way=trace.way, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
@@ -87,7 +89,13 @@ class Series:
     def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
         """Key of one signal; way: how it is drawn."""
         key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
-        decimals, good = power(kept), np.isfinite(kept)
+        good = np.isfinite(kept)
+        counts = (
+            way == HELD
+            and bool(np.all(np.abs(kept[good]) < COUNTS))
+            and np.array_equal(kept[good], np.rint(kept[good]))
+        )
+        decimals = 0 if counts else power(kept)
         gaps = not bool(good.all())
         self.columns.append(whole(kept, decimals))
         if gaps:

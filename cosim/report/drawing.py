@@ -94,8 +94,12 @@ class Charts:
         self.blocks.append(drawing.series)
         return drawing
 
-    def alone(self, panel: Panel, axis: Axis, over: tuple[str, str]) -> Plot:
-        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`."""
+    def alone(self, panel: Panel, axis: Axis, over: tuple[str, str], *, log: bool = False) -> Plot:
+        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`.
+
+        log: over a logarithmic axis (`log_axis`)
+        """
+        panel = _logarithmic(panel) if log else panel
         places = [np.asarray(t.x) for t in panel.traces]
         if panel.band is not None and panel.band.x is not None:
             places.append(panel.band.x)
@@ -104,7 +108,7 @@ class Charts:
         pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
         rows, at = np.unique(pairs, axis=0, return_inverse=True)
         x, at = rows[:, 0], at.ravel()
-        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True)
+        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True, log=log)
         self.blocks.append(series)
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
@@ -146,3 +150,10 @@ class Charts:
 
     def _name(self) -> str:
         return f"d{len(self.blocks)}"
+
+
+def _logarithmic(panel: Panel) -> Panel:
+    """The panel with the logarithms of its places."""
+    traces = [replace(t, x=np.log10(np.asarray(t.x))) for t in panel.traces]
+    band = panel.band
+    return replace(panel, traces=traces, band=band and replace(band, x=np.log10(np.asarray(band.x))))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Trace:
     x:     places of its own, rising; else those of its drawing
     stems: from zero to each value, `shift` beside its place
     upper: bars from the values to these
+    items: what is read out in place of some values
     A style that has the word `dots` or `crosses` draws points.
     """
 
@@ -34,6 +35,7 @@ class Trace:
     stems: bool = False
     shift: float = 0.0
     upper: Array | None = None
+    items: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def way(self) -> int:

@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Array, Rows
 from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
-from cosim.text import plain
+from cosim.text import MINUS, MISSING
 
 WIDTH, HEIGHT = 4000, 1000
-CAP, RISE = 18, 11  # half the width of a bar's ends, half the height of a lone sample
+CAP = 18  # half the width of a bar's ends
+LONE, RISE = 28, 17  # half the width and height of a sample between two gaps
+WIDE, NARROW, LEAST_ROOM = 7.6, 3.9, 46  # [px] a digit, a point, and what a plot has beside it at least
+RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
 
@@ -33,11 +36,18 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values and where its labels go."""
+    """A range of values and where its labels go; factor: the power of ten by which these are to be multiplied."""
 
     low: float
     high: float
     ticks: tuple[Tick, ...]
+    factor: str = ""
+
+    @property
+    def room(self) -> int:
+        """Width that its labels take beside a plot [px]."""
+        widths = [sum(NARROW if c == "." else WIDE for c in tick.label) for tick in self.ticks]
+        return max(LEAST_ROOM, math.ceil(max(widths, default=0.0)) + 11)
 
     def whole(self, values: Array, size: int) -> Whole:
         """Values as whole numbers 0 … size along the axis."""
@@ -109,16 +119,23 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """An axis over low … high with about `count` round ticks."""
+    """An axis over low … high with about `count` round ticks; huge and tiny ones share a power of ten."""
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * abs(low) or 1.0
         low, high = low - room, high + room
     step = round_step((high - low) / count, angle)
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    decimals += 0 if abs(step * 10**decimals - round(step * 10**decimals)) < 1e-6 else 1
+    power = power_of_ten(max(abs(low), abs(high)))
+    unit = step / 10.0**power
+    decimals = max(0, -math.floor(math.log10(unit) + 1e-9))
+    decimals += 0 if abs(unit * 10**decimals - round(unit * 10**decimals)) < 1e-6 else 1
     places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    ticks = (Tick(100 * (i * step - low) / (high - low), tick_label(i * step, decimals)) for i in places)
-    return Axis(low, high, tuple(ticks))
+    ticks = (Tick(100 * (i * step - low) / (high - low), tick_label(i * unit, decimals)) for i in places)
+    return Axis(low, high, tuple(ticks), f"×10{str(power).translate(RAISED)}" if power else "")
+
+
+def power_of_ten(largest: float) -> int:
+    """The exponent, a multiple of three, that an axis up to this value is written with; 0 where none helps."""
+    return 0 if 1e-3 <= largest < 1e6 else 3 * math.floor(math.log10(largest) / 3 + 1e-9)
 
 
 def round_step(least: float, angle: bool = False) -> float:
@@ -130,10 +147,8 @@ def round_step(least: float, angle: bool = False) -> float:
 
 
 def tick_label(value: float, decimals: int) -> str:
-    """A tick's text; tiny and huge values with an exponent."""
-    if decimals > 5 or abs(value) >= 1e6:
-        return f"{value:.3g}".replace("-", "\u2212")
-    return f"{value:.{decimals}f}".replace("-", "\u2212")
+    """A tick's text."""
+    return f"{value:.{decimals}f}".replace("-", MINUS)
 
 
 def log_axis(low: float, high: float) -> Axis:
@@ -151,16 +166,16 @@ def log_axis(low: float, high: float) -> Axis:
     linear = make_axis(10.0**low, 10.0**high, 6)
     span = linear.high - linear.low
     places = ((math.log10(linear.low + t.at / 100 * span), t.label) for t in linear.ticks)
-    return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), label) for at, label in places))
+    return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), label) for at, label in places), linear.factor)
 
 
 def _short(value: float) -> str:
-    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("-", "\u2212")
+    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("-", MINUS)
 
 
 def lone_axis(value: float) -> Axis:
     """An axis about one value, which it names, and no other."""
-    return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", "\u2212")),))
+    return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", MINUS)),))
 
 
 def thin(values: Array, limit: int) -> Rows:
@@ -188,7 +203,7 @@ def runs(good: NDArray[np.bool_]) -> list[slice]:
 def polyline(u: Whole, v: Whole, held: bool = False) -> str:
     """A path in relative whole numbers, a few bytes a point; `held` draws steps."""
     if u.size == 1:
-        return f"M{u[0] - CAP} {v[0]}h{2 * CAP}m{-CAP} {-RISE}v{2 * RISE}"  # a lone sample: a cross that is seen
+        return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a cross that is seen
     path = [f"M{u[0]} {v[0]}"]
     flat = 0  # level stretches are drawn as one
     for du, dv in zip(np.diff(u).tolist(), np.diff(v).tolist(), strict=True):
@@ -224,7 +239,7 @@ def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
     if trace.way == DOTS:
         return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
     if trace.way == CROSSES:
-        w, h = 2 * CAP, 2 * RISE
+        w, h = 2 * CAP, 22
         return "".join(
             f"M{a - w} {b - h}l{2 * w} {2 * h}m{-2 * w} 0l{2 * w}{-2 * h}"
             for a, b in zip(u.tolist(), v.tolist(), strict=True)
@@ -249,8 +264,11 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 
 
 def value_axis(panel: Panel) -> Axis:
-    """The range that shows every curve, the limits and (unless it is absurdly wide) the band."""
-    low, high = extent([values for trace in panel.traces for values in trace.reach]) or (0.0, 1.0)
+    """The range that shows curves, limits and (unless it is absurdly wide) the band; no ticks for no values."""
+    found = extent([values for trace in panel.traces for values in trace.reach])
+    if found is None and not panel.limits:
+        return Axis(0.0, 1.0, ())
+    low, high = found or (min(panel.limits), max(panel.limits))
     if panel.band is not None and (around := extent([panel.band.lower, panel.band.upper])):
         room = WIDEST_BAND * (high - low or 1.0)
         low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
@@ -295,7 +313,10 @@ def make_plot(
 
 def _only(trace: Trace) -> str:
     """What a trace of one row is."""
-    return plain(float(trace.values[0]), 5) if trace.values.size == 1 else ""
+    if trace.values.size != 1:
+        return ""
+    value = float(trace.values[0])
+    return trace.items.get(value) or (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else MISSING)
 
 
 def _summary(panel: Panel, over: str) -> str:

@@ -28,16 +28,19 @@ document.addEventListener("rows", (event) => {
       const room = 0.1 * Math.abs(low) || 1;
       low -= room; high += room;
     }
-    const step = roundStep((high - low) / number, angle);
-    let decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-    if (Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals++;
-    const ticks = [];
+    const step = roundStep((high - low) / number, angle), largest = Math.max(Math.abs(low), Math.abs(high));
+    const power = largest >= 1e-3 && largest < 1e6 ? 0 : 3 * Math.floor(Math.log10(largest) / 3 + 1e-9), unit = step / 10 ** power;
+    let decimals = Math.max(0, -Math.floor(Math.log10(unit) + 1e-9));
+    if (Math.abs(unit * 10 ** decimals - Math.round(unit * 10 ** decimals)) > 1e-6) decimals++;
+    const ticks = [], factor = power ? "\u00d710" + [...String(power)].map((c) => "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"["0123456789-".indexOf(c)]).join("") : "";
     for (let i = Math.ceil(low / step - 1e-9); i <= Math.floor(high / step + 1e-9); i++) {
-      const value = i * step, text = decimals > 9 || Math.abs(value) >= 1e6 ? String(Number(value.toPrecision(6))) : value.toFixed(decimals);
-      ticks.push({ share: (value - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
+      const text = (i * unit).toFixed(Math.min(decimals, 20));
+      ticks.push({ share: (i * step - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
     }
-    return { low, high, ticks };
+    return { low, high, ticks, factor };
   }
+  // Width that labels take beside a plot.
+  const room = (ticks) => Math.max(46, 11 + Math.ceil(Math.max(0, ...ticks.map((t) => [...t.text].reduce((sum, c) => sum + (c === "." ? 3.9 : 7.6), 0)))));
 
   // Of an axis that holds logarithms: decades, or what is round between them.
   function logAxis(low, high) {
@@ -46,12 +49,17 @@ document.addEventListener("rows", (event) => {
     const share = (value) => (Math.log10(value) - low) / (high - low);
     for (const values of choices) {
       const seen = values.filter((v) => share(v) > -1e-9 && share(v) < 1 + 1e-9);
-      if (seen.length >= 3) return { low, high, ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })) };
+      if (seen.length >= 3) return { low, high, ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })), factor: "" };
     }
     const linear = axis(10 ** low, 10 ** high, 6);
-    return { low, high, ticks: linear.ticks.map((t) => ({ share: share(linear.low + t.share * (linear.high - linear.low)), text: t.text })) };
+    return { low, high, factor: linear.factor, ticks: linear.ticks.map((t) => ({ share: share(linear.low + t.share * (linear.high - linear.low)), text: t.text })) };
   }
-  const across = () => (data.log ? logAxis(view.from, view.to) : axis(view.from, view.to, 6));
+  // Fewer ticks where their labels are long.
+  function across(width) {
+    if (data.log) return logAxis(view.from, view.to);
+    const full = axis(view.from, view.to, 6), long = Math.max(0, ...full.ticks.map((t) => t.text.length));
+    return long * 9 * full.ticks.length < width ? full : axis(view.from, view.to, Math.max(1, Math.floor(width / (long * 9 + 20))));
+  }
 
   // -- drawing -----------------------------------------------------------------------------------
   // Rows of the view, and one beyond each end, so that curves go through to the edge.
@@ -96,14 +104,14 @@ document.addEventListener("rows", (event) => {
   }
 
   // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
-  function path(series, [low, high], x, y, columns, cap = 18, rise = 11) {
+  function path(series, [low, high], x, y, columns, cap = 18, [lw, lh] = [28, 17]) {
     if (data.sparse) [low, high] = [0, count - 1]; // few rows; a line has its next point further out
-    if (series.way > HELD) return marks(series, [low, high], x, y, cap, rise);
+    if (series.way > HELD) return marks(series, [low, high], x, y, cap, cap === 18 ? 11 : cap);
     const { v, anew } = series, held = series.way === HELD, parts = [];
     let bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
     if (bucket >= TILE) { low -= low % TILE; bucket -= bucket % TILE; }
     // a sample between two gaps is a cross
-    const lone = `m${-cap} 0h${2 * cap}m${-cap} ${-rise}v${2 * rise}`, lift = () => { if (alone) parts.push(lone); pen = alone = false; };
+    const lone = `m${-lw} 0h${2 * lw}m${-lw} ${-lh}v${2 * lh}`, lift = () => { if (alone) parts.push(lone); pen = alone = false; };
     let pen = false, alone = false, coming = breaks.findIndex((row) => row > low);
     const put = (row) => {
       const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
@@ -165,10 +173,13 @@ document.addEventListener("rows", (event) => {
       this.reach = figure.dataset.reach?.split(" ").map(Number);
       this.grid = figure.querySelector(".grid"); this.zero = figure.querySelector(".zero");
       this.yTicks = figure.querySelector(".y-ticks"); this.xTicks = figure.querySelector(".x-ticks");
-      const kept = [this.grid, this.yTicks, this.xTicks], drawn = all("path", this.svg);
+      this.factors = [figure.querySelector(".factor"), figure.querySelector(".x-label span")];
+      const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors], gutter = figure.querySelector(".axes").style, beside = gutter.getPropertyValue("--gutter"), drawn = all("path", this.svg);
       const inner = kept.map((e) => e.innerHTML), shapes = drawn.map((p) => p.getAttribute("d"));
       const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
+      this.gutter = (width) => gutter.setProperty("--gutter", width);
       this.original = () => {
+        this.gutter(beside);
         kept.forEach((e, k) => { e.innerHTML = inner[k]; });
         drawn.slice(home).forEach((p, k) => { p.setAttribute("d", shapes[home + k]); });
       };
@@ -194,7 +205,7 @@ document.addEventListener("rows", (event) => {
         if (series.upper) see(series.upper);
         if (series.way === STEMS) [low, high] = [Math.min(0, low), Math.max(0, high)];
       }
-      if (low > high) [low, high] = [0, 1];
+      if (low > high) return null;
       if (this.atFull) for (const level of this.levels) { low = Math.min(low, level.value); high = Math.max(high, level.value); }
       const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1;
       return [low - margin, high + margin];
@@ -204,7 +215,8 @@ document.addEventListener("rows", (event) => {
 
     axes() {
       const rows = rowsInView(), angle = this.figure.dataset.unit === "\u00b0";
-      const y = axis(...(this.atFull && this.reach ? this.reach : this.range(rows)), 5, angle), x = across();
+      const ends = this.atFull && this.reach ? this.reach : this.range(rows);
+      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" }, x = across(this.box.clientWidth || 400);
       return { rows, x, y, u: (t) => W * (t - view.from) / (view.to - view.from), v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))) };
     }
 
@@ -215,6 +227,8 @@ document.addEventListener("rows", (event) => {
       const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.box.clientWidth || 500);
       this.grid.innerHTML = y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("")
         + x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
+      this.gutter(`${room(y.ticks)}px`);
+      this.factors[0].textContent = y.factor; this.factors[1].textContent = x.factor;
       this.yTicks.innerHTML = y.ticks.map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
       this.xTicks.innerHTML = x.ticks.map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
       for (const line of this.lines) if (line.on) line.path.setAttribute("d", path(line.series, rows, u, v, columns));
@@ -376,7 +390,7 @@ document.addEventListener("rows", (event) => {
   // -- pictures and numbers ------------------------------------------------------------------------------
   const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   function picture(chart) {
-    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = 70, top = 56, right = 20, bottom = 46;
+    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = Math.max(70, room(y.ticks) + 8), top = 56, right = 20, bottom = 46;
     const bw = w - left - right, bh = h - top - bottom, style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     const px = (t) => left + bw * u(t) / W, py = (value) => top + bh * v(value) / H, parts = [];
     const text = (a, b, words, anchor, more = "") => parts.push(`<text x="${a}" y="${b}" text-anchor="${anchor}" ${more}>${escape(words)}</text>`);
@@ -393,17 +407,18 @@ document.addEventListener("rows", (event) => {
       if (!line.on) continue;
       const look = getComputedStyle(line.path), dash = look.strokeDasharray === "none" ? "" : `stroke-dasharray="${look.strokeDasharray.replaceAll("px", "")}"`;
       const pen = `fill="none" stroke="${look.stroke}" stroke-width="${parseFloat(look.strokeWidth)}" opacity="${look.opacity}" ${dash}`;
-      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4, 4)}"/>`);
+      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4, [4, 4])}"/>`);
       legend.push(() => { parts.push(`<path ${pen} d="M${along} 40h22"/>`); text(along + 28, 44, line.label, "start"); along += 52 + 7.2 * line.label.length; });
     }
     parts.push("</svg>");
     for (const entry of legend) entry();
+    if (y.factor) text(left + 6, top + 16, y.factor, "start");
     text(left, 22, `${chart.figure.dataset.title} [${chart.figure.dataset.unit}]`, "start", 'font-weight="600" font-size="15"');
-    text(w - right, h - 10, over(chart), "end");
+    text(w - right, h - 10, `${over(chart)} ${x.factor}`, "end");
     return `<svg xmlns="${chart.svg.namespaceURI}" width="${w}" height="${h}" viewBox="0 0 ${w} ${h}" font-family="system-ui, sans-serif" font-size="12" fill="${colour("--ink")}">${parts.join("")}</svg>`;
   }
 
-  const over = (chart) => chart.figure.querySelector(".x-label").textContent;
+  const over = (chart) => chart.figure.querySelector(".x-label").firstChild.data.trim();
   const titles = ({ label, series }) => (series.upper ? [`${label}, lower`, `${label}, upper`] : [label]);
   function numbers(chart) {
     const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words), unit = chart.figure.dataset.unit;
