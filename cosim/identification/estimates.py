@@ -38,7 +38,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: lines and points over x. Each entry: label, x, y, style."""
+    """A figure of the report: lines and points over x. Each entry: label, x, y, style. log: x on a logarithmic axis."""
 
     title: str
     x_label: str
@@ -47,6 +47,7 @@ class Figure:
     band: tuple[str, Array, Array, Array] | None = None
     bars: Sequence[tuple[Array, Array, Array]] = ()
     counterpart: str = ""
+    log: bool = False
 
 
 @dataclass

@@ -16,7 +16,7 @@ from cosim.identification.protocol import CHANNELS
 from cosim.identification.recordings import load_in_si
 from cosim.report.drawing import Charts
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, extent, make_axis
+from cosim.report.svg import Plot, extent, log_axis, make_axis
 from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.text import MISSING, counted, joined, plain, written
@@ -115,9 +115,12 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
     band = Band(figure.band[0], figure.band[2], figure.band[3], figure.band[1]) if figure.band else None
     name, _, unit = figure.x_label.partition(" [")
     low, high = extent([t.x for t in traces if t.x is not None]) or (0.0, 1.0)
+    if figure.log:
+        low, high = float(np.log10(low)), float(np.log10(high))
     margin = 0.04 * (high - low) or 0.1 * abs(high) or 1.0
-    axis = make_axis(low - margin, high + margin, 6)
-    return charts.alone(Panel(figure.title, figure.y_label, traces, band), axis, (name, unit.rstrip("]")))
+    axis = log_axis(low - margin, high + margin) if figure.log else make_axis(low - margin, high + margin, 6)
+    panel = Panel(figure.title, figure.y_label, traces, band)
+    return charts.alone(panel, axis, (name, unit.rstrip("]")), log=figure.log)
 
 
 def _trace(label: str, over: Array, values: Array, style: str) -> Trace:

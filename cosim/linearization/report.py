@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from cosim.linearization.structure import Pole, Structure, poles
 from cosim.linearization.words import headline, number, pole_rows
 from cosim.report.drawing import Charts
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import HEIGHT, WIDTH, Axis, Curve, Plot, Tick, make_axis, make_plot
+from cosim.report.svg import Plot, make_axis
 from cosim.report.tables import Badge
 from cosim.report.template import render
 from cosim.text import counted, plain, written
@@ -41,18 +42,20 @@ def page(outcome: Outcome) -> str:
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat hold all."
         )
-    bode, charts = list(_bode(linear)), Charts()
+    charts = Charts()
+    bode = _bode(linear)
+    shown = _drawn(bode[:MOST], frequencies(linear), charts)
     return render(
         TEMPLATE,
         {
-            "name": outcome.name, "description": description, "outcome": headline(found, linear),
+            "name": PurePath(outcome.name).name, "description": description, "outcome": headline(found, linear),
             "badges": _badges(linear, found), "notes": outcome.notes,
             "states": _values(linear, linear.states, linear.point.states, linear.rates),
             "inputs": _values(linear, linear.inputs, linear.point.inputs),
-            "time": plain(linear.point.time), "map": pole_map(found.poles) if found.poles else None,
+            "time": plain(linear.point.time), "map": pole_map(found.poles, charts) if found.poles else None,
             "poles": pole_rows(found), "rank": (found.controllable, found.observable, len(linear.states)),
             "condition": number(found.condition) if math.isfinite(found.condition) else "",
-            "bode": bode[:MOST], "left_out": max(0, len(bode) - MOST),
+            "bode": shown, "left_out": max(0, len(bode) - MOST),
             "along": _along(outcome, charts), "data": charts.data(),  # after all that is drawn
             "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
             "matrices": [_matrix(linear, n) for n in "ABCD"], "largest": LARGEST, "version": __version__,
@@ -95,38 +98,39 @@ def _matrix(linear: Linear, name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def pole_map(found: Sequence[Pole]) -> Plot:
+def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
     """Poles as crosses in the complex plane."""
-    real = np.array([p.value.real for p in found])
-    imag = np.array([p.value.imag for p in found])
+    inward = sorted(found, key=lambda p: (p.value.real, p.value.imag))
+    real, imag = np.array([p.value.real for p in inward]), np.array([p.value.imag for p in inward])
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
     left, right = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
     room = 0.06 * (right - left or reach)
-    x, y = make_axis(left - room, right + room, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
-    u, v = x.whole(real, WIDTH), HEIGHT - y.whole(imag, HEIGHT)
-    crosses = "".join(
-        f"M{a - 36} {b - 22}l72 44m-72 0l72-44" for a, b in zip(u.tolist(), v.tolist(), strict=True)
-    )  # fmt: skip
-    axis = int(x.whole(np.zeros(1), WIDTH)[0])
-    curves = (Curve("poles", "s0", crosses, ""), Curve("imaginary axis", "reference", f"M{axis} 0v{HEIGHT}", ""))
+    axes = make_axis(left - room, right + room, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
+    panel = Panel("Imaginary part of the poles", "rad/s", [Trace("imaginary part", imag, "s0 crosses", x=real)])
+    also = {
+        "real part [1/s]": real,
+        "ωₙ [rad/s]": np.array([p.natural_frequency for p in inward]),
+        "ζ": np.array([p.damping_ratio for p in inward]),
+        "times": np.array([p.count for p in inward], float),
+    }
+    drawn = charts.points(panel, axes, ("real part", "1/s"), also)
     told = ", ".join(f"{p.value:.4g}" for p in found)
-    zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
-    return Plot("Imaginary part of the poles", "rad/s", curves, "", "", (), "", x, y, zero, f"Poles at {told}.")
+    return replace(drawn, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {told}.")
 
 
-def _bode(linear: Linear) -> Iterator[tuple[Plot, Plot]]:
+def _bode(linear: Linear) -> list[tuple[Panel, Panel]]:
     """Magnitude and phase from each input to the outputs that answer it."""
-    omega = frequencies(linear)
-    g = response(linear, omega)
+    g = response(linear, frequencies(linear))
+    pairs = []
     for k, name in enumerate(linear.inputs):
         sizes = np.abs(g[:, k, :]).max(axis=1, initial=0.0)
         answering = [i for i, size in enumerate(sizes) if size > NOTHING * max(float(sizes.max(initial=0.0)), 1e-300)]
         for first in range(0, len(answering), TOGETHER):
-            yield _pair(linear, g, omega, k, name, answering[first : first + TOGETHER])
+            pairs.append(_pair(linear, g, k, name, answering[first : first + TOGETHER]))
+    return pairs
 
 
-def _pair(linear: Linear, g: Response, omega: Array, k: int, name: str, rows: Sequence[int]) -> tuple[Plot, Plot]:
-    x = log_axis(omega)
+def _pair(linear: Linear, g: Response, k: int, name: str, rows: Sequence[int]) -> tuple[Panel, Panel]:
     sizes, phases = [], []
     for j, i in enumerate(rows):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -134,20 +138,16 @@ def _pair(linear: Linear, g: Response, omega: Array, k: int, name: str, rows: Se
             phase = np.degrees(np.unwrap(np.angle(g[i, k])))
         sizes.append(Trace(linear.outputs[i], np.where(np.isfinite(decibels), decibels, np.nan), f"s{j}"))
         phases.append(Trace(linear.outputs[i], phase, f"s{j}"))
-    over = "frequency in rad/s"
-    return (
-        make_plot(Panel(f"{name}: magnitude", "dB", sizes), np.log10(omega), x, over=over),
-        make_plot(Panel(f"{name}: phase", "°", phases), np.log10(omega), x, over=over),
-    )
+    return Panel(f"{name}: magnitude", "dB", sizes), Panel(f"{name}: phase", "°", phases)
 
 
-def log_axis(omega: Array) -> Axis:
-    """Decades."""
-    low, high = float(np.log10(omega[0])), float(np.log10(omega[-1]))
-    decades = range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)
-    every = max(1, len(decades) // 8)
-    ticks = tuple(Tick(100.0 * (d - low) / (high - low), f"{10.0**d:g}") for d in decades if d % every == 0)
-    return Axis(low, high, ticks)
+def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
+    """Bode plots over one axis, so that a frequency is read in all of them."""
+    if not pairs:
+        return []
+    curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)
+    drawing = charts.over(omega, curves, over=("frequency", "rad/s"), log=True)
+    return [tuple(drawing.plots(pair)) for pair in pairs]
 
 
 def _along(outcome: Outcome, charts: Charts) -> Plot | None:

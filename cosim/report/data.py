@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.report.packed import packed, power, power_of_time, whole
-from cosim.report.panels import LINE, Panel, Trace
+from cosim.report.panels import HELD, LINE, Panel, Trace
 
 MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
+COUNTS = 1e9  # below which what is held and whole is read without decimals
 TIME = ("time", "s")  # what a page is over unless it says so
 Numbers = list[float | None]
 
@@ -41,6 +42,8 @@ class Series:
     over:   name and unit of the axis where that is not the time; ends: where it begins and ends if not at rows
     sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
     breaks: rows after which lines begin anew that do so
+    log:    the axis holds the logarithms to base 10 of what it is read as
+    points: places in a plane, of which the nearest one is meant
     """
 
     def __init__(
@@ -53,6 +56,8 @@ class Series:
         ends: tuple[float, float] | None = None,
         sparse: bool = False,
         breaks: Sequence[int] = (),
+        log: bool = False,
+        points: bool = False,
     ) -> None:
         self.time, self.name = time, name
         self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
@@ -61,6 +66,8 @@ class Series:
         self.about: dict[str, Any] = {"over": over} if over != TIME else {}
         self.about |= {"ends": ends} if ends else {}
         self.about |= {"sparse": 1} if sparse else {}
+        self.about |= {"log": 1} if log else {}
+        self.about |= {"points": 1} if points else {}
         self.about |= {"breaks": np.searchsorted(self.rows, list(breaks), "right").tolist()} if breaks else {}
 
     def add(self, panel: Panel) -> list[str]:
@@ -72,6 +79,7 @@ class Series:
         more: dict[str, Any] = {"b": 1} if trace.anew else {}
         more |= {"s": trace.shift} if trace.shift else {}
         more |= {"u": self.column(upper)} if upper is not None else {}
+        more |= {"i": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
         return self.column(values, way=trace.way, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
@@ -81,7 +89,13 @@ class Series:
     def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
         """Key of one signal; way: how it is drawn."""
         key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
-        decimals, good = power(kept), np.isfinite(kept)
+        good = np.isfinite(kept)
+        counts = (
+            way == HELD
+            and bool(np.all(np.abs(kept[good]) < COUNTS))
+            and np.array_equal(kept[good], np.rint(kept[good]))
+        )
+        decimals = 0 if counts else power(kept)
         gaps = not bool(good.all())
         self.columns.append(whole(kept, decimals))
         if gaps:

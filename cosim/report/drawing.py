@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
 from cosim.arrays import Array
 from cosim.report.data import TIME, Series, sample_rows, to_json
 from cosim.report.panels import Band, Panel
-from cosim.report.svg import Axis, Keys, Plot, make_axis, make_plot, time_axis
+from cosim.report.svg import Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
 
+NOTHING: Mapping[str, Array] = MappingProxyType({})
 POINTS = 1000  # a curve of the first picture
 ALL_POINTS = 60_000  # of all curves together: keeps a page of a hundred signals small
 
@@ -20,6 +22,7 @@ class Drawing:
     """Draws panels with one axis; the script knows every row of them.
 
     few: rows for a picture that moves between them; breaks: rows after which lines begin anew that do so
+    log: a logarithmic axis, of x above 0. Of one row each value is a dot over an axis that names its place alone.
     """
 
     def __init__(
@@ -31,10 +34,17 @@ class Drawing:
         over: tuple[str, str] = TIME,
         ends: tuple[float, float] | None = None,
         breaks: Sequence[int] = (),
+        log: bool = False,
     ) -> None:
-        self.series = Series(time, curves, name=name, over=over, ends=ends, breaks=breaks)
+        time = np.log10(time) if log else time
+        self.series = Series(time, curves, name=name, over=over, ends=ends, breaks=breaks, log=log)
         self.few = sample_rows(time.size, POINTS)
+        self.lone = time.size == 1
         self.axis: Axis = make_axis(*ends, 6) if ends else time_axis(time)
+        if self.lone:
+            self.axis = lone_axis(float(time[0]))
+        elif log:
+            self.axis = log_axis(float(time[0]), float(time[-1]))
         self.limit = max(50, min(POINTS, ALL_POINTS // max(1, curves)))
         self.over = f"{over[0]} in {over[1] or '1'}"
         self.breaks = np.asarray(breaks, dtype=np.intp)
@@ -48,7 +58,9 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _parted(self, panel: Panel) -> Panel:
-        """The panel with a row more at each break, at which a line can end."""
+        """The panel with a row more at each break, at which a line can end; a lone row's values as dots."""
+        if self.lone:
+            return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])
         if not self.breaks.size:
             return panel
         traces = [replace(t, values=self._broken(t.values, np.nan if t.anew else None)) for t in panel.traces]
@@ -75,14 +87,19 @@ class Charts:
         over: tuple[str, str] = TIME,
         ends: tuple[float, float] | None = None,
         breaks: Sequence[int] = (),
+        log: bool = False,
     ) -> Drawing:
-        """A drawing of panels over x, which rises."""
-        drawing = Drawing(x, curves, name=self._name(), over=over, ends=ends, breaks=breaks)
+        """A drawing of panels over x, which rises; log: over a logarithmic axis."""
+        drawing = Drawing(x, curves, name=self._name(), over=over, ends=ends, breaks=breaks, log=log)
         self.blocks.append(drawing.series)
         return drawing
 
-    def alone(self, panel: Panel, axis: Axis, over: tuple[str, str]) -> Plot:
-        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`."""
+    def alone(self, panel: Panel, axis: Axis, over: tuple[str, str], *, log: bool = False) -> Plot:
+        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`.
+
+        log: over a logarithmic axis (`log_axis`)
+        """
+        panel = _logarithmic(panel) if log else panel
         places = [np.asarray(t.x) for t in panel.traces]
         if panel.band is not None and panel.band.x is not None:
             places.append(panel.band.x)
@@ -91,7 +108,7 @@ class Charts:
         pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
         rows, at = np.unique(pairs, axis=0, return_inverse=True)
         x, at = rows[:, 0], at.ravel()
-        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True)
+        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True, log=log)
         self.blocks.append(series)
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
@@ -110,6 +127,22 @@ class Charts:
         limit = max([2, *(p.size for p in places)])
         return make_plot(panel, x, axis, Keys(tuple(keys), edges), min(limit, POINTS), f"{over[0]} in {over[1] or '1'}")
 
+    def points(
+        self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING
+    ) -> Plot:
+        """Points in a plane, those of the panel's first trace, of which the nearest to the pointer is read out.
+
+        axes: of x and y; also: what else is read of each point, by label
+        """
+        (trace,), (across, up) = panel.traces, axes
+        x = np.asarray(trace.x)
+        series = Series(x, 1, name=self._name(), over=over, ends=(across.low, across.high), sparse=True, points=True)
+        self.blocks.append(series)
+        keys = Keys((series.trace(trace, trace.values),))
+        drawn = make_plot(panel, x, across, keys, over=f"{over[0]} in {over[1] or '1'}", y=up)
+        read = tuple(Also(label, series.column(values)) for label, values in also.items())
+        return replace(drawn, also=read, reach=(up.low, up.high))
+
     def data(self) -> str:
         """All rows, for the page's script."""
         first, *further = self.blocks or [Series(np.zeros(0), 1)]
@@ -117,3 +150,10 @@ class Charts:
 
     def _name(self) -> str:
         return f"d{len(self.blocks)}"
+
+
+def _logarithmic(panel: Panel) -> Panel:
+    """The panel with the logarithms of its places."""
+    traces = [replace(t, x=np.log10(np.asarray(t.x))) for t in panel.traces]
+    band = panel.band
+    return replace(panel, traces=traces, band=band and replace(band, x=np.log10(np.asarray(band.x))))

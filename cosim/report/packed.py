@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Array
 
 DIGITS, OF_SPAN = 5, 4  # kept of the largest value, and of how far a signal moves
+ROUNDING = 1e-12  # of the largest value: a signal that moves less stands still
 LARGEST = 1e15  # a whole number that every script knows exactly
 FINEST = 300  # decimals; a power of ten beyond is no double
 Whole = NDArray[np.int64]
@@ -28,9 +29,10 @@ def power(values: Array) -> int:
     good = values[np.isfinite(values)]
     if not good.size or not np.any(good):
         return 0
-    largest, span = float(np.max(np.abs(good))), float(np.max(good) - np.min(good))
+    largest = float(np.max(np.abs(good)))
+    span = float(np.max(good) - np.min(good))
     digits = DIGITS - 1 - math.floor(math.log10(largest))
-    if span > 0.0:
+    if span > ROUNDING * largest:
         digits = max(digits, OF_SPAN - 1 - math.floor(math.log10(span)))
     return min(digits, math.floor(math.log10(LARGEST) - math.log10(largest)), FINEST)
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cosim.arrays import Array
 
 OTHERS_PER_PANEL = 6
-LINE, HELD, DOTS, STEMS, BARS = range(5)
+LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class Trace:
     x:     places of its own, rising; else those of its drawing
     stems: from zero to each value, `shift` beside its place
     upper: bars from the values to these
-    A style that has the word `dots` draws points.
+    items: what is read out in place of some values
+    A style that has the word `dots` or `crosses` draws points.
     """
 
     label: str
@@ -34,13 +35,17 @@ class Trace:
     stems: bool = False
     shift: float = 0.0
     upper: Array | None = None
+    items: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def way(self) -> int:
-        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS."""
+        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS, CROSSES."""
         if self.upper is not None:
             return BARS
-        return STEMS if self.stems else DOTS if "dots" in self.style.split() else HELD if self.held else LINE
+        if self.stems:
+            return STEMS
+        words = self.style.split()
+        return DOTS if "dots" in words else CROSSES if "crosses" in words else HELD if self.held else LINE
 
     @property
     def reach(self) -> list[Array]:

@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Array, Rows
-from cosim.report.panels import BARS, DOTS, STEMS, Panel, Trace
+from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
+from cosim.text import MINUS, MISSING
 
 WIDTH, HEIGHT = 4000, 1000
 CAP = 18  # half the width of a bar's ends
+LONE, RISE = 28, 17  # half the width and height of a sample between two gaps
+WIDE, NARROW, LEAST_ROOM = 7.6, 3.9, 46  # [px] a digit, a point, and what a plot has beside it at least
+RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
 
@@ -32,11 +36,18 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values and where its labels go."""
+    """A range of values and where its labels go; factor: the power of ten by which these are to be multiplied."""
 
     low: float
     high: float
     ticks: tuple[Tick, ...]
+    factor: str = ""
+
+    @property
+    def room(self) -> int:
+        """Width that its labels take beside a plot [px]."""
+        widths = [sum(NARROW if c == "." else WIDE for c in tick.label) for tick in self.ticks]
+        return max(LEAST_ROOM, math.ceil(max(widths, default=0.0)) + 11)
 
     def whole(self, values: Array, size: int) -> Whole:
         """Values as whole numbers 0 … size along the axis."""
@@ -46,11 +57,20 @@ class Axis:
 
 @dataclass(frozen=True)
 class Curve:
-    """One drawn line."""
+    """One drawn line; value: what is read out of it where nothing moves."""
 
     label: str
     style: str
     path: str
+    key: str
+    value: str = ""
+
+
+@dataclass(frozen=True)
+class Also:
+    """What is read out beside the curves: a label, and the key under which the script finds it."""
+
+    label: str
     key: str
 
 
@@ -66,7 +86,8 @@ class Keys:
 class Plot:
     """A panel ready to be set: curves, band and limits in the box, ticks in percent.
 
-    levels: the limits in the panel's unit; keys: where the script finds its rows
+    levels: the limits in the panel's unit; keys: where the script finds its rows; also: read out, but not drawn
+    uprights: where a line stands across the axis, as values of it; reach: ends of y where the script must know them
     """
 
     title: str
@@ -82,6 +103,9 @@ class Plot:
     summary: str
     levels: tuple[float, ...] = ()
     keys: Keys = field(default_factory=Keys)
+    also: tuple[Also, ...] = ()
+    uprights: tuple[float, ...] = ()
+    reach: tuple[float, float] | None = None
 
 
 NO_KEYS = Keys()
@@ -95,16 +119,23 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """An axis over low … high with about `count` round ticks."""
+    """An axis over low … high with about `count` round ticks; huge and tiny ones share a power of ten."""
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * abs(low) or 1.0
         low, high = low - room, high + room
     step = round_step((high - low) / count, angle)
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    decimals += 0 if abs(step * 10**decimals - round(step * 10**decimals)) < 1e-6 else 1
+    power = power_of_ten(max(abs(low), abs(high)))
+    unit = step / 10.0**power
+    decimals = max(0, -math.floor(math.log10(unit) + 1e-9))
+    decimals += 0 if abs(unit * 10**decimals - round(unit * 10**decimals)) < 1e-6 else 1
     places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    ticks = (Tick(100 * (i * step - low) / (high - low), tick_label(i * step, decimals)) for i in places)
-    return Axis(low, high, tuple(ticks))
+    ticks = (Tick(100 * (i * step - low) / (high - low), tick_label(i * unit, decimals)) for i in places)
+    return Axis(low, high, tuple(ticks), f"×10{str(power).translate(RAISED)}" if power else "")
+
+
+def power_of_ten(largest: float) -> int:
+    """The exponent, a multiple of three, that an axis up to this value is written with; 0 where none helps."""
+    return 0 if 1e-3 <= largest < 1e6 else 3 * math.floor(math.log10(largest) / 3 + 1e-9)
 
 
 def round_step(least: float, angle: bool = False) -> float:
@@ -116,10 +147,35 @@ def round_step(least: float, angle: bool = False) -> float:
 
 
 def tick_label(value: float, decimals: int) -> str:
-    """A tick's text; tiny and huge values with an exponent."""
-    if decimals > 5 or abs(value) >= 1e6:
-        return f"{value:.3g}".replace("-", "\u2212")
-    return f"{value:.{decimals}f}".replace("-", "\u2212")
+    """A tick's text."""
+    return f"{value:.{decimals}f}".replace("-", MINUS)
+
+
+def log_axis(low: float, high: float) -> Axis:
+    """An axis over 10^low … 10^high: decades, or in fewer than two what is round between them."""
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    every = max(1, math.ceil((high - low) / 8))
+    choices = (
+        [10.0**d for d in decades if d % every == 0],
+        *([m * 10.0**d for d in decades for m in parts] for parts in ((1, 2, 5), range(1, 10))),
+    )
+    for values in choices:
+        ticks = [(math.log10(v), v) for v in values if low - 1e-9 <= math.log10(v) <= high + 1e-9]
+        if len(ticks) >= 3:
+            return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), _short(v)) for at, v in ticks))
+    linear = make_axis(10.0**low, 10.0**high, 6)
+    span = linear.high - linear.low
+    places = ((math.log10(linear.low + t.at / 100 * span), t.label) for t in linear.ticks)
+    return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), label) for at, label in places), linear.factor)
+
+
+def _short(value: float) -> str:
+    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("-", MINUS)
+
+
+def lone_axis(value: float) -> Axis:
+    """An axis about one value, which it names, and no other."""
+    return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", MINUS)),))
 
 
 def thin(values: Array, limit: int) -> Rows:
@@ -147,7 +203,7 @@ def runs(good: NDArray[np.bool_]) -> list[slice]:
 def polyline(u: Whole, v: Whole, held: bool = False) -> str:
     """A path in relative whole numbers, a few bytes a point; `held` draws steps."""
     if u.size == 1:
-        return f"M{u[0] - 9} {v[0]}h18"  # a lone sample: a dash wide enough to be seen
+        return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a cross that is seen
     path = [f"M{u[0]} {v[0]}"]
     flat = 0  # level stretches are drawn as one
     for du, dv in zip(np.diff(u).tolist(), np.diff(v).tolist(), strict=True):
@@ -167,7 +223,7 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
     """The line of a trace, broken where its samples cannot be drawn; or its dots, stems, bars."""
     time = time if trace.x is None else trace.x
-    if trace.way in (DOTS, STEMS, BARS):
+    if trace.way in (DOTS, STEMS, BARS, CROSSES):
         return _marks(x, y, time + trace.shift, trace)
     rows = thin(trace.values, limit)
     kept = trace.values[rows]
@@ -177,11 +233,17 @@ def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
 
 
 def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
-    """Points, stems from zero, or bars with caps, each value by itself."""
+    """Points, crosses, stems from zero, or bars with caps, each value by itself."""
     good = np.isfinite(places) & np.isfinite(trace.values)
     u, v = x.whole(places[good], WIDTH), HEIGHT - y.whole(trace.values[good], HEIGHT)
     if trace.way == DOTS:
         return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
+    if trace.way == CROSSES:
+        w, h = 2 * CAP, 22
+        return "".join(
+            f"M{a - w} {b - h}l{2 * w} {2 * h}m{-2 * w} 0l{2 * w}{-2 * h}"
+            for a, b in zip(u.tolist(), v.tolist(), strict=True)
+        )
     if trace.way == STEMS:
         zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
         return "".join(f"M{a} {zero}V{b}" for a, b in zip(u.tolist(), v.tolist(), strict=True))
@@ -202,8 +264,11 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 
 
 def value_axis(panel: Panel) -> Axis:
-    """The range that shows every curve, the limits and (unless it is absurdly wide) the band."""
-    low, high = extent([values for trace in panel.traces for values in trace.reach]) or (0.0, 1.0)
+    """The range that shows curves, limits and (unless it is absurdly wide) the band; no ticks for no values."""
+    found = extent([values for trace in panel.traces for values in trace.reach])
+    if found is None and not panel.limits:
+        return Axis(0.0, 1.0, ())
+    low, high = found or (min(panel.limits), max(panel.limits))
     if panel.band is not None and (around := extent([panel.band.lower, panel.band.upper])):
         room = WIDEST_BAND * (high - low or 1.0)
         low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
@@ -219,13 +284,19 @@ def time_axis(time: Array) -> Axis:
 
 
 def make_plot(
-    panel: Panel, time: Array, x: Axis, keys: Keys = NO_KEYS, limit: int = 1000, over: str = "time in s"
+    panel: Panel,
+    time: Array,
+    x: Axis,
+    keys: Keys = NO_KEYS,
+    limit: int = 1000,
+    over: str = "time in s",
+    y: Axis | None = None,
 ) -> Plot:
     """Draw a panel; `keys` name the series in which a script finds the rows of its curves, `over` says what x is."""
-    y = value_axis(panel)
+    y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
-        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key)
+        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key, _only(trace))
         for trace, key in zip(panel.traces, names, strict=True)
     )
     band = panel.band
@@ -238,6 +309,14 @@ def make_plot(
         panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
         panel.limit_label, x, y, zero, _summary(panel, over), tuple(panel.limits), keys,
     )  # fmt: skip
+
+
+def _only(trace: Trace) -> str:
+    """What a trace of one row is."""
+    if trace.values.size != 1:
+        return ""
+    value = float(trace.values[0])
+    return trace.items.get(value) or (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else MISSING)
 
 
 def _summary(panel: Panel, over: str) -> str:

@@ -16,7 +16,7 @@ from cosim.report.template import render
 from cosim.sweeps.outcome import Swept, way_of
 from cosim.sweeps.statistics import Sensitivity, quantiles, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.text import counted, display, joined, percent, plain
+from cosim.text import counted, display, joined, percent, plain, written
 from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
@@ -64,7 +64,7 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     low, high = c["ci95"]
     return {
-        "name": c["name"], "max": joined(plain(c["max"] * factor, 4), unit), "met": f"{c['met']} of {c['of']}",
+        "name": c["name"], "max": joined(plain(c["max"] * factor, None), unit), "met": f"{c['met']} of {c['of']}",
         "share": percent(c["met"] / c["of"]) if c["of"] else "–", "interval": f"{percent(low)} … {percent(high)}",
     }  # fmt: skip
 
@@ -93,7 +93,7 @@ def _factors(swept: Swept) -> list[Mapping[str, str]]:
         if isinstance(said, dict):
             text = ", ".join(f"{key} {value}" for key, value in said.items())
         found.append({
-            "name": factor.name, "unit": factor.unit, "way": varied.way.replace("_", " "), "said": str(text),
+            "name": factor.name, "unit": written(factor.unit), "way": varied.way.replace("_", " "), "said": str(text),
             "different": counted(len(set(map(str, values))), "value"),
         })  # fmt: skip
     return found

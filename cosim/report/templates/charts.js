@@ -4,7 +4,7 @@ document.addEventListener("rows", (event) => {
   "use strict";
   const page = event.detail, { axis: ours, data, locate } = page, time = data.t, count = time.length;
   const W = 4000, H = 1000, LEAST = 2; // the box of a chart; rows that a view shows at least
-  const LINE = 0, HELD = 1, DOTS = 2, STEMS = 3; // ways of drawing; else bars
+  const LINE = 0, HELD = 1, DOTS = 2, STEMS = 3, CROSSES = 5; // ways of drawing; else bars
   const whole = { from: ours.ends[0], to: ours.ends[1] }, breaks = data.breaks ?? [];
   let view = { ...whole };
 
@@ -28,15 +28,37 @@ document.addEventListener("rows", (event) => {
       const room = 0.1 * Math.abs(low) || 1;
       low -= room; high += room;
     }
-    const step = roundStep((high - low) / number, angle);
-    let decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-    if (Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals++;
-    const ticks = [];
+    const step = roundStep((high - low) / number, angle), largest = Math.max(Math.abs(low), Math.abs(high));
+    const power = largest >= 1e-3 && largest < 1e6 ? 0 : 3 * Math.floor(Math.log10(largest) / 3 + 1e-9), unit = step / 10 ** power;
+    let decimals = Math.max(0, -Math.floor(Math.log10(unit) + 1e-9));
+    if (Math.abs(unit * 10 ** decimals - Math.round(unit * 10 ** decimals)) > 1e-6) decimals++;
+    const ticks = [], factor = power ? "\u00d710" + [...String(power)].map((c) => "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"["0123456789-".indexOf(c)]).join("") : "";
     for (let i = Math.ceil(low / step - 1e-9); i <= Math.floor(high / step + 1e-9); i++) {
-      const value = i * step, text = decimals > 9 || Math.abs(value) >= 1e6 ? String(Number(value.toPrecision(6))) : value.toFixed(decimals);
-      ticks.push({ share: (value - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
+      const text = (i * unit).toFixed(Math.min(decimals, 20));
+      ticks.push({ share: (i * step - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
     }
-    return { low, high, ticks };
+    return { low, high, ticks, factor };
+  }
+  // Width that labels take beside a plot.
+  const room = (ticks) => Math.max(46, 11 + Math.ceil(Math.max(0, ...ticks.map((t) => [...t.text].reduce((sum, c) => sum + (c === "." ? 3.9 : 7.6), 0)))));
+
+  // Of an axis that holds logarithms: decades, or what is round between them.
+  function logAxis(low, high) {
+    const every = Math.max(1, Math.ceil((high - low) / 8)), from = Math.floor(low), decades = Array.from({ length: Math.ceil(high) - from + 1 }, (_, k) => from + k);
+    const choices = [decades.filter((d) => d % every === 0).map((d) => 10 ** d), ...[[1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]].map((parts) => decades.flatMap((d) => parts.map((m) => m * 10 ** d)))];
+    const share = (value) => (Math.log10(value) - low) / (high - low);
+    for (const values of choices) {
+      const seen = values.filter((v) => share(v) > -1e-9 && share(v) < 1 + 1e-9);
+      if (seen.length >= 3) return { low, high, ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })), factor: "" };
+    }
+    const linear = axis(10 ** low, 10 ** high, 6);
+    return { low, high, factor: linear.factor, ticks: linear.ticks.map((t) => ({ share: share(linear.low + t.share * (linear.high - linear.low)), text: t.text })) };
+  }
+  // Fewer ticks where their labels are long.
+  function across(width) {
+    if (data.log) return logAxis(view.from, view.to);
+    const full = axis(view.from, view.to, 6), long = Math.max(0, ...full.ticks.map((t) => t.text.length));
+    return long * 9 * full.ticks.length < width ? full : axis(view.from, view.to, Math.max(1, Math.floor(width / (long * 9 + 20))));
   }
 
   // -- drawing -----------------------------------------------------------------------------------
@@ -82,35 +104,38 @@ document.addEventListener("rows", (event) => {
   }
 
   // Least and largest of the rows in each column of the picture: no peak is lost, however many rows there are.
-  function path(series, [low, high], x, y, columns, cap = 18) {
+  function path(series, [low, high], x, y, columns, cap = 18, [lw, lh] = [28, 17]) {
     if (data.sparse) [low, high] = [0, count - 1]; // few rows; a line has its next point further out
-    if (series.way > HELD) return marks(series, [low, high], x, y, cap);
+    if (series.way > HELD) return marks(series, [low, high], x, y, cap, cap === 18 ? 11 : cap);
     const { v, anew } = series, held = series.way === HELD, parts = [];
     let bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
     if (bucket >= TILE) { low -= low % TILE; bucket -= bucket % TILE; }
-    let pen = false, coming = breaks.findIndex((row) => row > low);
+    // a sample between two gaps is a cross
+    const lone = `m${-lw} 0h${2 * lw}m${-lw} ${-lh}v${2 * lh}`, lift = () => { if (alone) parts.push(lone); pen = alone = false; };
+    let pen = false, alone = false, coming = breaks.findIndex((row) => row > low);
     const put = (row) => {
       const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
       parts.push(!pen ? `M${a} ${b}` : held ? `H${a}V${b}` : `L${a} ${b}`);
-      pen = true;
+      alone = !pen; pen = true;
     };
     for (let begin = low; begin <= high; begin += bucket) {
       const end = Math.min(high + 1, begin + bucket);
-      while (anew && coming >= 0 && breaks[coming] <= begin) { pen = false; coming = coming + 1 < breaks.length ? coming + 1 : -1; }
+      while (anew && coming >= 0 && breaks[coming] <= begin) { lift(); coming = coming + 1 < breaks.length ? coming + 1 : -1; }
       const [least, most] = extremes(series, begin, end);
-      if (least < 0) { pen &&= Boolean(data.sparse); continue; }
+      if (least < 0) { if (!data.sparse) lift(); continue; }
       for (const row of least === most ? [least] : least < most ? [least, most] : [most, least]) put(row);
     }
-    return parts.join("") + (parts.length === 1 ? `h18` : "");
+    lift();
+    return parts.join("");
   }
 
-  // Points, stems from zero, bars with caps: each value by itself.
-  function marks({ v, upper, way, shift }, [low, high], x, y, cap) {
+  // Points, crosses, stems from zero, bars with caps: each value by itself.
+  function marks({ v, upper, way, shift }, [low, high], x, y, cap, rise) {
     const parts = [], zero = y(0).toFixed(0);
     for (let row = low; row <= high; row++) {
       if (Number.isNaN(v[row])) continue;
       const a = x(time[row] + shift).toFixed(0), b = y(v[row]).toFixed(0);
-      parts.push(way === DOTS ? `M${a} ${b}h0` : way === STEMS ? `M${a} ${zero}V${b}`
+      parts.push(way === DOTS ? `M${a} ${b}h0` : way === CROSSES ? `M${a - 2 * cap} ${b - 2 * rise}l${4 * cap} ${4 * rise}m${-4 * cap} 0l${4 * cap} ${-4 * rise}` : way === STEMS ? `M${a} ${zero}V${b}`
         : `M${a - cap} ${b}h${2 * cap}m${-cap} 0V${y(upper[row]).toFixed(0)}m${-cap} 0h${2 * cap}`);
     }
     return parts.join("");
@@ -143,12 +168,18 @@ document.addEventListener("rows", (event) => {
       this.band = figure.querySelector("[data-band]");
       this.edges = this.band ? this.band.dataset.band.split(" ").map((key) => data.series[key]) : null;
       this.levels = all("[data-level]", figure).map((p) => ({ path: p, value: Number(p.dataset.level) }));
+      this.uprights = all("[data-upright]", figure).map((p) => ({ path: p, value: Number(p.dataset.upright) }));
+      this.also = all(".legend output", figure).filter((o) => !o.closest("[data-toggle]")).map((o) => ({ series: data.series[o.dataset.key], label: o.previousSibling.textContent.trim(), on: true }));
+      this.reach = figure.dataset.reach?.split(" ").map(Number);
       this.grid = figure.querySelector(".grid"); this.zero = figure.querySelector(".zero");
       this.yTicks = figure.querySelector(".y-ticks"); this.xTicks = figure.querySelector(".x-ticks");
-      const kept = [this.grid, this.yTicks, this.xTicks], drawn = all("path", this.svg);
+      this.factors = [figure.querySelector(".factor"), figure.querySelector(".x-label span")];
+      const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors], gutter = figure.querySelector(".axes").style, beside = gutter.getPropertyValue("--gutter"), drawn = all("path", this.svg);
       const inner = kept.map((e) => e.innerHTML), shapes = drawn.map((p) => p.getAttribute("d"));
       const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
+      this.gutter = (width) => gutter.setProperty("--gutter", width);
       this.original = () => {
+        this.gutter(beside);
         kept.forEach((e, k) => { e.innerHTML = inner[k]; });
         drawn.slice(home).forEach((p, k) => { p.setAttribute("d", shapes[home + k]); });
       };
@@ -174,7 +205,7 @@ document.addEventListener("rows", (event) => {
         if (series.upper) see(series.upper);
         if (series.way === STEMS) [low, high] = [Math.min(0, low), Math.max(0, high)];
       }
-      if (low > high) [low, high] = [0, 1];
+      if (low > high) return null;
       if (this.atFull) for (const level of this.levels) { low = Math.min(low, level.value); high = Math.max(high, level.value); }
       const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1;
       return [low - margin, high + margin];
@@ -184,7 +215,8 @@ document.addEventListener("rows", (event) => {
 
     axes() {
       const rows = rowsInView(), angle = this.figure.dataset.unit === "\u00b0";
-      const y = axis(...this.range(rows), 5, angle), x = axis(view.from, view.to, 6);
+      const ends = this.atFull && this.reach ? this.reach : this.range(rows);
+      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" }, x = across(this.box.clientWidth || 400);
       return { rows, x, y, u: (t) => W * (t - view.from) / (view.to - view.from), v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))) };
     }
 
@@ -195,18 +227,37 @@ document.addEventListener("rows", (event) => {
       const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.box.clientWidth || 500);
       this.grid.innerHTML = y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("")
         + x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
+      this.gutter(`${room(y.ticks)}px`);
+      this.factors[0].textContent = y.factor; this.factors[1].textContent = x.factor;
       this.yTicks.innerHTML = y.ticks.map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
       this.xTicks.innerHTML = x.ticks.map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
       for (const line of this.lines) if (line.on) line.path.setAttribute("d", path(line.series, rows, u, v, columns));
       if (this.band) this.band.setAttribute("d", bandPath(this.edges, rows, u, v, columns));
       for (const level of this.levels) level.path.setAttribute("d", `M0 ${v(level.value).toFixed(0)}h${W}`);
+      for (const place of this.uprights) place.path.setAttribute("d", view.from <= place.value && place.value <= view.to ? `M${u(place.value).toFixed(0)} 0v${H}` : "");
       if (this.zero) this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0).toFixed(0)}h${W}` : "");
     }
 
     spoken() {
       const row = page.at(), unit = this.figure.dataset.unit;
       const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`);
+      values.push(...this.also.map((a) => `${a.label} ${page.read(a.series, row)}`));
       return `${ours.place(row)}: ${values.join(", ")}`;
+    }
+
+    // Of points in a plane the one nearest to a place in the box, as shares of it.
+    nearest(along, up) {
+      const { y, u, v } = this.axes(), { clientWidth: w, clientHeight: h } = this.box, points = this.lines[0].series.v;
+      let best = 0, least = Infinity;
+      for (let row = 0; row < count; row++) {
+        const away = Math.hypot(w * (u(time[row]) / W - along), h * (v(points[row]) / H - up));
+        if (away < least) [best, least] = [row, away];
+      }
+      return best;
+    }
+    ring() {
+      const { v } = this.axes(), at = v(this.lines[0].series.v[page.at()]) / H;
+      this.figure.style.setProperty("--height", `${(100 * at).toFixed(2)}%`);
     }
   }
 
@@ -223,7 +274,7 @@ document.addEventListener("rows", (event) => {
   addEventListener("beforeprint", () => { for (const chart of charts) if (chart.stale) chart.draw(); });
 
   function look(from, to) {
-    const least = LEAST * (whole.to - whole.from) / (count - 1);
+    const least = LEAST * (whole.to - whole.from) / Math.max(1, count - 1);
     if (to - from < least) [from, to] = [(from + to - least) / 2, (from + to + least) / 2];
     if (to - from >= whole.to - whole.from) [from, to] = [whole.from, whole.to];
     if (from < whole.from) [from, to] = [whole.from, whole.from + to - from];
@@ -250,6 +301,7 @@ document.addEventListener("rows", (event) => {
   // Some rows on; of rows that stand at one place of the axis no more than one.
   function beside(row, some) {
     let to = Math.min(count - 1, Math.max(0, row + some));
+    if (data.points) return to; // one above another too
     while (time[to] === time[row] && to > 0 && to < count - 1) to += Math.sign(some);
     return to;
   }
@@ -257,6 +309,10 @@ document.addEventListener("rows", (event) => {
   function listen(chart) {
     const { box } = chart, fingers = new Map();
     let begun = null, mark = null, apart = 0;
+    const under = (event) => {
+      const frame = box.getBoundingClientRect();
+      return data.points ? chart.nearest((event.clientX - frame.left) / frame.width, (event.clientY - frame.top) / frame.height) : nearest(timeAt(box, event.clientX));
+    };
     const unmark = () => { mark?.remove(); mark = null; begun = null; };
     box.addEventListener("pointerdown", (event) => {
       if (event.button) return;
@@ -264,7 +320,7 @@ document.addEventListener("rows", (event) => {
       fingers.set(event.pointerId, event.clientX);
       if (event.pointerType !== "touch") begun = event.clientX;
       if (fingers.size === 2) { const [a, b] = fingers.values(); apart = Math.max(8, Math.abs(a - b)); }
-      page.seek(nearest(timeAt(box, event.clientX)));
+      page.seek(under(event));
     });
     box.addEventListener("pointermove", (event) => {
       if (fingers.has(event.pointerId)) fingers.set(event.pointerId, event.clientX);
@@ -274,7 +330,7 @@ document.addEventListener("rows", (event) => {
         apart = now;
         return;
       }
-      page.seek(nearest(timeAt(box, event.clientX)));
+      page.seek(under(event));
       if (begun === null || Math.abs(event.clientX - begun) < 5) return;
       mark ??= box.appendChild(make("span", { class: "marked", "aria-hidden": "true" }));
       const frame = box.getBoundingClientRect(), ends = [begun, event.clientX].map((x) => Math.min(frame.right, Math.max(frame.left, x)) - frame.left).sort((p, q) => p - q);
@@ -283,7 +339,7 @@ document.addEventListener("rows", (event) => {
     const up = (event) => {
       fingers.delete(event.pointerId);
       if (mark) look(...[timeAt(box, begun), timeAt(box, event.clientX)].sort((p, q) => p - q));
-      else if (event.type === "pointerup") page.settle(nearest(timeAt(box, event.clientX)));
+      else if (event.type === "pointerup") page.settle(under(event));
       unmark();
     };
     box.addEventListener("pointerup", up);
@@ -334,7 +390,7 @@ document.addEventListener("rows", (event) => {
   // -- pictures and numbers ------------------------------------------------------------------------------
   const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   function picture(chart) {
-    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = 70, top = 56, right = 20, bottom = 46;
+    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = Math.max(70, room(y.ticks) + 8), top = 56, right = 20, bottom = 46;
     const bw = w - left - right, bh = h - top - bottom, style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     const px = (t) => left + bw * u(t) / W, py = (value) => top + bh * v(value) / H, parts = [];
     const text = (a, b, words, anchor, more = "") => parts.push(`<text x="${a}" y="${b}" text-anchor="${anchor}" ${more}>${escape(words)}</text>`);
@@ -344,30 +400,32 @@ document.addEventListener("rows", (event) => {
     parts.push(`<svg x="${left}" y="${top}" width="${bw}" height="${bh}" viewBox="${left} ${top} ${bw} ${bh}">`);
     if (chart.band) parts.push(`<path d="${bandPath(chart.edges, rows, px, py, bw)}" fill="${colour("--band")}" fill-opacity="${colour("--band-alpha")}"/>`);
     for (const level of chart.levels) parts.push(`<path d="M${left} ${py(level.value).toFixed(1)}h${bw}" stroke="${colour("--reference")}" stroke-dasharray="5 4"/>`);
+    for (const place of chart.uprights) parts.push(`<path d="M${px(place.value).toFixed(1)} ${top}v${bh}" stroke="${colour("--reference")}" stroke-dasharray="5 4"/>`);
     let along = left;
     const legend = [];
     for (const line of chart.lines) {
       if (!line.on) continue;
       const look = getComputedStyle(line.path), dash = look.strokeDasharray === "none" ? "" : `stroke-dasharray="${look.strokeDasharray.replaceAll("px", "")}"`;
       const pen = `fill="none" stroke="${look.stroke}" stroke-width="${parseFloat(look.strokeWidth)}" opacity="${look.opacity}" ${dash}`;
-      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4)}"/>`);
+      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4, [4, 4])}"/>`);
       legend.push(() => { parts.push(`<path ${pen} d="M${along} 40h22"/>`); text(along + 28, 44, line.label, "start"); along += 52 + 7.2 * line.label.length; });
     }
     parts.push("</svg>");
     for (const entry of legend) entry();
+    if (y.factor) text(left + 6, top + 16, y.factor, "start");
     text(left, 22, `${chart.figure.dataset.title} [${chart.figure.dataset.unit}]`, "start", 'font-weight="600" font-size="15"');
-    text(w - right, h - 10, over(chart), "end");
+    text(w - right, h - 10, `${over(chart)} ${x.factor}`, "end");
     return `<svg xmlns="${chart.svg.namespaceURI}" width="${w}" height="${h}" viewBox="0 0 ${w} ${h}" font-family="system-ui, sans-serif" font-size="12" fill="${colour("--ink")}">${parts.join("")}</svg>`;
   }
 
-  const over = (chart) => chart.figure.querySelector(".x-label").textContent;
+  const over = (chart) => chart.figure.querySelector(".x-label").firstChild.data.trim();
   const titles = ({ label, series }) => (series.upper ? [`${label}, lower`, `${label}, upper`] : [label]);
   function numbers(chart) {
     const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words), unit = chart.figure.dataset.unit;
-    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [[quoted(over(chart)), ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`)))].join(",")];
+    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [[quoted(over(chart)), ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`))), ...chart.also.map((a) => quoted(a.label))].join(",")];
     for (let row = low; row <= high; row++) {
       const cell = (series, v) => (Number.isNaN(v[row]) ? "" : series.text(v[row]));
-      const cells = lines.flatMap(({ series }) => [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)));
+      const cells = [...lines, ...chart.also].flatMap(({ series }) => [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)));
       if (!data.sparse || cells.some(Boolean)) rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
     }
     return rows.join("\n") + "\n";
@@ -407,5 +465,8 @@ document.addEventListener("rows", (event) => {
     chart.figure.querySelector(".axes").append(row);
   }
 
-  for (const chart of charts) { toggles(chart); tools(chart); listen(chart); }
+  for (const chart of charts) {
+    toggles(chart); tools(chart); listen(chart);
+    if (data.points) ours.moved.push(() => chart.ring());
+  }
 });

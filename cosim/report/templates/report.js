@@ -3,10 +3,14 @@
 (async () => {
   "use strict";
   const found = JSON.parse(document.getElementById("run-data").textContent);
-  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1);
+  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1 || (block.rows && block.points));
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
   scrollable();
+  // Paper shows what is folded up.
+  const unfolded = [];
+  window.addEventListener("beforeprint", () => { for (const part of all("details:not([open])")) { part.open = true; unfolded.push(part); } });
+  window.addEventListener("afterprint", () => { for (const part of unfolded.splice(0)) part.open = false; });
   if (!packed.length || typeof DecompressionStream === "undefined") {
     document.documentElement.dataset.ready = "still"; // nothing to move in
     return;
@@ -53,7 +57,7 @@
     for (const [key, entry] of Object.entries(series)) {
       const v = column(entry.p);
       if (entry.g) column(0).forEach((there, k) => { if (!there) v[k] = NaN; });
-      signals[key] = { v, way: entry.h, anew: entry.b, shift: entry.s ?? 0, upper: entry.u, text: textOf(v, entry.p) };
+      signals[key] = { v, way: entry.h, anew: entry.b, shift: entry.s ?? 0, upper: entry.u, items: entry.i, text: textOf(v, entry.p) };
     }
     for (const signal of Object.values(signals)) signal.upper = signals[signal.upper]?.v;
     return { over: ["time", "s"], ...more, t, p, series: signals };
@@ -64,7 +68,7 @@
     let largest = 0;
     for (const v of values) if (Math.abs(v) > largest) largest = Math.abs(v);
     const lead = largest > 0 ? Math.floor(Math.log10(largest)) : 0;
-    const plain = power <= 7 && lead < 9;
+    const plain = lead < 9 && (power <= 7 || (lead >= 0 && power <= 12));
     return (v) => (Number.isNaN(v) ? "\u2013" : plain ? fixed(v, Math.max(0, power))
       : v === 0 ? "0" : v.toExponential(Math.max(0, Math.min(20, Math.floor(Math.log10(Math.abs(v))) + power))).replace("-", "\u2212").replace("e-", "e\u2212"));
   }
@@ -91,7 +95,7 @@
   class Axis {
     constructor(data, alone) {
       const { t } = data, count = t.length, [name, unit] = data.over;
-      this.data = data; this.time = t; this.nearest = count - 1;
+      this.data = data; this.time = t; this.nearest = count - 1; this.moved = [];
       if (!alone) { // begin where something can be read
         const every = Object.values(data.series), read = (row) => data.sparse || every.every(({ v }) => !Number.isNaN(v[row]));
         while (this.nearest > 0 && !read(this.nearest)) this.nearest--;
@@ -107,7 +111,7 @@
     }
 
     text(row) {
-      const { p, sparse, over } = this.data, value = this.time[row], time = over[0] === "time" && !sparse;
+      const { p, sparse, over, log } = this.data, value = log ? 10 ** this.time[row] : this.time[row], time = over[0] === "time" && !sparse;
       return String(Number(time ? value.toFixed(Math.max(0, p)) : value.toPrecision(5))).replace("-", "\u2212");
     }
     place(row) { return `${this.symbol} = ${this.text(row)}${this.unit}`; }
@@ -117,6 +121,7 @@
     // What a signal has at a row; of points of its own, at the one nearest to it.
     read(series, row) {
       let at = row;
+      if (this.data.points) return Number.isNaN(series.v[row]) ? "\u2013" : String(Number(series.v[row].toPrecision(5))).replaceAll("-", "\u2212");
       if (this.data.sparse && Number.isNaN(series.v[row])) {
         let before = row, after = row;
         while (before >= 0 && Number.isNaN(series.v[before])) before--;
@@ -124,7 +129,7 @@
         at = before < 0 ? after : after >= this.time.length ? before
           : this.time[row] - this.time[before] <= this.time[after] - this.time[row] ? before : after;
       }
-      return series.text(series.v[at]) + (series.upper ? ` \u2026 ${series.text(series.upper[at])}` : "");
+      return (series.items?.[series.v[at]] ?? series.text(series.v[at])) + (series.upper ? ` \u2026 ${series.text(series.upper[at])}` : "");
     }
 
     mark() {
@@ -134,6 +139,7 @@
         host.classList.toggle("cursor-away", along < -1e-9 || along > 1 + 1e-9);
         host.classList.toggle("cursor-late", along > 0.8);
       }
+      for (const tell of this.moved) tell();
     }
 
     // tell: say at the foot of the page which row it is
@@ -145,7 +151,7 @@
       if (!tell || !shown || !this.cells.length) return;
       const { of, every, sparse } = this.data, count = this.time.length;
       shown.hidden = false;
-      shown.textContent = sparse ? `numbers: of each curve its point nearest to ${this.place(row)}`
+      shown.textContent = this.data.points ? `numbers: point ${row + 1} of ${count}, ${this.place(row)}` : sparse ? `numbers: of each curve its point nearest to ${this.place(row)}`
         : `numbers: row ${Math.min(of, 1 + row * every)} of ${of}, ${this.place(row)}`
           + (of > count ? `; ${count} of the rows are in this page, all are in results.csv` : "");
     }

@@ -26,6 +26,7 @@ from cosim.simulation.report.rows import (
     connections,
     fault_text,
     faults_on,
+    items_of,
     provenance,
     spelled,
     starts,
@@ -127,6 +128,7 @@ def connection_panels(
 ) -> dict[tuple[str, str], Panel]:
     """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
     panels: dict[tuple[str, str], Panel] = {}
+    items = items_of(run)
     for link in connected:
         ends = (link.source, link.target)
         recorded = all(end in run.results and end not in shown for end in ends)
@@ -134,8 +136,9 @@ def connection_panels(
             continue
         unit, factor = display(run.unit(link.target))
         sent, arrived = (run.results[end] * factor for end in ends)
-        as_sent = Trace(link.source, sent, "true")
-        other = Trace(f"{link.target}, {link.noise}" if link.noise else link.target, arrived, "estimate")
+        label, whole = f"{link.target}, {link.noise}" if link.noise else link.target, run.results.whole
+        as_sent = Trace(link.source, sent, "true", held=ends[0] in whole, items=items.get(ends[0], {}))
+        other = Trace(label, arrived, "estimate", held=ends[1] in whole, items=items.get(ends[1], {}))
         traces = [as_sent] if np.array_equal(sent, arrived, equal_nan=True) else [other, as_sent]
         title = f"{link.source} → {link.target}"
         panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _marked(run, ends, traces))
@@ -152,10 +155,13 @@ def _undrawn(signals: int) -> str:
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
-    panels = []
+    panels, items, whole = [], items_of(run), run.results.whole
     for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
         shown_unit, factor = display(unit)
-        traces = [Trace(column, run.results[column] * factor, f"s{i}") for i, column in enumerate(columns)]
+        traces = [
+            Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))
+            for i, column in enumerate(columns)
+        ]
         components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
         panels.append(
             Panel(", ".join(components), shown_unit or unit or "no unit", traces, _marked(run, columns, traces))

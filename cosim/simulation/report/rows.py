@@ -49,6 +49,12 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
     return found
 
 
+def items_of(run: Run) -> dict[str, dict[float, str]]:
+    """Names of an enumeration's items by their numbers, of each column that has them."""
+    found = mapping(run.manifest.get("items"))
+    return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in found.items()}
+
+
 def spelled(run: Run) -> list[Row]:
     """What no curve shows, with the times of its changes: text, 64-bit integers, binary data, items by their names."""
     found = []
@@ -125,8 +131,19 @@ def starts(run: Run) -> list[Row]:
         settings = {**kind, **mapping(kind.get("start"))}
         settings = {key: value for key, value in settings.items() if key not in ("start", "fmu", "block", "sha256")}
         source = str(kind.get("fmu") or kind.get("block") or "")
-        found.append(Row(str(name), ", ".join(f"{key} = {value}" for key, value in settings.items()), source))
+        found.append(Row(str(name), ", ".join(f"{key} = {_said(value)}" for key, value in settings.items()), source))
     return found
+
+
+def _said(value: object) -> str:
+    """A setting as one writes it in a scenario, on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_said(v)}" for key, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_said, value)) + "]"
+    return str(value)
 
 
 def provenance(run: Run) -> list[Row]:

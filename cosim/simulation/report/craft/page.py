@@ -97,7 +97,7 @@ def readout(panel: Panel, plot: Plot) -> Readout:
     cells = []
     for style in ("true", "estimate", "reference"):
         found = [
-            (curve.key, trace) for curve, trace in zip(plot.curves, panel.traces, strict=True) if curve.style == style
+            (curve.key, trace) for curve, trace in zip(plot.curves, panel.traces, strict=True) if trace.style == style
         ]
         finite = [float(v) for _, trace in found for v in trace.values[-1:] if np.isfinite(v)]
         cells.append(
