@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 INFINITY = math.inf
 
@@ -74,7 +75,14 @@ def parameter(
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     """Parameters declared by a dataclass or an instance of one, in order."""
-    return tuple(_named(f) for f in fields(owner) if "parameter" in f.metadata)
+    kind = owner if isinstance(owner, type) else type(owner)
+    found = _declared.get(kind)
+    if found is None:
+        found = _declared[kind] = tuple(_named(f) for f in fields(kind) if "parameter" in f.metadata)
+    return found
+
+
+_declared: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # asked for thousands of times a fit
 
 
 def _named(declared: Field[Any]) -> Parameter:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from cosim.isolation import process
 from cosim.models.native import build_native
 from fmus.build import Recipe, build
 from fmus.native.compiler import compiler
 from fmus.recipes import controller_recipe, plant_recipe
 
 ROOT = Path(__file__).resolve().parent.parent
+# every command and worker would compile anew all that it imports
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -29,6 +34,29 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         del os.environ["XDG_CACHE_HOME"]
     else:
         os.environ["XDG_CACHE_HOME"] = before
+
+
+@pytest.fixture(scope="session")
+def _forker() -> Iterator[Any]:
+    """Forks workers where the system can."""
+    if not sys.platform.startswith("linux"):
+        yield None
+        return
+    from tests.warm import Forker
+
+    forker = Forker()
+    yield forker
+    forker.end()
+
+
+@pytest.fixture(autouse=True)
+def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None]:
+    """Workers that this process starts are forked (`tests/warm.py`), but for tests marked `fresh`."""
+    fresh = process._spawn
+    if _forker is not None and request.node.get_closest_marker("fresh") is None:
+        process._spawn = _forker.spawn
+    yield
+    process._spawn = fresh
 
 
 def _built(recipe: Recipe, name: str, factory: pytest.TempPathFactory) -> Path:

@@ -64,7 +64,8 @@ def test_an_answer_is_no_study(tmp_path: Path) -> None:
     (tmp_path / "refine.json").write_text('{"study": "study.yaml", "verdict": "no_effect", "candidates": []}')
     assert told(tmp_path / "refine.json") == [
         f"{tmp_path / 'refine.json'}: is an answer of `cosim refine`, in which there is nothing to check: "
-        f"`cosim excite {tmp_path / 'refine.json'}` seeks the experiment that decides; check the study or model.yaml beside it"
+        f"`cosim excite {tmp_path / 'refine.json'}` seeks the experiment that decides; check the study or model.yaml "
+        "beside it"
     ]
 
 

@@ -35,6 +35,7 @@ from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
 
+pytestmark = pytest.mark.fresh
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
 COMMAND = [sys.executable, "-m", "cosim.cli", "run"]

@@ -109,7 +109,7 @@ def linearize(
 
 
 def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
-    """What is to be known beside what is known: inputs that do nothing, whose slopes at kinks, the models' own notes."""
+    """What is to be known beside what is known: inputs that do nothing, slopes at kinks, notes of the models."""
     idle = [f"{name} {IDLE}" for name in _idle(found)]
     beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
     more = [f"{len(beside) - MOST_TOLD} kinks more; linear.json has all"] if len(beside) > MOST_TOLD else []

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
@@ -15,6 +16,7 @@ from cosim.models.source import Source
 from cosim.registry import MODELS, resolve
 from cosim.yaml_file import did_you_mean
 from fmus.files import draft_of
+from plant.model import Model
 
 if TYPE_CHECKING:
     from fmus.native.package import Built, Native
@@ -66,11 +68,18 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     from fmus.native.package import build_native as build_fmu
 
     _check_compiler(())
-    _, native = next(_natives(LoadedModel(type(loaded.model)(), loaded.source)))
+    kept = _of_class.setdefault(type(loaded.model), {})
+    if loaded.source not in kept:
+        _, kept[loaded.source] = next(_natives(LoadedModel(type(loaded.model)(), loaded.source)))
+    native = kept[loaded.source]
     try:
         return build_fmu(native, path).path
     except CompilerFailed as error:
         raise InputError([_failed(error)]) from None
+
+
+# printed and compared with its Python once in a process, by class and source
+_of_class: WeakKeyDictionary[type[Model], dict[str, Native]] = WeakKeyDictionary()
 
 
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:

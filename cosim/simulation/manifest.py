@@ -67,9 +67,10 @@ def manifest(
     designed: Mapping[str, Mapping[str, Any]],
     system: System,
     timings: Mapping[str, float],
+    made_with: Mapping[str, Any],
     loop: str = "",
 ) -> dict[str, Any]:
-    """The manifest of a run, before its outcome is known; `loop` is as in `Results`."""
+    """The manifest of a run, before its outcome is known; `made_with` as of below, `loop` is as in `Results`."""
     scenario = resolve_scenario(file, designed, system)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -95,12 +96,19 @@ def manifest(
             }
             for name, (path, description) in system.fmus.items()
         },
-        "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
-        "git": _git(Path(__file__).resolve().parent.parent),
+        **made_with,
         "loop": loop,
         "timings": dict(timings),
         "warnings": list(system.warnings),
         "criteria": [],
+    }
+
+
+def made_with() -> dict[str, Any]:
+    """Versions of what makes a run, and the revision of this package; other programs are asked, which takes a while."""
+    return {
+        "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
+        "git": _git(Path(__file__).resolve().parent.parent),
     }
 
 

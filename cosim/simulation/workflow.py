@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +23,7 @@ from cosim.results import Results
 from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
-from cosim.simulation.manifest import check_pinned, manifest, sha256, write_manifest
+from cosim.simulation.manifest import check_pinned, made_with, manifest, sha256, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.scenario import Scenario
@@ -84,10 +85,11 @@ def run(
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force)
         check_writable(place, (RESULTS, MANIFEST, "report.html"), file.files)
+        tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
         loaded = time.perf_counter()
         stepped = _stepped(file.scenario, system, worker, place, progress)
         times = began, loaded, time.perf_counter()
-        record = manifest(file, designed, system, _timings(file.scenario, *times), stepped.results.loop)
+        record = manifest(file, designed, system, _timings(file.scenario, *times), tools.result(), stepped.results.loop)
         if is_ssp(path):
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
