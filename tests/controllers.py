@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.gains import Settings
+from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, Law, Seen, StateFeedback
 from controller.loop import Loop
 from controller.predictive import PredictiveLaw
-from controller.variants import PredictiveSettings, integral_settings, placed_settings
+from controller.stability import FlownLoop, Mode
+from controller.variants import FullSettings, IntegralSettings, PredictiveSettings, integral_settings, placed_settings
 from cosim.blocks.profile import Change, Profile, profile_function
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.integrate import Moment, Stepper
@@ -229,12 +230,30 @@ def cost(rounds: int = 5) -> dict[str, float]:
     return {name: float(np.median(spent[name]) / np.median(spent["LQR"])) for name in LAWS}
 
 
+def swings() -> dict[str, dict[str, Mode]]:
+    """Estimator → law of fixed gains → the swing of its turn as it flies, by the designs that the FMUs carry."""
+    found: dict[str, dict[str, Mode]] = {}
+    for estimator in ESTIMATORS:
+        p = FullSettings(estimator=estimator)
+        loop = FlownLoop(p, p)
+        for name, (settings, _) in LAWS.items():
+            if name != "MPC":  # no fixed gain
+                K_i = np.array(settings.integral_matrix) if isinstance(settings, IntegralSettings) else None
+                modes = [m for m in loop.modes(np.array(settings.gain_matrix), K_i) if m.axis == "turning"]
+                found.setdefault(estimator, {})[name] = next(m for m in modes if m.pole.imag > 0)
+    return found
+
+
 def main(seeds: int) -> int:
     """Print the tables; 1 where a controller misses App. G's 10 % or 15° in a seed."""
     every, missed = range(1, seeds + 1), []
     print("Fig 6.2 on the true state      settled x [s]   ψ [s]   largest tilt [deg]")
     for name, (x, psi, tilt) in figure_6_2().items():
         print(f"{name:30} {x:13.2f} {psi:7.2f} {tilt:20.1f}")
+    print("\nSwing of the turn as it flies: pole [rad/s], damping")
+    for estimator, of_laws in swings().items():
+        told = [f"{name} {m.pole.real:.1f}±{m.pole.imag:.1f}j {m.damping:.2f}" for name, m in of_laws.items()]
+        print(f"{estimator:12}{'   '.join(told)}")
     ratio = cost()
     for fixes in (False, True):
         said = "with fixes at 10 Hz" if fixes else "IMU alone"
