@@ -301,6 +301,64 @@ def test_a_saturated_channel_is_refused(measured: Path, tmp_path: Path) -> None:
     assert "take a cell of a larger range, or less thrust" in text
 
 
+def test_swapped_cells_of_tilt_and_moment_are_refused_with_the_cure(measured: Path, tmp_path: Path) -> None:
+    text = refused(spoilt(measured, tmp_path, "step", lambda h, t: (h, t[:, [0, 1, 2, 3, 4, 6, 5]])), tmp_path / "out")
+    assert "spoilt.csv:2:1: volts_m follows the tilt and volts_x does not: are the channels swapped?" in text
+
+
+def test_a_dead_channel_is_no_reading(measured: Path, tmp_path: Path) -> None:
+    def dead(h: list[str], t: Any) -> Any:
+        t[:, 5] = 1700.0
+        return h, t
+
+    text = refused(spoilt(measured, tmp_path, "step", dead), tmp_path / "out")
+    assert "spoilt.csv:302:1: volts_x stands still at 1.7 V from this row on" in text
+
+
+def test_millivolts_that_are_said_to_be_volts_are_beyond_the_converter(measured: Path, tmp_path: Path) -> None:
+    path = spoilt(measured, tmp_path, "step", lambda h, t: ([n.replace("[mV]", "[V]") for n in h], t))
+    text = refused(path, tmp_path / "out")
+    assert "V here, beyond the converter's 0 to 3.3 V; say its unit in the column's name, volts_z [mV]" in text
+    assert "larger range" not in text
+
+
+def test_a_run_without_thrust_is_told_as_that(measured: Path, tmp_path: Path) -> None:
+    path = spoilt(measured, tmp_path, "step", lambda h, t: (h, np.where(np.arange(len(h)) == 1, 5.0, t)))
+    assert "spoilt.csv:2:1: duty is 5 % at most: the phase with thrust is missing" in refused(path, tmp_path / "out")
+
+
+def test_one_run_given_twice_is_no_repetition(measured: Path, tmp_path: Path) -> None:
+    first = measured / "step1.csv"
+
+    def copy(content: dict[str, Any]) -> None:
+        content["tests"]["step"]["files"][0] = "copy.csv"
+
+    path = changed(measured, tmp_path, copy)
+    (tmp_path / "copy.csv").write_bytes(first.read_bytes())
+    text = refused(path, tmp_path / "out")
+    assert "holds the readings of copy.csv once more; a repetition is a run of its own, so leave one out" in text
+
+    def twice(content: dict[str, Any]) -> None:
+        files = content["tests"]["step"]["files"]
+        files[1] = files[0]
+
+    assert "is named twice; a repetition is a run of its own" in refused(
+        changed(measured, tmp_path, twice), tmp_path / "out"
+    )
+
+
+def test_what_is_wrong_with_points_is_told_once(measured: Path, tmp_path: Path) -> None:
+    def text(content: dict[str, Any]) -> None:
+        content["cells"]["x"]["points"][0][1] = "a"
+        content["tests"]["step"]["files"] = []
+
+    told = refused(changed(measured, tmp_path, text), tmp_path / "out")
+    assert "it should be a valid number" in told
+    assert "no loads and points" not in told
+    assert "has no files, and no bench is played" in told
+    assert "too few" not in told
+
+
 def test_a_column_that_is_missing_is_named(measured: Path, tmp_path: Path) -> None:
     path = spoilt(measured, tmp_path, "step", lambda h, t: ([*h[:4], "volt_z [mV]", *h[5:]], t))
     assert 'spoilt.csv:1:1: column "volts_z" [V] is missing; did you mean "volts_x"?; add it' in refused(

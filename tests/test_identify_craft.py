@@ -163,6 +163,14 @@ def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
     assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
 
 
+def test_one_log_given_twice_is_refused(tmp_path: Path) -> None:
+    once = at_rest(tmp_path / "rest.csv", 1)
+    (tmp_path / "copy.csv").write_bytes(once.read_bytes())
+    text = refused(protocol(tmp_path, rest={"files": ["rest.csv", "copy.csv", "rest.csv"]}), tmp_path / "out")
+    assert "copy.csv holds what file 1, rest.csv does; each is a recording of its own, so leave one out" in text
+    assert text.count("leave one out") == 2
+
+
 def test_what_swings_is_dead_or_saturated_is_not_at_rest(tmp_path: Path) -> None:
     time = 0.02 * np.arange(1001)
     rest = noisy(np.random.default_rng(1), time.size)

@@ -213,6 +213,7 @@ def test_the_edge_of_a_dead_band_has_the_matrices_of_the_side_that_is_asked_for(
     assert found.first.A[1].tolist() == [-gain, -2.0]
     content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(SCHEMA.read_text(encoding="utf-8")))
+    assert (content["models"][0]["u0"], content["models"][0]["f0"]) == ([0.1, 1.0], [0.0, 0.0])
     kinks = {k["variable"]: k for k in content["models"][0]["kinks"]}
     assert set(kinks) == {"angle", "command"}
     assert kinks["angle"]["side"] != side  # the error grows with the one and falls with the other
@@ -232,6 +233,9 @@ def test_a_kink_between_two_inputs_takes_both_slopes_of_one_side(servo: str) -> 
 def test_a_jump_is_told_as_one_and_kinks_in_what_is_left_out_do_not_matter(servo: str) -> None:
     told = refused(servo, "command=1,angle=0.2,trim=0.2")
     assert "angle = 0.2 is a jump: the rate of speed has slope -20 below and -20 above, and it jumps by -50" in told
+    jumped = linearize(servo, at=["command=1,angle=0.2,trim=0.2"], side="above").first
+    assert jumped.point.inputs[1] > 0.2  # of the side on which the stop is not reached
+    assert jumped.rates[1] == pytest.approx(20.0 * 0.7, abs=1e-3)
     assert linearize(servo, at=["command=0.05,trim=0.05"], outputs=["flow"], inputs=["command"], side="below")
     left_out = linearize(
         servo, at=["command=0.05,trim=0.05"], inputs=["command"], states=["angle", "speed"], side="above"

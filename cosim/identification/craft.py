@@ -117,11 +117,15 @@ def read_craft(yaml: YamlFile) -> Craft:
         faults += _names(yaml, content.distance, loaded)
     model, rest, runs = loaded.model, list[Log](), list[Log]()
     for part, found, inputs in (("rest", rest, ()), ("distance", runs, model.inputs)):
-        asked = getattr(content, part)
+        asked, before = getattr(content, part), dict[bytes, str]()
         for k, name in enumerate(asked.files if asked else ()):
             path = yaml.path.parent / name
             if not path.is_file():
                 faults.append(yaml.fault((part, "files", k), f"no such file: {name}"))
+                continue
+            if (same := before.setdefault(path.read_bytes(), f"file {k + 1}, {name}")) != f"file {k + 1}, {name}":
+                told = f"{name} holds what {same} does; each is a recording of its own, so leave one out"
+                faults.append(yaml.fault((part, "files", k), told))
                 continue
             try:
                 found.append(read_log(path, inputs, model.outputs))

@@ -11,6 +11,7 @@ from cosim.errors import Fault
 from cosim.identification.cells import Cells, at_rail, force_of
 from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, StepTest, Test
 from cosim.identification.recordings import Recording
+from plant.bench import REST_DUTY
 from plant.powertrain import servo_angle
 
 LEAST_DUTY, LEAST_ANGLE = 0.1, np.radians(5)  # [%, rad] that a line and a moment need
@@ -53,6 +54,9 @@ def _missing(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterato
             return
     rest, seen = r.rows(test.rest), r.rows(test.window)
     duty = r.duty
+    if name != "moment" and duty.max() <= REST_DUTY:
+        yield _at(protocol, r, f"duty is {duty.max():g} % at most: the phase with thrust is missing; record it", 0)
+        return
     if name != "moment" and duty[rest].max() >= duty[~rest].max():
         row = int(np.flatnonzero(rest)[0])
         cure = "begin each run with the motor off, for the tare"
@@ -94,6 +98,10 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
         name, "x"
     )
     known = protocol.known
+    beyond = [fault for c in CHANNELS for fault in _beyond(protocol, r, c)]
+    if beyond:
+        yield from beyond
+        return
     for c in wanted:
         rail = at_rail(known, r.volts[c]) & window
         share = rail.sum() / window.sum()
@@ -102,6 +110,11 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
             cure = "take a cell of a larger range, or less thrust"
             where = f"{r.volts[c][row]:.3g} V, at {100 * share:.0f} % of the readings, first in this row"
             yield _at(protocol, r, f"volts_{c} is at the end of its range, {where}; {cure}", row)
+            return
+        if np.ptp(r.volts[c][window]) == 0.0:
+            row = int(np.flatnonzero(window)[0])
+            cure = "readings have noise, so look at the cell and its wires, and record it anew"
+            yield _at(protocol, r, f"volts_{c} stands still at {r.volts[c][row]:.4g} V from this row on; {cure}", row)
             return
     if name == "moment":
         return
@@ -128,12 +141,7 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
                 0,
             )
     elif name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
-        yield _at(
-            protocol,
-            r,
-            "volts_m follows the tilt and volts_x does not: {SWAPPED}",
-            0,
-        )
+        yield _at(protocol, r, f"volts_m follows the tilt and volts_x does not: {SWAPPED}", 0)
     elif name == "step":
         after = r.rows((test.window[1] - 0.3, test.window[1]))
         fz, fx = (float(force_of(r, cells, c, test.rest)[after].mean()) for c in "zx")
@@ -141,6 +149,29 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
         if abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
             message = f"at {np.degrees(angle):.0f}° volts_x says more than volts_z: {SWAPPED}"
             yield _at(protocol, r, message, 0)
+
+
+def _beyond(protocol: Protocol, r: Recording, channel: str) -> Iterator[Fault]:
+    """Readings that no converter gives: the voltage is in another unit, mostly."""
+    top, volts = protocol.known.converter_range, r.volts[channel]
+    step = top / protocol.known.converter_levels
+    out = np.flatnonzero((volts < -step) | (volts > top + step))
+    if out.size:
+        name, row = f"volts_{channel}", int(out[0])
+        cure = f"say its unit in the column's name, {name} [mV], or `converter_range` under `parameters`"
+        yield _at(protocol, r, f"{name} is {volts[row]:.4g} V here, beyond the converter's 0 to {top:g} V; {cure}", row)
+
+
+def repeated(recordings: Sequence[Recording]) -> list[Fault]:
+    """Recordings of a test that hold the same readings as one before: they are no repetitions."""
+    first: dict[bytes, Recording] = {}
+    faults = []
+    for r in recordings:
+        before = first.setdefault(b"".join(r.volts[c].tobytes() for c in CHANNELS), r)
+        if before is not r and r.path is not None:
+            told = f"holds the readings of {before.label} once more; a repetition is a run of its own, so leave one out"
+            faults.append(Fault(Path(r.path), 0, 0, told))
+    return faults
 
 
 def _of_all(protocol: Protocol, name: str, test: Test, recordings: Sequence[Recording]) -> Iterator[Fault]:

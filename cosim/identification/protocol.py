@@ -11,6 +11,7 @@ from pydantic import Field
 
 from cosim.errors import Fault, InputError
 from cosim.kinds import PROTOCOL, check_given
+from cosim.text import counted
 from cosim.yaml_file import NotNegative, Number, Part, Positive, YamlFile, did_you_mean
 from fmus.units import factor
 from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
@@ -178,6 +179,8 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
             continue
         if factor(cell.unit, CHANNELS[name]) is None:
             yield yaml.fault(("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}")
+        if not (cell.loads or cell.points) and _given(yaml, name):
+            continue  # what is wrong with them is told already
         if bool(cell.loads) == bool(cell.points):
             cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
             yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
@@ -188,12 +191,18 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
             yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")
 
 
+def _given(yaml: YamlFile, cell: str) -> bool:
+    """Loads or points stand there, though they could not be read."""
+    written = yaml.root["cells"][cell]
+    return bool(written.get("loads") or written.get("points"))
+
+
 def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
     at = ("tests", name)
-    if not test.files:
-        if content.bench is None:
-            cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
-            yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
+    if not test.files and content.bench is None:
+        cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
+        yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
+    elif not test.files:
         if not test.phases and not isinstance(test, SineTest):
             yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
         if test.repetitions < LEAST:
@@ -205,8 +214,11 @@ def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -
         elif times and not isinstance(test, SineTest):
             yield from _missing_phases(yaml, at, test, times[-1])
     elif len(test.files) < LEAST:
-        message = f"{len(test.files)} recordings are too few: intervals come from scatter between {LEAST} or more"
-        yield yaml.fault((*at, "files"), message)
+        few = f"{counted(len(test.files), 'recording')}, too few"
+        yield yaml.fault((*at, "files"), f"{few}: intervals come from scatter between {LEAST} or more")
+    for k, file in enumerate(test.files):
+        if file in test.files[:k]:
+            yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
     for key in ("rest", "window", "hold"):
         window = getattr(test, key, None)
         if window is not None and window[0] >= window[1]:

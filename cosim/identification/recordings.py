@@ -15,6 +15,7 @@ from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, InputError
 from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from cosim.table import Column, Faults, Heading, read_table
+from cosim.text import counted
 from cosim.yaml_file import did_you_mean
 from fmus.units import factor
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
@@ -296,7 +297,7 @@ def read_recording(path: Path) -> Recording:
             hint = did_you_mean(name, table.columns)
             faults.note(table.header, 1, f'column "{name}" [{COLUMNS[name]}] is missing{hint}; add it')
         if table.rows < 10:
-            faults.note(0, 0, f"holds {table.rows} rows; a run has ten at least")
+            faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least")
     faults.raise_any()
     time = table["time"]
     gaps = np.diff(time)

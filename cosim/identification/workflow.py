@@ -17,7 +17,7 @@ from cosim.identification.cells import Cells, calibrated
 from cosim.identification.craft import CraftOutcome
 from cosim.identification.craft_workflow import identify_craft
 from cosim.identification.estimates import Estimate, Result
-from cosim.identification.faults import recording_faults
+from cosim.identification.faults import recording_faults, repeated
 from cosim.identification.given import craft_file
 from cosim.identification.outcome import Outcome
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
@@ -100,6 +100,7 @@ def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
         except InputError as error:
             faults += error.faults
             continue
+        faults += repeated(found[name])
         if cells is not None:
             faults += recording_faults(protocol, name, found[name], cells)
     if faults:

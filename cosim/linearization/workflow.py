@@ -218,7 +218,17 @@ def _beside(source: Source, found: Sequence[Linear], asked: Asked, side: str | N
         points = [_moved(source, made[i].point, name, SIDES[side]) for i, name in left]
         for (i, _), each in zip(left, source.linear(points), strict=True):
             made[i] = each
-    return [replace(m, kinks=tuple(k.taken(_slopes(m, k)) for k in ks)) for m, ks in zip(made, first, strict=True)]
+    return [
+        replace(_put_back(each, m), kinks=tuple(k.taken(_slopes(m, k)) for k in ks))
+        for each, m, ks in zip(found, made, first, strict=True)
+    ]
+
+
+def _put_back(at: Linear, beside: Linear) -> Linear:
+    """Slopes of a side at the point itself; where values jump, at the point beside it, whose values they go with."""
+    if any(row.jump for kink in at.kinks for row in kink.rows):
+        return beside
+    return replace(beside, point=at.point, rates=at.rates, values=at.values)
 
 
 def _slopes(linear: Linear, kink: Kink) -> dict[tuple[str, str], float]:
