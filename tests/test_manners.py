@@ -12,6 +12,7 @@ from cosim.cli import app, entry
 from cosim.errors import InputError
 from cosim.folders import check_left, folder_named, folder_of_file, name_of
 from tests.tank import MODEL as TANK
+from tests.typed import typed_fmu
 
 COMMANDS = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
 WITHOUT_FILES = {"bench", "consistency", "schema"}  # the first and the last print nothing but JSON
@@ -116,6 +117,40 @@ def test_what_another_left_is_written_over_by_force_alone(
         check_left(tmp_path, by, "a/study.yaml")
     assert words in str(refused.value)
     assert refused.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "command", ["run s.yaml", "build --model tank.py:Tank", "linearize tank.py:Tank", "excite tank.py:Tank"]
+)
+@pytest.mark.parametrize("place", ["taken", "taken/within"])
+def test_a_file_where_the_folder_should_be_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, place: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("tank.py").write_text(TANK)
+    Path("s.yaml").write_text(
+        "name: s\nduration: 1\nstep: 0.1\ncomponents: {r: {block: reference, signals: {x: {}}}}\n"
+    )
+    Path("taken").touch()
+    here = ["--in-process"] if command.startswith("run") else []
+    code, out, err = told(monkeypatch, capsys, *command.split(), "--out", place, *here)
+    assert (code, out) == (2, "")
+    assert err == f"{place}: cannot be the folder for results: taken is a file; give a folder as --out\n"
+    assert Path("taken").is_file()
+
+
+def test_a_command_to_go_on_with_can_be_pasted_whatever_the_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    fmu = typed_fmu(tmp_path).rename("Größe 1.fmu")
+    code, out, _ = told(monkeypatch, capsys, "init", fmu, "--out", "mein fall.yaml")
+    assert code == 0
+    assert "next: cosim run 'mein fall.yaml'" in out
+    assert "Groesse_1:" in Path("mein fall.yaml").read_text()
+    code, _, err = told(monkeypatch, capsys, "init", fmu, "--out", tmp_path)
+    assert code == 2
+    assert "is a folder; name the file to write" in err
 
 
 def test_linearize_leaves_results_of_its_own_and_refuses_those_of_another(

@@ -90,7 +90,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 def show(report: Path) -> None:
     """Open a report in the browser."""
-    webbrowser.open(report.resolve().as_uri())
+    if not webbrowser.open(report.resolve().as_uri()):
+        warn(f"no browser is found here; open {report}")
 
 
 @contextmanager
