@@ -20,7 +20,7 @@ from cosim.program import STOPPED, as_program
 from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
 from cosim.verbs.streams import echo, open_streams
-from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, show, stages, warn
+from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, say_failure, say_json, show, stages, warn
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -115,6 +115,7 @@ def build(
     platforms: Annotated[
         str, typer.Option("--platforms", help="Of native FMUs: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
     ] = "",
+    as_json: Json = False,
 ) -> None:
     """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
     from cosim.models.fmus import build as build_fmus
@@ -123,15 +124,21 @@ def build(
         from cosim.models.native import build_native
 
         asked = [name.strip() for name in platforms.split(",") if name.strip()]
-        for made in build_native(out, model, nearest=nearest, fmi=fmi, platforms=asked):
+        native_fmus = build_native(out, model, nearest=nearest, fmi=fmi, platforms=asked)
+        for made in native_fmus:
             say(made.sentence)
+        if as_json:
+            say_json({"built": [{"fmu": str(made.path), "platforms": dict(made.floors)} for made in native_fmus]})
         return
     only_native = [name for name, given in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if given]
     if only_native:
         message = "is of native FMUs; add --native, or leave it out"
         raise InputError([Fault(Path(name), 0, 0, message) for name in only_native])
-    for path in build_fmus(out, model, nearest=nearest):
+    built = list(build_fmus(out, model, nearest=nearest))
+    for path in built:
         say(f"built {path}")
+    if as_json:
+        say_json({"built": [{"fmu": str(path)} for path in built]})
 
 
 @app.command("export-ssp")
@@ -146,6 +153,7 @@ def export(
     nearest: Annotated[
         bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
     ] = False,
+    as_json: Json = False,
 ) -> None:
     """Write a scenario as an SSP 1.0 that other simulators run: noise off, references as FMUs."""
     from cosim.simulation.export import export_ssp
@@ -154,6 +162,8 @@ def export(
     for note in exported.notes:
         echo(f"note: {note}", err=True)
     say(f"wrote {exported.path}")
+    if as_json:
+        say_json({"ssp": str(exported.path), "notes": list(exported.notes)})
 
 
 @app.command()
@@ -165,6 +175,7 @@ def check(
     load: Annotated[
         bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
     ] = True,
+    as_json: Json = False,
 ) -> None:
     """Say what is wrong with files, all faults at once."""
     from cosim.checks import check_files
@@ -184,6 +195,8 @@ def check(
     for line in lines:
         say(line)
     say(f"no fault in {', '.join(map(str, files))}")
+    if as_json:
+        say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
 
 
 @app.command()
@@ -210,6 +223,7 @@ def replay(
     ] = "",
     open_: Open = False,
     force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.residuals.words import verdict
@@ -226,8 +240,16 @@ def replay(
             echo(finding.line, err=True)
     say(verdict(comparison))
     say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
+    if as_json:
+        findings = [finding.line for finding in comparison.findings]
+        say_json({"sentence": verdict(comparison), "findings": findings, **_left(place, "results.csv", "residual.csv")})
     if report and open_:
         show(place / "report.html")
+
+
+def _left(folder: Path, *names: str) -> dict[str, str]:
+    """What is in a folder, by name without its ending."""
+    return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
 
 @app.command()
@@ -240,6 +262,7 @@ def refine(
     in_process: InProcess = False,
     open_: Open = False,
     force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
@@ -257,6 +280,10 @@ def refine(
     say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
     if report:
         say(f"report: {place / 'report.html'}")
+    if as_json:
+        told_of = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: result.record[key] for key in told_of if key in result.record}
+        say_json({**answer, **_left(place, "refine.json", "model.yaml", "plant.fmu")})
     if report and open_:
         show(place / "report.html")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
@@ -293,6 +320,7 @@ def excite(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
     force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that plays it."""
     from cosim.experiment.excite import excite as choose
@@ -309,6 +337,10 @@ def excite(
         say(line)
     played = shlex.quote(str(place / "excitation.yaml"))
     say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {played}")
+    if as_json:
+        apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
+        files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
+        say_json({"apart": apart, "warning": found.warning, **files})
 
 
 @app.command()
@@ -327,6 +359,7 @@ def identify(
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     open_: Open = False,
     force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
     from cosim.identification.given import results_of
@@ -340,6 +373,9 @@ def identify(
     say(outcome.closing(place))
     if report:
         say(f"report: {place / 'report.html'}")
+    if as_json:
+        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place)}
+        say_json({**said, **_left(place, "identify.json", "powertrain.yaml", "model.yaml")})
     if report and open_:
         show(place / "report.html")
 
@@ -371,6 +407,7 @@ def entry() -> None:
         app(standalone_mode=True)
     except CosimError as error:
         echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
+        say_failure(error)
         if isinstance(error, SimulationError) and error.left is not None:
             told_left(error.left)
         sys.exit(error.exit_code)

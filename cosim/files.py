@@ -15,7 +15,16 @@ from typing import TextIO
 from cosim.errors import Fault, InputError
 from fmus.files import draft_of, is_full
 
-__all__ = ["FilePath", "atomic_write", "check_text", "check_writable", "is_full", "scratch_folder", "uninterrupted"]
+__all__ = [
+    "FilePath",
+    "atomic_write",
+    "check_folder",
+    "check_text",
+    "check_writable",
+    "is_full",
+    "scratch_folder",
+    "uninterrupted",
+]
 
 FilePath = str | os.PathLike[str]
 STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -76,6 +85,17 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
                 shutil.rmtree(made, ignore_errors=True)
 
 
+def check_folder(folder: Path) -> None:
+    """InputError where a file stands where a folder is to be made; nothing is made."""
+    try:
+        taken = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
+    except OSError:  # a name too long, which who makes it is told
+        return
+    if taken is not None:
+        why = f"cannot be the folder for results: {taken} is a file; give a folder as --out"
+        raise InputError([Fault(folder, 0, 0, why)])
+
+
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
     """Make the folder and see that files of these names can be written there; InputError before any work is done.
 
@@ -84,6 +104,7 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
+        check_folder(folder)
         raise InputError([Fault(folder, 0, 0, f"cannot be the folder for results: {error.strerror}")]) from None
     faults = [
         Fault(folder / n, 0, 0, "is a folder; a file is to be written there") for n in names if (folder / n).is_dir()

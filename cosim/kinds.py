@@ -115,7 +115,7 @@ def kind_by_form(path: Path) -> str | None:
         return RESULTS
     if ending in ENDINGS or not head:
         return ENDINGS.get(ending)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
+    if b"\0" in head and ending not in WRITTEN and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
 

@@ -62,11 +62,9 @@ def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: s
 
 def test_an_answer_is_no_study(tmp_path: Path) -> None:
     (tmp_path / "refine.json").write_text('{"study": "study.yaml", "verdict": "no_effect", "candidates": []}')
-    assert told(tmp_path / "refine.json") == [
-        f"{tmp_path / 'refine.json'}: is an answer of `cosim refine`, in which there is nothing to check: "
-        f"`cosim excite {tmp_path / 'refine.json'}` seeks the experiment that decides; check the study or model.yaml "
-        "beside it"
-    ]
+    (line,) = told(tmp_path / "refine.json")
+    assert "refine.json: is an answer of `cosim refine`, in which there is nothing to check: `cosim excite " in line
+    assert line.endswith("check the study or model.yaml beside it")
 
 
 def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> None:

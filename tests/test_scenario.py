@@ -124,7 +124,7 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         (b"a: [1,\nb: }", ":2:4", "not YAML"),
         (b"name: x\n\tstep: 1\n", ":2:1", "not YAML"),
         (b"just words\n", ":1:1", "is not a mapping"),
-        (b"", ":1:1", "is not a mapping"),
+        (b"", "", "is empty; give a scenario"),
         (b"\x00\x01", ":1:1", "not YAML"),
         (b"[" * 3000, ":1:1", "nested too deep"),
         (b"{scenario: 5, schema_version: 1}", ":1:1", "is missing"),

@@ -12,6 +12,7 @@ from cosim.identification.cells import Cells
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.protocol import Protocol
 from cosim.identification.recordings import Recording
+from cosim.kinds import as_typed
 
 
 @dataclass
@@ -40,7 +41,7 @@ class Outcome:
     def closing(self, out: Path) -> str:
         """Where the power-train is, and what builds it."""
         file = out / "powertrain.yaml"
-        return f"power-train: {file}, built by: cosim build --model {file}"
+        return f"power-train: {file}, built by: cosim build --model {as_typed(file)}"
 
     @property
     def sentences(self) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.files import FilePath
+from cosim.files import FilePath, check_folder
 from cosim.models.file import meant_model
 from cosim.registry import BASE_NAME, MODELS, resolve
 
@@ -26,6 +26,7 @@ def build(
     """
     from fmus.build import build as build_fmu
 
+    check_folder(Path(folder))
     if native:
         from cosim.models.native import build_native
 

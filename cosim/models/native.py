@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath
+from cosim.files import FilePath, check_folder
 from cosim.models.file import LoadedModel, meant_model
 from cosim.models.source import Source
 from cosim.registry import MODELS, resolve
@@ -47,6 +47,7 @@ def build_native(
     """
     from fmus.native.package import build_native as build_fmu
 
+    check_folder(Path(folder))
     _check_platforms(platforms)
     if fmi not in SUFFIX:
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])

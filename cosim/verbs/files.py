@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Open, say, say_json, show
+from cosim.verbs.terminal import Json, Open, say, say_json, show
 
 
 class Kind(StrEnum):
@@ -38,6 +38,7 @@ def graph(
     ] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="path=value, over the scenario's own.")] = None,
     open_: Open = False,
+    as_json: Json = False,
 ) -> None:
     """Draw a scenario: components in the order in which they step, signals, units, noise and faults."""
     from cosim.files import atomic_write
@@ -45,7 +46,7 @@ def graph(
 
     found = graph_of(scenario, set_ or ())
     if mermaid:
-        echo(found.mermaid(), nl=False)
+        say_json({"mermaid": found.mermaid()}) if as_json else echo(found.mermaid(), nl=False)
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
     if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):
@@ -56,6 +57,8 @@ def graph(
     with atomic_write(path) as stream:
         stream.write(found.mermaid() if path.suffix.lower() == ".mmd" else found.svg())
     say(f"graph: {path}")
+    if as_json:
+        say_json({"graph": str(path)})
     if open_:
         show(path)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cosim.kinds import as_typed
 from cosim.verbs.outcome import told
 from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, say_json, table, warn
 
@@ -146,7 +147,7 @@ def init(
         f"wrote {out}: {counted(len(fmus), 'FMU')}, {counted(len(found), 'connection')}"
         + (f", {guesses} guessed (marked in the file)" if guesses else "")
     )
-    say(f"next: cosim run {out}")
+    say(f"next: cosim run {as_typed(out)}")
 
 
 def simulate(

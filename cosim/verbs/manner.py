@@ -23,6 +23,7 @@ def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def told(*given: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
         MANNER.quiet, MANNER.verbose = quiet, verbose
+        MANNER.as_json, MANNER.told = bool(options.get("as_json")), False
         return command(*given, **options)
 
     kind = inspect.Parameter.KEYWORD_ONLY

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.errors import CosimError
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
@@ -27,10 +28,12 @@ Force = Annotated[bool, typer.Option("--force", help="Also into a folder that an
 
 @dataclass
 class Manner:
-    """How much is said: quiet says what is wrong alone, verbose what else is known."""
+    """How much is said: quiet says what is wrong alone, verbose what else is known; told: JSON has been printed."""
 
     quiet: bool = False
     verbose: bool = False
+    as_json: bool = False
+    told: bool = False
 
 
 MANNER = Manner()  # of this process, set by the options -q and -v of any command
@@ -38,7 +41,7 @@ MANNER = Manner()  # of this process, set by the options -q and -v of any comman
 
 def say(text: str) -> None:
     """A line for the user."""
-    if not MANNER.quiet:
+    if not MANNER.quiet and not MANNER.as_json:
         echo(text)
 
 
@@ -51,6 +54,19 @@ def say_more(text: str) -> None:
 def say_json(value: Any) -> None:
     """JSON for a script, said also where all else is quiet."""
     echo(json.dumps(value, indent=2, ensure_ascii=False))
+    MANNER.told = True
+
+
+def say_failure(error: CosimError) -> None:
+    """What is wrong as JSON too, where a script asked for it and has got none."""
+    if MANNER.as_json and not MANNER.told:
+        faults = getattr(error, "faults", ())
+        say_json({
+            "error": str(error), "exit_code": error.exit_code,
+            "faults": [
+                {"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults
+            ],
+        })  # fmt: skip
 
 
 def warn(text: str) -> None:
@@ -74,7 +90,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 def show(report: Path) -> None:
     """Open a report in the browser."""
-    webbrowser.open(report.resolve().as_uri())
+    if not webbrowser.open(report.resolve().as_uri()):
+        warn(f"no browser is found here; open {report}")
 
 
 @contextmanager
