@@ -239,8 +239,8 @@ document.addEventListener("rows", (event) => {
     }
 
     spoken() {
-      const row = page.at(), unit = this.figure.dataset.unit;
-      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`);
+      const row = page.at(), unit = this.figure.dataset.unit.replace("no unit", "");
+      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`.trim());
       values.push(...this.also.map((a) => `${a.label} ${page.read(a.series, row)}`));
       return `${ours.place(row)}: ${values.join(", ")}`;
     }
