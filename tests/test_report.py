@@ -468,7 +468,37 @@ def test_ticks_lie_on_the_axis_and_are_told_apart() -> None:
             axis = make_axis(low, high, 5, angle)
             assert 2 <= len(axis.ticks) <= 12, (low, high)
             assert all(-1e-6 <= tick.at <= 100 + 1e-6 for tick in axis.ticks)
-            assert len({tick.label for tick in axis.ticks}) == len(axis.ticks) or low >= 1e8
+            assert len({tick.label for tick in axis.ticks}) == len(axis.ticks)
+
+
+def test_a_tick_times_the_power_of_ten_of_its_axis_is_the_value_there() -> None:
+    raised = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2212", "0123456789--")
+    for low, high in [(0, 1), (-3e-9, 5e-9), (1e8, 1e8 + 50), (-1e12, 1e12), (2e-4, 9e-4)]:
+        axis = make_axis(low, high, 5)
+        power = int(axis.factor.removeprefix("×10").translate(raised) or 0)
+        assert (power != 0) is (not 1e-3 <= max(abs(low), abs(high)) < 1e6)
+        for tick in axis.ticks:
+            value = float(tick.label.translate(raised)) * 10.0**power
+            assert value == pytest.approx(low + tick.at / 100 * (high - low), abs=1e-6 * (high - low))
+
+
+def test_a_run_of_one_row_shows_its_values_and_no_time_but_that_row_s(tmp_path: Path) -> None:
+    results = Results(np.array([1.5]), ("tank.level", "tank.flow"), np.array([[0.25, -3.0]]), {"tank.level": "m"})
+    text = page(tmp_path, results, {"status": "failed"})
+    assert "One row was recorded, at t = 1.5 s" in text
+    assert re.findall(r'<output data-key="\w+">(.*?)</output>', text) == ["0.25", "\u22123"]
+    for ticks in re.findall(r'class="x-ticks"[^>]*>(.*?)</div>', text):
+        assert re.findall(r">([^<]+)<", ticks) == ["1.5"]
+    assert text.count('class="line s0 dots"') == 4  # two charts, each with its curve and its name
+
+
+def test_items_of_an_enumeration_are_read_by_their_names_and_drawn_as_steps(tmp_path: Path) -> None:
+    values = np.array([[1.0], [1.0], [2.0]])
+    results = Results(np.arange(3.0), ("a.gear",), values, {}, whole=frozenset({"a.gear"}))
+    series = embedded(page(tmp_path, results, {"items": {"a.gear": {"first": 1, "second": 2}}}))["series"]
+    (entry,) = series.values()
+    assert entry["i"] == {"1": "first", "2": "second"}
+    assert (entry["h"], entry["p"]) == (1, 0)
 
 
 def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -151,3 +152,76 @@ def test_the_numbers_of_a_chart_with_bars_are_saved_with_both_ends(page: Page) -
     with page.expect_download() as waiting:
         page.get_by_role("button", name="Autocorrelation as SVG").click()
     assert Path(waiting.value.path()).read_bytes().count(b"V") >= LAGS.size
+
+
+OMEGA = np.geomspace(0.01, 1000.0, 501)
+GAIN = -10.0 * np.log10(1.0 + OMEGA**2)
+POLES = np.array([-4 + 0j, -2 - 3j, -2 + 3j, 0j])  # two of them one above the other
+
+
+@pytest.fixture
+def plane(browser: Browser, tmp_path: Path) -> Iterator[Page]:
+    charts = Charts()
+    gain = charts.over(OMEGA, 1, over=("frequency", "rad/s"), log=True).plots(
+        [Panel("Gain", "dB", [Trace("y", GAIN, "s0")])]
+    )
+    panel = Panel("Poles", "rad/s", [Trace("imaginary part", POLES.imag, "s0 crosses", x=POLES.real)])
+    axes, also = (make_axis(-5.0, 1.0, 6), make_axis(-4.0, 4.0, 5)), {"size": np.abs(POLES)}
+    drawn = charts.points(panel, axes, ("real part", "1/s"), also)
+    (tmp_path / "page.html.j2").write_text(TEMPLATE)
+    plots = [(gain[0], "frequency [rad/s]"), (drawn, "real part [1/s]")]
+    page = tmp_path / "page.html"
+    page.write_text(render(tmp_path / "page.html.j2", {"plots": plots, "data": charts.data()}))
+    opened = browser.new_page(viewport={"width": 1200, "height": 900}, reduced_motion="reduce")
+    faults: list[str] = []
+    opened.on("pageerror", lambda error: faults.append(str(error)))
+    opened.goto(page.as_uri())
+    opened.wait_for_selector("html[data-ready]", state="attached")
+    yield opened
+    opened.close()
+    assert faults == []
+
+
+def test_over_decades_the_frequency_that_is_read_is_a_row_of_the_response(plane: Page) -> None:
+    there = box(plane, 0)
+    for share in (0.1, 0.4, 0.77):
+        plane.mouse.move(there["x"] + share * there["width"], there["y"] + 50)
+        omega = float(plane.locator(".when").first.inner_text().split()[0])
+        row = int(np.abs(np.log(OMEGA / omega)).argmin())
+        assert omega == pytest.approx(OMEGA[row], rel=1e-4)
+        assert np.log10(omega) == pytest.approx(-2.0 + 5.0 * share, abs=0.01)
+        told = plane.locator("output").first.inner_text().replace("\u2212", "-")
+        assert float(told) == pytest.approx(GAIN[row], abs=0.51 * 10.0 ** -power(GAIN))
+    chart = plane.locator("[data-box]").first
+    chart.focus()
+    for _ in range(4):
+        chart.press("+")
+    ticks = plane.locator(".x-ticks").first.locator("span").all_inner_texts()
+    assert len(ticks) >= 3
+    assert all(float(a) < float(b) for a, b in itertools.pairwise(ticks))
+    with plane.expect_download() as waiting:
+        plane.get_by_role("button", name="Gain as CSV").click()
+    header, *rows = csv.reader(io.StringIO(Path(waiting.value.path()).read_text()))
+    assert header[0] == "frequency [rad/s]"
+    shown = np.array([float(row[0]) for row in rows])
+    assert np.abs(np.log(shown[:, None] / OMEGA)).min(axis=1).max() < 1e-4
+
+
+def test_of_points_in_a_plane_the_nearest_is_read_with_all_that_belongs_to_it(plane: Page) -> None:
+    there, chart = box(plane, 1), plane.locator("[data-box]").nth(1)
+    for number, pole in enumerate(POLES):
+        x, y = (pole.real + 5.0) / 6.0, 0.5 - pole.imag / 8.0
+        plane.mouse.move(there["x"] + x * there["width"] + 6, there["y"] + y * there["height"] - 5)
+        shown = plane.locator("figure").nth(1).locator("output").all_inner_texts()
+        assert [float(v.replace("\u2212", "-")) for v in shown] == pytest.approx([pole.imag, abs(pole)], abs=1e-4)
+        assert plane.locator("#row").inner_text().startswith(f"numbers: point {number + 1} of 4")
+        ring = plane.locator(".ring").bounding_box()
+        assert ring is not None
+        assert ring["x"] + ring["width"] / 2 == pytest.approx(there["x"] + x * there["width"], abs=2.0)
+        assert ring["y"] + ring["height"] / 2 == pytest.approx(there["y"] + y * there["height"], abs=2.0)
+    chart.focus()
+    chart.press("Home")
+    chart.press("ArrowRight")
+    chart.press("ArrowRight")  # to the one above, at the same place of the axis
+    said = plane.locator("p.told").inner_text().replace("\u2212", "-")
+    assert said == "real part = -2 1/s: imaginary part 3 rad/s, size 3.6056"

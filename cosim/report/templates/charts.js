@@ -177,14 +177,18 @@ document.addEventListener("rows", (event) => {
       const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors], gutter = figure.querySelector(".axes").style, beside = gutter.getPropertyValue("--gutter"), drawn = all("path", this.svg);
       const inner = kept.map((e) => e.innerHTML), shapes = drawn.map((p) => p.getAttribute("d"));
       const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
-      this.gutter = (width) => gutter.setProperty("--gutter", width);
+      this.gutter = (width) => { if (width !== this.beside) gutter.setProperty("--gutter", this.beside = width); };
+      this.beside = beside;
       this.original = () => {
         this.gutter(beside);
         kept.forEach((e, k) => { e.innerHTML = inner[k]; });
         drawn.slice(home).forEach((p, k) => { p.setAttribute("d", shapes[home + k]); });
       };
-      this.stale = false; this.near = true;
+      this.stale = false; this.near = true; this.width = 500;
     }
+
+    // Before anything is drawn: asking for a width between two drawings lays the page out again.
+    measure() { this.width = this.box.clientWidth || 500; return this; }
 
     get atHome() { return view.from === whole.from && view.to === whole.to && this.lines.every((l) => l.on); }
 
@@ -216,7 +220,7 @@ document.addEventListener("rows", (event) => {
     axes() {
       const rows = rowsInView(), angle = this.figure.dataset.unit === "\u00b0";
       const ends = this.atFull && this.reach ? this.reach : this.range(rows);
-      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" }, x = across(this.box.clientWidth || 400);
+      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" }, x = across(this.width);
       return { rows, x, y, u: (t) => W * (t - view.from) / (view.to - view.from), v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))) };
     }
 
@@ -224,7 +228,7 @@ document.addEventListener("rows", (event) => {
       this.stale = false;
       for (const line of this.lines) line.path.toggleAttribute("hidden", !line.on);
       if (this.atHome) { this.original(); return; }
-      const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.box.clientWidth || 500);
+      const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.width);
       this.grid.innerHTML = y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("")
         + x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
       this.gutter(`${room(y.ticks)}px`);
@@ -239,8 +243,8 @@ document.addEventListener("rows", (event) => {
     }
 
     spoken() {
-      const row = page.at(), unit = this.figure.dataset.unit;
-      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`);
+      const row = page.at(), unit = this.figure.dataset.unit.replace("no unit", "");
+      const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`.trim());
       values.push(...this.also.map((a) => `${a.label} ${page.read(a.series, row)}`));
       return `${ours.place(row)}: ${values.join(", ")}`;
     }
@@ -267,11 +271,11 @@ document.addEventListener("rows", (event) => {
     for (const entry of entries) {
       const chart = charts.find((c) => c.figure === entry.target);
       chart.near = entry.isIntersecting;
-      if (chart.near && chart.stale) chart.draw();
+      if (chart.near && chart.stale) chart.measure().draw();
     }
   }, { rootMargin: "300px" });
   for (const chart of charts) watcher.observe(chart.figure);
-  addEventListener("beforeprint", () => { for (const chart of charts) if (chart.stale) chart.draw(); });
+  addEventListener("beforeprint", () => { for (const chart of charts) if (chart.stale) chart.measure().draw(); });
 
   function look(from, to) {
     const least = LEAST * (whole.to - whole.from) / Math.max(1, count - 1);
@@ -282,6 +286,7 @@ document.addEventListener("rows", (event) => {
     view = { from, to };
     page.look(from, to);
     for (const host of ours.hosts) host.classList.toggle("zoomed", from !== whole.from || to !== whole.to);
+    for (const chart of charts) if (chart.near) chart.measure();
     for (const chart of charts) { chart.stale = true; if (chart.near) chart.draw(); }
   }
   const home = () => look(whole.from, whole.to);
@@ -382,7 +387,7 @@ document.addEventListener("rows", (event) => {
       button.addEventListener("click", () => {
         line.on = !line.on;
         button.setAttribute("aria-pressed", String(line.on));
-        chart.draw();
+        chart.measure().draw();
       });
     }
   }
@@ -390,7 +395,7 @@ document.addEventListener("rows", (event) => {
   // -- pictures and numbers ------------------------------------------------------------------------------
   const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   function picture(chart) {
-    const { rows, x, y, u, v } = chart.axes(), w = 900, h = 420, left = Math.max(70, room(y.ticks) + 8), top = 56, right = 20, bottom = 46;
+    const { rows, x, y, u, v } = chart.measure().axes(), w = 900, h = 420, left = Math.max(70, room(y.ticks) + 8), top = 56, right = 20, bottom = 46;
     const bw = w - left - right, bh = h - top - bottom, style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     const px = (t) => left + bw * u(t) / W, py = (value) => top + bh * v(value) / H, parts = [];
     const text = (a, b, words, anchor, more = "") => parts.push(`<text x="${a}" y="${b}" text-anchor="${anchor}" ${more}>${escape(words)}</text>`);
