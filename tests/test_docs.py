@@ -1,4 +1,4 @@
-"""What the documents show is executed: README commands, snippets for hosts, the effect of CONTRIBUTING, the effects' table."""
+"""What the documents show is executed: commands, snippets, the effect of CONTRIBUTING, the effects' table."""
 
 from __future__ import annotations
 
