@@ -25,13 +25,13 @@ NUMBERS = frozenset(p.name for p in parameters_of(Settings))
 class Controllers:
     """How controllers of many runs are made: `cosim.sweeps.twins` asks it."""
 
-    outputs = OUTPUTS
-
-    def input_names(self, block: Any) -> list[str]:
-        """Inputs in the order in which the block has them."""
-        names = [s.name for s in block.inputs]
-        self.order = [names.index(name) for name in INPUTS] if set(names) == set(INPUTS) else []
-        return names if self.order else []
+    def fits(self, block: Any) -> bool:
+        """The FMU has these inputs, whose order is kept, and these outputs, and nothing more is recorded of it."""
+        given = [s.name for s in block.inputs]
+        if sorted(given) != sorted(INPUTS) or tuple(s.name for s in block.outputs) != OUTPUTS:
+            return False
+        self.order = [given.index(name) for name in INPUTS]
+        return True
 
     def pattern(self, given: Mapping[str, Any]) -> Hashable:
         """Runs of one estimator are made together."""

@@ -1,8 +1,8 @@
 """Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize`, `compare` and `sweep` are
-the verbs of the command line as functions, `read` reads what they left; each is imported when it is first asked for.
-docs/python.md shows them.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize`, `compare`, `consistency`,
+`export_ssp` and `sweep` are the verbs of the command line as functions, `read` reads what they left; each is imported
+when it is first asked for. docs/python.md shows them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the documents show is executed: README commands and snippets, the effect of CONTRIBUTING, the effects' table."""
+"""What the documents show is executed: commands, snippets, the effect of CONTRIBUTING, the effects' table."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ from tests.test_first_steps import told
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
-SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+HOSTS = (ROOT / "docs" / "hosts.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", README + HOSTS, re.DOTALL)
 COMMANDS = re.findall(r"^\.venv/bin/cosim (.*?)(?:\s+#.*)?$", README, re.MULTILINE)
 
 
 @pytest.mark.hosts
 @pytest.mark.parametrize("snippet", SNIPPETS, ids=lambda s: s.split()[1].split(".")[0])
-def test_a_snippet_of_the_readme_runs_and_the_craft_moves_forward(project: Path, snippet: str) -> None:
+def test_a_snippet_for_another_host_runs_and_the_craft_moves_forward(project: Path, snippet: str) -> None:
     package = snippet.split()[1].split(".")[0]
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed")

@@ -27,7 +27,6 @@ from cosim.isolation.rows import Progress, mapped_progress
 from cosim.isolation.scratch import remove
 
 HEAD = struct.Struct("!Q")
-GRACE = 10  # [s] between the end of the caller and that of a worker that holds the interpreter
 PROGRESS, ALONG = "progress", "along"
 
 

@@ -106,11 +106,6 @@ def controllability(A: Array, B: Array, powers: int | None = None) -> Array:
     return np.hstack(parts) if len(A) else np.zeros((0, 0))
 
 
-def observability(A: Array, C: Array) -> Array:
-    """(C; CA; …; CAⁿ⁻¹)."""
-    return controllability(A.T, C.T).T
-
-
 def condition(A: Array, B: Array) -> float:
     """Condition number of the controllability matrix, in the units of the model."""
     return float(np.linalg.cond(controllability(A, B)))

@@ -104,10 +104,10 @@ class StudyFile(BaseModel):
         Annotated[Between, Tag("«all»")] | Annotated[dict[str, Between], Tag("«by name»")], Discriminator(_by_name)
     ] = "held"
     candidates: list[str] | None = None
-    columns: dict[str, str] = {}  # name in the logs → name in the model, where they differ
+    columns: dict[str, str] = {}
     per_log: list[str] | None = None
     groups: dict[str, list[FileName]] = {}
-    limits: Limits | None = None  # of each call of an FMU in its replays
+    limits: Limits | None = None
 
     def interpolated(self, model: Model) -> frozenset[str]:
         """The inputs that run straight from row to row."""

@@ -1,7 +1,7 @@
 """Components evaluated for many runs at once: sources, models by the equations that their FMU carries, and controllers.
 
-A twin does what its FMU does, on arrays with a value a run. `twin_of` gives None where there is none: then the runs are
-made through the FMU.
+A twin does what its FMU does, on arrays with a value a run. `kind_of` gives None where there is none: then the runs
+are made through the FMU.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import importlib
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
@@ -42,9 +42,6 @@ class Twin(Protocol):
         """Step from `t` to `t + h` [s] and write the outputs."""
 
 
-Maker = Callable[[Given, int], Twin]
-
-
 class Kind(Protocol):
     """How twins of one component are made."""
 
@@ -62,19 +59,12 @@ def kind_of(component: Component) -> Kind | None:
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
         return None
     if (place := TWINS.get(component.description.modelName)) is not None:
-        found: Kind = resolve(place)()
-        return found if _fits(component, found) else None
+        found = resolve(place)()
+        return found if found.fits(component) else None
     if (model := model_of(component.path, component.description.modelName)) is not None:
         kind = _ModelKind(component, *model)
-        return kind if _fits(component, kind) else None
+        return kind if kind.fits(component) else None
     return None
-
-
-def _fits(component: FmuBlock, kind: Any) -> bool:
-    """The FMU has the inputs and outputs of the twin, in its order, and nothing more is recorded of it."""
-    return [s.name for s in component.inputs] == kind.input_names(component) and [
-        s.name for s in component.outputs
-    ] == list(kind.outputs)
 
 
 # -- sources -----------------------------------------------------------------------------------------
@@ -175,11 +165,13 @@ class _ModelKind:
             f"{name}.{p.name}": p.neutral for name, own in catalogue.items() for p in own if p.neutral is not None
         }
 
-    def input_names(self, block: FmuBlock) -> list[str]:
-        """Inputs in the order in which the block has them: those that are fed come first."""
-        names = [q.name for q in self.model.inputs]
-        self.order = [names.index(s.name) for s in block.inputs if s.name in names]
-        return [names[k] for k in self.order] if len(self.order) == len(names) else []
+    def fits(self, block: FmuBlock) -> bool:
+        """The FMU has the model's inputs, whose order is kept, and its outputs, and nothing more is recorded of it."""
+        names, given = [q.name for q in self.model.inputs], [s.name for s in block.inputs]
+        if sorted(given) != sorted(names) or tuple(s.name for s in block.outputs) != self.outputs:
+            return False
+        self.order = [names.index(name) for name in given]  # those that are fed come first
+        return True
 
     def pattern(self, given: Given) -> Hashable:
         """Which effects act, and what is no number."""
