@@ -22,6 +22,19 @@ ROOT = Path(__file__).resolve().parent.parent
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
+# the files that take longest, first: begun last, one of them would be waited for alone
+LONGEST = (
+    "test_refine", "test_refine_stands", "test_refine_conditions", "test_kernel", "test_excite", "test_replay",
+    "test_apart", "test_findings", "test_misbehaving", "test_per_log", "test_docs", "test_install", "test_held_out",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first."""
+    place = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Designs and kernels are cached in a folder of this session, so that no test lives on an earlier one's."""

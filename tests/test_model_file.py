@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -278,6 +280,19 @@ def test_the_models_of_this_project_have_no_fault() -> None:
 
 
 # -- sensor errors and delays ---------------------------------------------------------------------
+
+
+def test_a_model_file_is_read_as_it_is_however_soon_after_a_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    titles = []
+    for title in ("Rotary table", "Rotary tools"):
+        path = table(tmp_path, ("Rotary table", title))
+        os.utime(path, (1e9, 1e9))
+        titles.append(own_model("table.py:Table", tmp_path).title)
+    assert titles == ["Rotary table", "Rotary tools"]
+    assert not (tmp_path / "__pycache__").exists()
 
 
 def test_a_sensor_error_has_one_parameter_called_value(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
@@ -267,9 +268,17 @@ def only_model(path: Path) -> Model:
     return checked(names[own[0]], source)
 
 
+class _AsItIs(SourceFileLoader):
+    """Compiles a file each time: bytecode that is kept is taken for its own where it was changed within a second."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _module(path: Path, source: Source) -> ModuleType:
     """The file, executed; InputError where it raises."""
-    spec = importlib.util.spec_from_file_location(f"own_model_{path.stem}", path)
+    name = f"own_model_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
