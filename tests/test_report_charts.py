@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts
 from cosim.report.packed import power
 from cosim.report.panels import Band, Panel, Trace
@@ -43,7 +44,7 @@ LAGS, RHO = np.arange(1, 31) * 0.1, RNG.uniform(-1.0, 1.0, 30)
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     charts, folder = Charts(), tmp_path_factory.mktemp("charts")
-    drawing = charts.over(TIME, 4, breaks=STARTS)
+    drawing = charts.over(TIME, 4, Abscissa(breaks=STARTS))
     both = [Trace("level", LEVEL, "estimate"), Trace("model", MODEL, "true", anew=True)]
     plots = [(p, "time [s]") for p in drawing.plots([Panel("Level", "m", both), Panel("Left", "m", both[:1])])]
     data = Trace("data", MEAN - 0.2, "warm", x=FLOW, upper=MEAN + 0.2)
@@ -52,7 +53,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     alone = charts.alone(Panel("Loss against flow", "kW", traces, band), make_axis(0.0, 9.0, 6), ("flow", "l/s"))
     plots.append((alone, "flow [l/s]"))
     stems = Panel("Autocorrelation", "1", [Trace("residual", RHO, "error", stems=True)])
-    over = charts.over(LAGS, 1, over=("lag", "s"), ends=(0.05, 3.05))
+    over = charts.over(LAGS, 1, Abscissa(("lag", "s"), (0.05, 3.05)))
     plots.append((over.plots([stems])[0], "lag [s]"))
     (folder / "page.html.j2").write_text(TEMPLATE)
     page = folder / "page.html"
@@ -162,7 +163,7 @@ POLES = np.array([-4 + 0j, -2 - 3j, -2 + 3j, 0j])  # two of them one above the o
 @pytest.fixture
 def plane(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     charts = Charts()
-    gain = charts.over(OMEGA, 1, over=("frequency", "rad/s"), log=True).plots(
+    gain = charts.over(OMEGA, 1, Abscissa(("frequency", "rad/s"), log=True)).plots(
         [Panel("Gain", "dB", [Trace("y", GAIN, "s0")])]
     )
     panel = Panel("Poles", "rad/s", [Trace("imaginary part", POLES.imag, "s0 crosses", x=POLES.real)])

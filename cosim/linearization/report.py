@@ -17,6 +17,7 @@ from cosim.linearization.outcome import Outcome
 from cosim.linearization.response import Response, frequencies, response
 from cosim.linearization.structure import Pole, Structure, poles
 from cosim.linearization.words import headline, number, pole_rows
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import Plot, make_axis
@@ -146,7 +147,7 @@ def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -
     if not pairs:
         return []
     curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)
-    drawing = charts.over(omega, curves, over=("frequency", "rad/s"), log=True)
+    drawing = charts.over(omega, curves, Abscissa(("frequency", "rad/s"), log=True))
     return [tuple(drawing.plots(pair)) for pair in pairs]
 
 

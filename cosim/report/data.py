@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -35,40 +36,54 @@ def rounded(values: Array, digits: int) -> Numbers:
     return numbers
 
 
-class Series:
-    """Signals over one axis of which the script knows every row, each under a short key.
+@dataclass(frozen=True)
+class Abscissa:
+    """What charts are over.
 
-    rows:   those in the page: all, unless that would be more than MOST_CELLS
-    over:   name and unit of the axis where that is not the time; ends: where it begins and ends if not at rows
+    over:   its name and unit; ends: where it begins and ends if not at rows
     sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
     breaks: rows after which lines begin anew that do so
     log:    the axis holds the logarithms to base 10 of what it is read as
     points: places in a plane, of which the nearest one is meant
     """
 
-    def __init__(
-        self,
-        time: Array,
-        curves: int,
-        *,
-        name: str = "",
-        over: tuple[str, str] = TIME,
-        ends: tuple[float, float] | None = None,
-        sparse: bool = False,
-        breaks: Sequence[int] = (),
-        log: bool = False,
-        points: bool = False,
-    ) -> None:
+    over: tuple[str, str] = TIME
+    ends: tuple[float, float] | None = None
+    sparse: bool = False
+    breaks: Sequence[int] = ()
+    log: bool = False
+    points: bool = False
+
+    @property
+    def label(self) -> str:
+        """What it is, in words."""
+        return f"{self.over[0]} in {self.over[1] or '1'}"
+
+    def about(self, rows: Rows) -> dict[str, Any]:
+        """What the script must know of it, of a page that holds these rows."""
+        about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
+        about |= {"ends": self.ends} if self.ends else {}
+        about |= {"sparse": 1} if self.sparse else {}
+        about |= {"log": 1} if self.log else {}
+        about |= {"points": 1} if self.points else {}
+        return about | ({"breaks": np.searchsorted(rows, list(self.breaks), "right").tolist()} if self.breaks else {})
+
+
+OVER_TIME = Abscissa()
+
+
+class Series:
+    """Signals over one axis of which the script knows every row, each under a short key.
+
+    rows: those in the page: all, unless that would be more than MOST_CELLS
+    """
+
+    def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
         self.time, self.name = time, name
         self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
         self.entries: dict[str, dict[str, Any]] = {}
         self.columns = [whole(time[self.rows], power_of_time(time))]
-        self.about: dict[str, Any] = {"over": over} if over != TIME else {}
-        self.about |= {"ends": ends} if ends else {}
-        self.about |= {"sparse": 1} if sparse else {}
-        self.about |= {"log": 1} if log else {}
-        self.about |= {"points": 1} if points else {}
-        self.about |= {"breaks": np.searchsorted(self.rows, list(breaks), "right").tolist()} if breaks else {}
+        self.about = abscissa.about(self.rows)
 
     def add(self, panel: Panel) -> list[str]:
         """Keys of the traces of a panel."""

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.report.data import TIME, Series, sample_rows, to_json
+from cosim.report.data import OVER_TIME, Abscissa, Series, sample_rows, to_json
 from cosim.report.panels import Band, Panel
 from cosim.report.svg import Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
 
@@ -21,33 +21,23 @@ ALL_POINTS = 60_000  # of all curves together: keeps a page of a hundred signals
 class Drawing:
     """Draws panels with one axis; the script knows every row of them.
 
-    few: rows for a picture that moves between them; breaks: rows after which lines begin anew that do so
-    log: a logarithmic axis, of x above 0. Of one row each value is a dot over an axis that names its place alone.
+    few: rows for a picture that moves between them
+    Over a logarithmic abscissa x is above 0. Of one row each value is a dot over an axis that names its place alone.
     """
 
-    def __init__(
-        self,
-        time: Array,
-        curves: int,
-        *,
-        name: str = "",
-        over: tuple[str, str] = TIME,
-        ends: tuple[float, float] | None = None,
-        breaks: Sequence[int] = (),
-        log: bool = False,
-    ) -> None:
-        time = np.log10(time) if log else time
-        self.series = Series(time, curves, name=name, over=over, ends=ends, breaks=breaks, log=log)
+    def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
+        time = np.log10(time) if abscissa.log else time
+        self.series = Series(time, curves, abscissa, name=name)
         self.few = sample_rows(time.size, POINTS)
         self.lone = time.size == 1
-        self.axis: Axis = make_axis(*ends, 6) if ends else time_axis(time)
+        self.axis: Axis = make_axis(*abscissa.ends, 6) if abscissa.ends else time_axis(time)
         if self.lone:
             self.axis = lone_axis(float(time[0]))
-        elif log:
+        elif abscissa.log:
             self.axis = log_axis(float(time[0]), float(time[-1]))
         self.limit = max(50, min(POINTS, ALL_POINTS // max(1, curves)))
-        self.over = f"{over[0]} in {over[1] or '1'}"
-        self.breaks = np.asarray(breaks, dtype=np.intp)
+        self.over = abscissa.label
+        self.breaks = np.asarray(abscissa.breaks, dtype=np.intp)
 
     def plots(self, panels: Sequence[Panel]) -> list[Plot]:
         """Plots whose values can be read at the cursor."""
@@ -79,18 +69,9 @@ class Charts:
     def __init__(self) -> None:
         self.blocks: list[Series] = []
 
-    def over(
-        self,
-        x: Array,
-        curves: int,
-        *,
-        over: tuple[str, str] = TIME,
-        ends: tuple[float, float] | None = None,
-        breaks: Sequence[int] = (),
-        log: bool = False,
-    ) -> Drawing:
-        """A drawing of panels over x, which rises; log: over a logarithmic axis."""
-        drawing = Drawing(x, curves, name=self._name(), over=over, ends=ends, breaks=breaks, log=log)
+    def over(self, x: Array, curves: int, abscissa: Abscissa = OVER_TIME) -> Drawing:
+        """A drawing of panels over x, which rises."""
+        drawing = Drawing(x, curves, abscissa, name=self._name())
         self.blocks.append(drawing.series)
         return drawing
 
@@ -108,7 +89,8 @@ class Charts:
         pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
         rows, at = np.unique(pairs, axis=0, return_inverse=True)
         x, at = rows[:, 0], at.ravel()
-        series = Series(x, x.size, name=self._name(), over=over, ends=(axis.low, axis.high), sparse=True, log=log)
+        over_x = Abscissa(over, (axis.low, axis.high), sparse=True, log=log)
+        series = Series(x, x.size, over_x, name=self._name())
         self.blocks.append(series)
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
@@ -125,7 +107,7 @@ class Charts:
         band, last = panel.band, len(places) - 1
         edges = (series.column(spread(band.lower, last)), series.column(spread(band.upper, last))) if band else ()
         limit = max([2, *(p.size for p in places)])
-        return make_plot(panel, x, axis, Keys(tuple(keys), edges), min(limit, POINTS), f"{over[0]} in {over[1] or '1'}")
+        return make_plot(panel, x, axis, Keys(tuple(keys), edges), min(limit, POINTS), over_x.label)
 
     def points(
         self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING
@@ -136,10 +118,11 @@ class Charts:
         """
         (trace,), (across, up) = panel.traces, axes
         x = np.asarray(trace.x)
-        series = Series(x, 1, name=self._name(), over=over, ends=(across.low, across.high), sparse=True, points=True)
+        over_x = Abscissa(over, (across.low, across.high), sparse=True, points=True)
+        series = Series(x, 1, over_x, name=self._name())
         self.blocks.append(series)
         keys = Keys((series.trace(trace, trace.values),))
-        drawn = make_plot(panel, x, across, keys, over=f"{over[0]} in {over[1] or '1'}", y=up)
+        drawn = make_plot(panel, x, across, keys, over=over_x.label, y=up)
         read = tuple(Also(label, series.column(values)) for label, values in also.items())
         return replace(drawn, also=read, reach=(up.low, up.high))
 

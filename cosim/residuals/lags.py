@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Rows
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts, Drawing
 from cosim.residuals.statistics import Whiteness
 from cosim.text import MISSING, plain
@@ -21,7 +22,7 @@ def lag_drawing(charts: Charts, rows: Rows, step: float, curves: int) -> Drawing
     """Draws panels over the lag [s] at these rows; half a lag is left free at each end."""
     half = 0.5 * (rows[1] - rows[0] if rows.size > 1 else 1)
     ends = float(step * (rows[0] - half)), float(step * (rows[-1] + half))
-    return charts.over(step * rows.astype(np.float64), curves, over=LAG, ends=ends)
+    return charts.over(step * rows.astype(np.float64), curves, Abscissa(LAG, ends))
 
 
 def neighbours(test: Whiteness) -> str:

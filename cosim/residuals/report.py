@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
 from cosim.report.svg import Plot
@@ -180,7 +181,7 @@ def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
         panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
         lag = comparison.log.step * chosen[0].lags.astype(np.float64)
         ends = float(lag.min()), float(lag.max())
-        plots += charts.over(lag, 2 + len(traces), over=LAG, ends=ends).plots([panel])
+        plots += charts.over(lag, 2 + len(traces), Abscissa(LAG, ends)).plots([panel])
     return plots
 
 

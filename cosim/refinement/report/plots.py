@@ -14,6 +14,7 @@ from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
 from cosim.refinement.report.terms import Shown
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, extent, make_axis
@@ -60,7 +61,7 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
         if before and after:
             log, old = before[0]
             floor, names = r.record["noise_floors"].get(part, {}), list(log.outputs)[:CHANNELS]
-            drawing = charts.over(log.time, CURVES * len(names), breaks=sorted(old.starts))
+            drawing = charts.over(log.time, CURVES * len(names), Abscissa(breaks=sorted(old.starts)))
             pairs = [_pair(r, drawing, before, after, name, floor.get(name, 0.0)) for name in names]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
             drawn.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))

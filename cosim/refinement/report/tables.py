@@ -14,6 +14,7 @@ from cosim.refinement.measure import Evidence
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import error_size, units
+from cosim.report.data import Abscissa
 from cosim.report.drawing import Charts
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import Plot
@@ -123,5 +124,5 @@ def _over(
     ]
     low, high = float(places.min()), float(places.max())
     room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
-    drawing = charts.over(places, len(panel), over=(name, shown or "1"), ends=(low - room, high + room))
+    drawing = charts.over(places, len(panel), Abscissa((name, shown or "1"), (low - room, high + room)))
     return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{shown or '1'}]")
