@@ -129,9 +129,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     Raises InputError where FMUs cannot be read, none of their outputs fits an input of another, or `path` is there.
     """
     if path.is_dir():
-        raise InputError(
-            [Fault(path, 0, 0, "is a folder; name the file to write as --out, such as scenario.yaml in it")]
-        )
+        raise InputError([Fault(path, 0, 0, "is a folder; name the file to write as --out")])
     if path.exists():
         cure = "it is never written over; give another name as --out, or move it away"
         raise InputError([Fault(path, 0, 0, f"is there already; {cure}")])
