@@ -128,19 +128,23 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
         raise InputError([Fault(path, wrong, 1, f"has {counted(count, 'cell')}, the header {len(header)}")])
     numbers: dict[str, Array] = {}
     exact: dict[str, list[str]] = {}
+    whole: set[str] = set()
     for (name, _), cells in zip(named, zip(*rows, strict=True) if rows else ((),) * len(named), strict=True):
         if name in text:
             exact[name] = list(cells)
             continue
         try:
             numbers[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
+            if cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
+                whole.add(name)  # as they are written: every other number has a point or an exponent
         except ValueError:
             exact[name] = list(cells)
     if "time" not in numbers:
         raise InputError([Fault(path, 2, 1, "a time is no number")])
     time = numbers.pop("time")
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    return Results(time, tuple(numbers), values, {**{n: u for n, u in named[1:] if u}, **(units or {})}, exact)
+    found = {**{n: u for n, u in named[1:] if u}, **(units or {})}
+    return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))
 
 
 def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
