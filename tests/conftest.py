@@ -24,8 +24,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # the files that take longest, first: begun last, one of them would be waited for alone
 LONGEST = (
-    "test_refine", "test_refine_stands", "test_refine_conditions", "test_kernel", "test_excite", "test_replay", "test_apart",
-    "test_findings", "test_misbehaving", "test_per_log", "test_docs", "test_install", "test_held_out",
+    "test_refine", "test_refine_stands", "test_refine_conditions", "test_kernel", "test_excite", "test_replay",
+    "test_apart", "test_findings", "test_misbehaving", "test_per_log", "test_docs", "test_install", "test_held_out",
 )  # fmt: skip
 
 
