@@ -1,16 +1,16 @@
-"""Commands for own FMUs and for what runs leave; `cosim.cli` takes them all by `register`."""
+"""Commands, but for the first of them; `cosim.cli` takes them all by `register`."""
 
 from __future__ import annotations
 
 import typer
 
-from cosim.verbs import consistency, files, fmus, linear, runs, sweep
+from cosim.verbs import consistency, files, fmus, linear, logs, runs, sweep
 from cosim.verbs.manner import with_manner
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this room, and to every command there is -q and -v."""
-    for module in (fmus, runs, files, linear, consistency, sweep):
+    for module in (logs, fmus, runs, files, linear, consistency, sweep):
         module.register(app)
     for command in app.registered_commands:
         if command.callback is not None:

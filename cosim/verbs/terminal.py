@@ -23,6 +23,9 @@ Numbered = Callable[[str], tuple[int, int]]
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
+InProcess = Annotated[
+    bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
 
 
