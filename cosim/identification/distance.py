@@ -50,7 +50,7 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
     value = estimate.value
     found = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
     figures = [
-        Figure(f"{run.path.name}: {output}", "s", _unit(model, output), [
+        Figure(f"{run.path.name}: {output}", "time [s]", _unit(model, output), [
             (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true"),
             ("covered", run.time[-1:], np.array([wanted]), "dots"),
         ])

@@ -39,7 +39,7 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
             share = estimate.thesis / estimate.value
             notes.append(f"{name} drifts: its variance about the mean is {share:.3g} times that about a straight line")
         time, values = parts[0]
-        figures.append(Figure(f"{name} at rest", "s", units[name], [("measured", time, values, "true")]))
+        figures.append(Figure(f"{name} at rest", "time [s]", units[name], [("measured", time, values, "true")]))
     return Result("rest", estimates, notes, figures)
 
 

@@ -1,0 +1,197 @@
+"""`cosim replay`, `refine`, `excite` and `identify`: models and measured logs."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.folders import folder_named, folder_of_file, name_of
+from cosim.verbs.streams import echo
+from cosim.verbs.terminal import Force, InProcess, Json, Open, progress_bar, say, say_json, show, stages, warn
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands."""
+    for command in (replay, refine, excite, identify):
+        app.command()(command)
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(help="A measured log: CSV with time, inputs and measured outputs.")],
+    plant: Annotated[
+        Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the log without.")
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; measured_speed=motor.w."),
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
+    limits: Annotated[
+        str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
+    ] = "",
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    from cosim.residuals.words import verdict
+    from cosim.residuals.workflow import replay as replay_log
+
+    place = folder_of_file(log) if out is None else out
+    with progress_bar("replaying") as progress:
+        comparison = replay_log(
+            log, place, plant, start=start or (), columns=column or (), report=report, force=force,
+            in_process=in_process, limits=limits, progress=progress,
+        )  # fmt: skip
+    for finding in comparison.findings:
+        if finding.severity == "warning":
+            echo(finding.line, err=True)
+    say(verdict(comparison))
+    say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
+    if as_json:
+        findings = [finding.line for finding in comparison.findings]
+        say_json({"sentence": verdict(comparison), "findings": findings, **_left(place, "results.csv", "residual.csv")})
+    if report and open_:
+        show(place / "report.html")
+
+
+def _left(folder: Path, *names: str) -> dict[str, str]:
+    """What is in a folder, by name without its ending."""
+    return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
+
+
+def refine(
+    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    in_process: InProcess = False,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.stages import numbered
+    from cosim.refinement.workflow import refine as refine_study
+
+    place = folder_of_file(study) if out is None else out
+    with stages(numbered) as progress:
+        result = refine_study(study, place, progress, report=report, force=force, in_process=in_process)
+    for warning in result.study.warnings:
+        warn(warning)
+    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
+    say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
+    if report:
+        say(f"report: {place / 'report.html'}")
+    if as_json:
+        told_of = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: result.record[key] for key in told_of if key in result.record}
+        say_json({**answer, **_left(place, "refine.json", "model.yaml", "plant.fmu")})
+    if report and open_:
+        show(place / "report.html")
+    if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
+        from cosim.experiment.ranges import inputs_to_limit
+
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
+
+
+def excite(
+    model: Annotated[
+        str, typer.Argument(help="base, a model.yaml, file.py:Class, or a refine.json (or its folder) with rivals.")
+    ],
+    against: Annotated[
+        list[str] | None, typer.Option("--against", help="An effect, sensor or parameter to tell apart; repeatable.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-excitation without.")
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
+    ] = None,
+    range_: Annotated[
+        list[str] | None,
+        typer.Option("--range", help="NAME=MIN..MAX: between what an input stays, within what the model declares."),
+    ] = None,
+    measured: Annotated[
+        list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Of the experiment, in seconds; 40 without, longer for a slow model.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write the input that tells rivals apart best: excitation.csv, and excitation.yaml that plays it."""
+    from cosim.experiment.excite import excite as choose
+
+    place = folder_named(name_of(model), "excitation") if out is None else out
+    with stages() as progress:
+        found = choose(
+            model, place, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
+            duration=duration, seed=seed, force=force, progress=progress,
+        )  # fmt: skip
+    if found.warning:
+        warn(found.warning)
+    for line in found.sentences:
+        say(line)
+    played = shlex.quote(str(place / "excitation.yaml"))
+    say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {played}")
+    if as_json:
+        apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
+        files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
+        say_json({"apart": apart, "warning": found.warning, **files})
+
+
+def identify(
+    protocol: Annotated[
+        Path,
+        typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
+    from cosim.identification.given import results_of
+    from cosim.identification.workflow import identify as identify_bench
+
+    place = results_of(protocol) if out is None else out
+    with stages() as progress:
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
+    for line in outcome.sentences:
+        say(line)
+    say(outcome.closing(place))
+    if report:
+        say(f"report: {place / 'report.html'}")
+    if as_json:
+        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place)}
+        say_json({**said, **_left(place, "identify.json", "powertrain.yaml", "model.yaml")})
+    if report and open_:
+        show(place / "report.html")
