@@ -20,6 +20,7 @@ from cosim.cli import entry
 from cosim.errors import InputError
 from cosim.linearization.linear import Linear, Point
 from cosim.linearization.structure import jordan_blocks, poles, structure
+from cosim.linearization.words import headline
 from cosim.linearization.workflow import linearize
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
@@ -303,6 +304,16 @@ def test_an_unstable_pole_and_a_pole_without_an_input_are_seen() -> None:
         (-2.0, False, True),
     ]
     assert (found.controllable, found.observable, found.condition) == (1, 2, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("rate", "told"),
+    [(0.0, "Asymptotically stable;"), (0.5, "No equilibrium; all poles lie to the left of the imaginary axis;")],
+)
+def test_only_an_equilibrium_is_called_stable(rate: float, told: str) -> None:
+    one, point = np.ones((1, 1)), Point(0.0, np.zeros(1), np.zeros(1))
+    m = Linear(-one, one, one, 0 * one, ("a",), ("u",), ("y",), point, np.array([rate]), np.zeros(1), {}, "by hand")
+    assert headline(structure(m), m).startswith(told)
 
 
 def test_bode_plots_are_those_of_the_control_library(tank: Path) -> None:

@@ -13,6 +13,8 @@ from cosim.linearization.kinks import Kink
 
 HELD = 1e-9  # of a matrix's largest entry, below which an entry couples nothing
 
+STILL = 1e-6  # a second, in the units of the states: rates below are taken as none
+
 
 @dataclass(frozen=True)
 class Point:
@@ -49,6 +51,11 @@ class Linear:
     method: str
     notes: tuple[str, ...] = ()
     kinks: tuple[Kink, ...] = ()
+
+    @property
+    def at_rest(self) -> bool:
+        """No state moves at the point: it is an equilibrium, whose stability the poles tell."""
+        return not self.rates.size or float(np.abs(self.rates).max()) < STILL
 
     def ss(self) -> Any:
         """The same as a `control.StateSpace`, with its names."""

@@ -73,11 +73,14 @@ def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
 def _badges(linear: Linear, found: Structure) -> list[Badge]:
     sizes = [counted(len(group), noun) for group, noun in (
         (linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))]  # fmt: skip
-    at_rest = not linear.rates.size or float(np.abs(linear.rates).max()) < 1e-6
+    stable, no = (
+        ("asymptotically stable" if linear.at_rest else "all poles to the left"),
+        "" if found.stable else "not ",
+    )
     return [
         *map(Badge, sizes),
-        Badge(f"{'' if found.stable else 'not '}asymptotically stable", "good" if found.stable else "plain"),
-        Badge("equilibrium" if at_rest else "no equilibrium: f₀ is not zero", "good" if at_rest else "plain"),
+        Badge(no + stable, "good" if found.stable else "plain"),
+        Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero"),
     ]  # fmt: skip
 
 

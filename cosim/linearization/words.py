@@ -25,11 +25,14 @@ def headline(found: Structure, linear: Linear) -> str:
     n = len(linear.states)
     if not n:
         return "It has no states: D alone says how outputs follow inputs."
-    stable = "Asymptotically stable" if found.stable else "Not asymptotically stable"
-    slowest = [p for p in found.poles if p.value.real >= -1e-9]
-    at = f" ({counted(sum(p.count for p in slowest), 'pole')} not to the left of the imaginary axis)" if slowest else ""
+    if linear.at_rest:
+        slowest = sum(p.count for p in found.poles if p.value.real >= -1e-9)
+        at = f" ({counted(slowest, 'pole')} not to the left of the imaginary axis)" if slowest else ""
+        told = ("Asymptotically stable" if found.stable else "Not asymptotically stable") + at
+    else:  # neighbours of a motion may part though the poles of each of its points lie to the left
+        told = f"No equilibrium; {'all' if found.stable else 'not all'} poles lie to the left of the imaginary axis"
     reach = f"inputs reach {found.controllable} of {counted(n, 'state')}, outputs show {found.observable}"
-    return f"{stable}{at}; {reach}."
+    return f"{told}; {reach}."
 
 
 def pole_rows(found: Structure) -> list[dict[str, str]]:
