@@ -14,12 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.checks import check_files
-from cosim.cli import app, entry, stages
+from cosim.cli import app, entry
 from cosim.errors import InputError, Interrupted
 from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
 from cosim.simulation.apart import Stepped
-from cosim.verbs.terminal import Manner
+from cosim.verbs.terminal import Manner, stages
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import times, write_log
