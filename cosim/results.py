@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
-from cosim.table import MOST_BYTES, parted, write_table
+from cosim.table import MOST_BYTES, no_time, parted, seconds_per, write_table
 from cosim.text import counted
 from fmus.files import draft_of
 
@@ -122,6 +122,9 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
     if not named or named[0][0] != "time":
         first = named[0][0] if named else ""
         raise InputError([Fault(path, 1, 1, f'the first column is "{first}"; it must be "time" [s]')])
+    seconds = seconds_per(named[0][1])
+    if seconds is None:
+        raise InputError([Fault(path, 1, 1, no_time(named[0][1]))])
     wrong = next((k for k, row in enumerate(rows, 2) if len(row) != len(header)), None)
     if wrong is not None:
         count = len(rows[wrong - 2])
@@ -141,7 +144,7 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
             exact[name] = list(cells)
     if "time" not in numbers:
         raise InputError([Fault(path, 2, 1, "a time is no number")])
-    time = numbers.pop("time")
+    time = numbers.pop("time") * seconds
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     found = {**{n: u for n, u in named[1:] if u}, **(units or {})}
     return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))

@@ -18,6 +18,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
+from fmus.units import alternatives, factor
 
 MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
 MOST_FAULTS = 100_000  # after which nothing more is read
@@ -140,12 +141,13 @@ def read_columns(path: Path, names: Container[str] = ()) -> Table:
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
-        if heading.name == "time" and heading.unit not in {"", "s"}:
-            faults.note(heading.line, heading.cell, f'"time [{heading.unit}]": time is in seconds')
+        seconds = seconds_per(heading.unit) if heading.name == "time" else 1.0
+        if seconds is None:
+            faults.note(heading.line, heading.cell, no_time(heading.unit))
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
         what = "the time" if heading.name == "time" else "a column played back"
-        return Column(heading, known=what) if heading.name else None
+        return Column(heading, seconds or 1.0, known=what) if heading.name else None
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
@@ -313,6 +315,16 @@ def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
     if not bracket or whole in names or "]" in unit:
         return whole, ""
     return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
+
+
+def seconds_per(unit: str) -> float | None:
+    """What a time in this unit is multiplied by to be in seconds, which "" is; None where it is no unit of time."""
+    return factor(unit, "s")
+
+
+def no_time(unit: str) -> str:
+    """What is said of a time in a unit that is none."""
+    return f'"{unit}" is no unit of time, which is in s; known here: {", ".join(alternatives("s"))}'
 
 
 def _no_number(text: str, column: Column) -> tuple[str, str]:

@@ -20,8 +20,9 @@ from tests.typed import typed_fmu
 TIME = np.linspace(0, 1, 101)
 
 
-def ran(name: str = "a", time: np.ndarray = TIME, **signals: np.ndarray) -> Ran:
-    return Ran(Path(name), name, Results(time, tuple(signals), np.column_stack(list(signals.values()))))
+def ran(name: str = "a", time: np.ndarray = TIME, units: dict[str, str] | None = None, **signals: np.ndarray) -> Ran:
+    values = np.column_stack(list(signals.values()))
+    return Ran(Path(name), name, Results(time, tuple(signals), values, units or {}))
 
 
 def held(a: np.ndarray, b: np.ndarray, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
@@ -83,6 +84,74 @@ def test_runs_that_share_no_signal_or_no_time_are_told_so() -> None:
 def test_signals_of_one_run_alone_are_listed() -> None:
     found = compared(ran(x=TIME, y=TIME), ran("b", x=TIME, z=TIME))
     assert (found.only_a, found.only_b) == (("y",), ("z",))
+
+
+def test_a_signal_that_only_the_baseline_has_is_missed_and_one_that_only_the_other_has_is_not() -> None:
+    more, fewer = ran(x=TIME, y=TIME), ran("b", x=TIME)
+    lost = compared(more, fewer, 1.0)
+    assert not lost.same
+    assert lost.reasons == ["1 signal of a is missing in b: y"]
+    assert "1 signal of a is not in b" in repr(lost)
+    assert lost.as_json()["within"] is False
+    assert compared(fewer, more, 0.0).same
+
+
+def test_text_that_only_the_baseline_has_is_missed_too() -> None:
+    text = Results(TIME, ("x",), TIME[:, None], exact={"mode": ["on"] * TIME.size})
+    assert compared(Ran(Path("a"), "a", text), ran("b", x=TIME), 0.0).only_a == ("mode",)
+
+
+def test_a_run_that_begins_late_is_not_the_same_whichever_stands_first() -> None:
+    late = ran("b", TIME[30:], x=TIME[30:])
+    for found in (compared(ran(x=TIME), late, 1.0), compared(late, ran(x=TIME), 1.0)):
+        assert not found.same
+        assert found.shorter == "a begins at 0 s, b at 0.3 s"
+
+
+def test_units_of_one_dimension_are_converted_and_those_of_two_are_told_by_name() -> None:
+    a = ran(units={"w": "rad/s"}, w=np.sin(TIME))
+    same = compared(a, ran("b", units={"w": "rpm"}, w=np.sin(TIME) * 30 / math.pi), 0.0)
+    assert same.same
+    assert same.differences[0].largest == 0
+    other = compared(a, ran("b", units={"w": "deg/s"}, w=np.sin(TIME)), 0.1)
+    assert other.beyond[0].share == pytest.approx(1 - math.pi / 180)
+    none = compared(a, ran("b", units={"w": "m"}, w=np.sin(TIME)), 1.0)
+    assert not none.same
+    assert "w is in rad/s in one, in m in the other" in repr(none)
+    assert "equal" not in repr(none)
+    assert none.as_json()["signals"][0]["largest"] is None
+    assert compared(a, ran("b", w=np.sin(TIME)), 0.0).same  # a column without a unit is of that of the other
+
+
+def test_text_at_other_times_is_that_of_the_row_before() -> None:
+    def mode(name: str, time: np.ndarray, since: float) -> Ran:
+        said = ["on" if t >= since else "off" for t in time]
+        return Ran(Path(name), name, Results(time, ("x",), time[:, None], exact={"mode": said}))
+
+    fine = np.linspace(0, 1, 1001)
+    assert compared(mode("a", TIME, 0.5), mode("b", fine, 0.5), 1e-9).same
+    (found,) = compared(mode("a", TIME, 0.5), mode("b", fine, 0.7), 1e-9).beyond
+    assert (found.name, found.at) == ("mode", pytest.approx(0.5))
+
+
+def test_a_number_missing_in_one_run_is_no_share_of_a_range() -> None:
+    said = repr(held(TIME, np.where(TIME > 0.5, np.nan, TIME), 1.0))
+    assert "most x, which has no number in one run at 0.51 s." in said
+
+
+def test_times_in_other_units_are_seconds_wherever_a_csv_is_read(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("time,r_in\n0,0\n0.1,1\n0.2,2\n")
+    (tmp_path / "ms.csv").write_text("time [ms],r_in\n0,0\n100,1\n200,2\n")
+    (tmp_path / "no.csv").write_text("time [ft],r_in\n0,0\n1,1\n")
+    told("compare", tmp_path / "s.csv", tmp_path / "ms.csv", "--tol", "1e-9", "--out", tmp_path / "c")
+    fmu = typed_fmu(tmp_path)
+    for name in ("s", "ms"):
+        out = ["--out", tmp_path / name, "--no-report", "--in-process"]
+        told("simulate", fmu, "--input", tmp_path / f"{name}.csv", "--step", "0.1", *out)
+    assert (tmp_path / "s" / "results.csv").read_bytes() == (tmp_path / "ms" / "results.csv").read_bytes()
+    why = 'no.csv:1:1: "ft" is no unit of time, which is in s; known here: s, ms'
+    assert why in told("compare", tmp_path / "s.csv", tmp_path / "no.csv", code=2)
+    assert why in told("simulate", fmu, "--input", tmp_path / "no.csv", "--out", tmp_path / "o", code=2)
 
 
 def two_runs(folder: Path) -> tuple[Path, Path]:

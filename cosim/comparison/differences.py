@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from cosim.arrays import Array
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.text import amount, counted, plain
+from fmus.units import factor
 
 SAME_TIME = 1e-9  # of a step
+ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
 SHOWN = 12  # signals, where a comparison is told in a few lines
 
 
@@ -22,11 +24,15 @@ SHOWN = 12  # signals, where a comparison is told in a few lines
 class Difference:
     """One signal of both runs.
 
-    largest: most that |b − a| comes to, in its unit, at a time [s]; infinite where one run alone has no number
+    unit:    that of a, to which b is converted
+    largest: most that |b − a| comes to, in its unit, at a time [s]; infinite where one run alone has no number, or
+             where the dimensions of their units differ, so that numbers say nothing
     rms:     of b − a
     scale:   the range of a, its size where it is constant, or 1
     share:   largest / scale
     beyond:  the tolerance
+    note:    what is to be known of units or text
+    alike:   the dimensions of both units agree
     """
 
     name: str
@@ -38,6 +44,7 @@ class Difference:
     share: float
     beyond: bool
     note: str = ""
+    alike: bool = True
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,7 +54,7 @@ class Compared:
     only_a, only_b: signals of one alone
     time:    [s], of a, where b has values too; `b` holds them there
     aligned: both have the same times
-    shorter: what is to be said where one ends before the other, "" where none does
+    shorter: what is to be said where one begins or ends before the other, "" where none does
     """
 
     a: Ran
@@ -74,8 +81,19 @@ class Compared:
 
     @property
     def same(self) -> bool:
-        """Within the tolerance, over the whole of both runs."""
-        return not self.beyond and not self.shorter
+        """Every signal of a is in b and within the tolerance, over the whole of both runs; b may have more."""
+        return not self.reasons
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why they are not the same, in words; none where they are."""
+        found = [f"{counted(len(self.beyond), 'signal')} beyond the tolerance"] if self.beyond else []
+        if self.only_a:
+            more = ", …" if len(self.only_a) > SHOWN else ""
+            verb = "is" if len(self.only_a) == 1 else "are"
+            what = f"{counted(len(self.only_a), 'signal')} of {self.a.path} {verb} missing in {self.b.path}"
+            found.append(f"{what}: {', '.join(self.only_a[:SHOWN])}{more}")
+        return found + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
         ranked, more = self._ranked()
@@ -97,7 +115,7 @@ class Compared:
     def _ranked(self) -> tuple[list[tuple[str, str, str, str]], str]:
         """The signals that differ most, as text, and how many more there are."""
         ranked = sorted(self.differences, key=lambda d: -d.share)
-        cells = [(d.name, amount(d.largest, d.unit), f"{d.at:.6g} s", shared(d)) for d in ranked[:SHOWN]]
+        cells = [(d.name, sized(d, d.largest), f"{d.at:.6g} s", shared(d)) for d in ranked[:SHOWN]]
         return cells, f"… and {len(ranked) - SHOWN} more" if len(ranked) > SHOWN else ""
 
     def as_json(self) -> dict[str, Any]:
@@ -108,7 +126,8 @@ class Compared:
         ]
         return {
             "a": str(self.a.path), "b": str(self.b.path), "tolerance": self.tolerance, "absolute": self.absolute,
-            "within": self.same if self.judged else None, "shorter": self.shorter or None, "signals": found,
+            "within": self.same if self.judged else None, "reasons": self.reasons if self.judged else None,
+            "shorter": self.shorter or None, "signals": found,
             "only_a": list(self.only_a), "only_b": list(self.only_b), "same_times": self.aligned,
             "criteria": [{"what": w, "a": a, "b": b} for w, a, b in criteria_of(self)],
         }  # fmt: skip
@@ -136,18 +155,23 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
     differences, values = [], {}
     for name in shared:
         if name in a.results.exact or name in b.results.exact:
-            differences.append(_of_text(a, b, name, aligned))
+            differences.append(_of_text(a, b, name, rows, aligned))
             continue
         first = a.results[name][rows]
         second = b.results[name][: time.size] if aligned else _at(time, b.results.time, b.results[name])
+        unit, other = (r.results.units.get(name, "") for r in (a, b))
+        scale = factor(other, unit)
+        if scale is None:
+            differences.append(_of_other_units(name, unit, other, time, judged=tolerance is not None))
+            continue
+        second = second * scale if scale != 1.0 else second
         values[name] = first, second
-        differences.append(_of_numbers(a, b, name, time, first, second, tolerance, absolute))
-    known = set(shared)
+        found = _of_numbers(name, unit or other, time, first, second, tolerance, absolute, rounded=scale != 1.0)
+        differences.append(replace(found, note=_of_units(unit, other, found)))
+    only_a, only_b = (tuple(n for n in (*r.results.columns, *r.results.exact) if n not in {*shared}) for r in (a, b))
     return Compared(
-        a, b, tuple(differences),
-        tuple(n for n in a.results.columns if n not in known), tuple(n for n in b.results.columns if n not in known),
-        time, values, aligned, _shorter(a, b), tolerance, absolute,
-    )  # fmt: skip
+        a, b, tuple(differences), only_a, only_b, time, values, aligned, _shorter(a, b), tolerance, absolute
+    )
 
 
 def _rows(a: Ran, b: Ran) -> tuple[slice, bool]:
@@ -169,43 +193,61 @@ def _at(time: Array, times: Array, values: Array) -> Array:
 
 
 def _of_numbers(
-    a: Ran, b: Ran, name: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float
-) -> Difference:
-    unit, other = a.results.units.get(name, ""), b.results.units.get(name, "")
+    name: str, unit: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float,
+    *, rounded: bool,
+) -> Difference:  # fmt: skip
+    """How far numbers of one unit lie apart; `rounded`: one side was converted, to the last bit or two."""
     same = (first == second) | (np.isnan(first) & np.isnan(second))
     finite = np.isfinite(first) & np.isfinite(second)
     gap = np.where(same, 0.0, np.inf)
     gap[finite] = np.abs(second[finite] - first[finite])
+    if rounded:
+        gap[finite & (gap <= ROUNDING * np.abs(first))] = 0.0
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0
     scale = span or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
     largest = float(gap[row])
-    differ = f"[{unit}] in one, [{other}] in the other" if unit and other and unit != other else ""
-    beyond = tolerance is not None and (bool(differ) or not largest <= absolute + tolerance * scale)
+    beyond = tolerance is not None and not largest <= absolute + tolerance * scale
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
-    return Difference(name, unit or other, largest, float(time[row]), rms, scale, largest / scale, beyond, differ)
+    return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
 
 
-def _of_text(a: Ran, b: Ran, name: str, aligned: bool) -> Difference:
-    """Text: 1 where a row differs, 0 where none does."""
-    sides = [r.results.exact.get(name) or [str(v) for v in r.results[name]] for r in (a, b)]
-    pairs = list(zip(*sides, strict=False))
-    first = next((k for k, (x, y) in enumerate(pairs) if x != y), None) if aligned else 0
-    time = a.results.time
-    if first is None:
+def _of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:
+    """Numbers in units between which there is no conversion."""
+    note = f"in {unit} in one, in {other} in the other"
+    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, judged, note, alike=False)
+
+
+def _of_units(unit: str, other: str, d: Difference) -> str:
+    """What is to be known of the units of both sides."""
+    if unit and other:
+        return f"{other} in b, converted" if unit != other else ""
+    return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
+
+
+def _of_text(a: Ran, b: Ran, name: str, rows: slice, aligned: bool) -> Difference:
+    """Text: 1 where a row differs, 0 where none does; at other times that of b holds until its next row."""
+    first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
+    time = a.results.time[rows]
+    places = range(time.size) if aligned else np.searchsorted(b.results.time, time + SAME_TIME, side="right") - 1
+    pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
+    differs = next((k for k, (x, y) in enumerate(pairs) if x != y), None)
+    if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
-    note = "text differs" if aligned else "text, at other times"
-    return Difference(name, "", 1.0, float(time[first]), 1.0, 1.0, 1.0, aligned, note)
+    return Difference(name, "", 1.0, float(time[differs]), 1.0, 1.0, 1.0, True, "text differs")
 
 
 def _shorter(a: Ran, b: Ran) -> str:
-    ends = [float(r.results.time[-1]) for r in (a, b)]
+    """Which begins late and which ends early, in words."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
-    if abs(ends[0] - ends[1]) <= 1e-6 * step + 1e-9:
-        return ""
-    first, second = (a, b) if ends[0] < ends[1] else (b, a)
-    return f"{first.path} ends at {min(ends):.6g} s, {second.path} at {max(ends):.6g} s"
+    told = []
+    for verb, row in (("begins", 0), ("ends", -1)):
+        at = [float(r.results.time[row]) for r in (a, b)]
+        if abs(at[0] - at[1]) > 1e-6 * step + 1e-9:
+            first, second = (a, b) if at[0] < at[1] else (b, a)
+            told.append(f"{first.path} {verb} at {min(at):.6g} s, {second.path} at {max(at):.6g} s")
+    return "; ".join(told)
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
@@ -226,27 +268,42 @@ def _what(entry: dict[str, Any]) -> str:
 def sentence(c: Compared) -> str:
     """What the comparison came to."""
     count = len(c.differences)
+    all_ = f"All {counted(count, 'signal')}{' that both have' if c.only_a else ''}"
     most = max(c.differences, key=lambda d: d.share)
     if not any(d.largest for d in c.differences):
-        told = (
-            f"All {counted(count, 'signal')} are equal in every row."
-            if count > 1
-            else "The signal is equal in every row."
-        )
+        told = f"{all_} are equal in every row." if count > 1 else "The signal is equal in every row."
+        if c.only_a and count == 1:
+            told = "The signal that both have is equal in every row."
     elif c.judged and not c.beyond:
-        told = f"All {counted(count, 'signal')} are within the tolerance; {_most(most)}."
+        told = (
+            f"{all_} are within the tolerance; {_most(most)}." if count > 1 else f"Within the tolerance: {_most(most)}."
+        )
     elif c.judged:
         verb = "is" if len(c.beyond) == 1 else "are"
         told = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {_most(c.beyond[0])}."
     else:
-        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} differ; {_most(most)}."
+        verb = "differs" if sum(d.largest > 0 for d in c.differences) == 1 else "differ"
+        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} {verb}; {_most(most)}."
+    if c.only_a:
+        told += f" {counted(len(c.only_a), 'signal')} of a {'is' if len(c.only_a) == 1 else 'are'} not in b."
     return told + (f" {c.shorter}." if c.shorter else "")
 
 
 def _most(d: Difference) -> str:
+    if not d.alike:
+        return f"{d.name} is {d.note}"
+    if not math.isfinite(d.share):
+        return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({shared(d)} of its range)"
+
+
+def sized(d: Difference, value: float) -> str:
+    """A difference in the unit of its signal, a dash where there is none."""
+    return amount(value if d.alike else math.nan, d.unit)
 
 
 def shared(d: Difference) -> str:
     """A difference as a share of the range of its signal."""
+    if not d.alike:
+        return "not comparable"
     return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"

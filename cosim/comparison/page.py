@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.comparison.differences import Compared, Difference, compared, criteria_of, sentence, shared
+from cosim.comparison.differences import Compared, Difference, compared, criteria_of, sentence, shared, sized
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
@@ -97,8 +97,8 @@ def _tolerance(c: Compared) -> str:
 
 def _row(d: Difference) -> dict[str, Any]:
     return {
-        "name": d.name, "unit": written(d.unit), "largest": amount(d.largest, d.unit), "at": f"{d.at:.6g}\u00a0s",
-        "rms": amount(d.rms, d.unit), "share": shared(d), "beyond": d.beyond, "note": d.note,
+        "name": d.name, "unit": written(d.unit), "largest": sized(d, d.largest), "at": f"{d.at:.6g}\u00a0s",
+        "rms": sized(d, d.rms), "share": shared(d), "beyond": d.beyond, "note": d.note,
     }  # fmt: skip
 
 

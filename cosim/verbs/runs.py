@@ -37,10 +37,9 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
-    from cosim.comparison.differences import sentence, shared
+    from cosim.comparison.differences import sentence, shared, sized
     from cosim.comparison.page import compare as compare_runs
     from cosim.comparison.ran import read_ran
-    from cosim.text import amount
 
     if absolute and tolerance is None:
         tolerance = 0.0
@@ -52,7 +51,7 @@ def compare(
     else:
         ranked = [d for d in sorted(made.differences, key=lambda d: -d.share) if d.largest]
         rows = [
-            (f"  {d.name}", amount(d.largest, d.unit), f"{d.at:.6g} s", amount(d.rms, d.unit), shared(d),
+            (f"  {d.name}", sized(d, d.largest), f"{d.at:.6g} s", sized(d, d.rms), shared(d),
              ("beyond" if d.beyond else "within") if made.judged else "", d.note)
             for d in ranked[:SHOWN]
         ]  # fmt: skip
@@ -70,7 +69,7 @@ def compare(
     if report and open_:
         show(folder / "report.html")
     if made.judged and not made.same:
-        raise CriterionMissed(made.shorter if not made.beyond else f"{len(made.beyond)} signals beyond the tolerance")
+        raise CriterionMissed("; ".join(made.reasons))
 
 
 def report_again(
