@@ -90,6 +90,8 @@ def _fmu(
     if not path.is_file():
         made = path.name in MODELS[BASE_NAME].built
         cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
+        if file.manifest is not None:
+            cure += f"; put it there, or {path.name} beside {file.path.name}"
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = read(path)

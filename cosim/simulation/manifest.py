@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import subprocess
@@ -13,6 +12,7 @@ from typing import Any
 
 from cosim.errors import InputError
 from cosim.files import atomic_write
+from cosim.simulation.pinned import key_of, sha256
 from cosim.simulation.scenario import FmuComponent, Scenario, resolved
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System
@@ -20,11 +20,6 @@ from cosim.version import __version__
 
 SCHEMA_VERSION = 1
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
-
-
-def sha256(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
@@ -49,7 +44,7 @@ def check_pinned(file: ScenarioFile) -> None:
     """A manifest is repeated only with the FMUs it was made with."""
     faults = []
     for name, component in file.scenario.components.items():
-        key = "fmu" if isinstance(component, FmuComponent) else "file"
+        key = key_of(component)
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
         if pinned is not None and path.is_file() and sha256(path) != pinned:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from cosim.errors import Fault, InputError
 from cosim.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
 from cosim.registry import BASE, MODELS
+from cosim.simulation.pinned import with_files_beside
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.yaml_nodes import Document, NotYaml
@@ -51,6 +52,8 @@ class ScenarioFile:
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # of what is fit to be run
         self.scenario = self._validate(data)
+        if self.manifest is not None:
+            self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [*self._step_faults(), *self._criteria_faults()]
 
     def _validate(self, data: dict[str, Any]) -> Scenario:

@@ -23,9 +23,10 @@ from cosim.results import Results
 from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.design import designed_values
-from cosim.simulation.manifest import check_pinned, made_with, manifest, sha256, write_manifest
+from cosim.simulation.manifest import check_pinned, made_with, manifest, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.pinned import sha256
 from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
