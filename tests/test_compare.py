@@ -242,3 +242,37 @@ def test_results_are_read_back_as_they_were_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.values, values)
     assert read.exact == {"a.s": ["ü,", 'x"']}
     assert read.units["a.x"] == "m"
+
+
+COARSE = np.array([0.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "largest", "at"),
+    [
+        ([0.0, 0.5, 1.0, 2.0], [1.0, 1.3, 2.0, 3.0], 0.0, 0.0),  # on the way
+        ([0.0, 0.5, 1.0, 2.0], [1.0, 77.0, 2.0, 3.0], 75.0, 0.5),  # a spike
+        ([0.0, 1.0, 1.0, 2.0], [1.0, 9.0, 2.0, 3.0], 6.0, 1.0),  # at an event
+        ([0.0, 1.0, 2.0, 2.0], [1.0, 2.0, 3.0, 2.5], 0.0, 0.0),  # at the last
+        ([0.0, 0.5, 1.0, 2.0], [1.0, math.nan, 2.0, 3.0], math.inf, 0.5),
+    ],
+)
+def test_rows_between_those_of_the_other_are_held_against_what_these_span(
+    times: list[float], values: list[float], largest: float, at: float
+) -> None:
+    found = compared(ran(time=COARSE, x=COARSE + 1.0), ran("b", time=np.array(times), x=np.array(values)), 1e-6)
+    (d,) = found.differences
+    assert (d.largest, d.at if largest else 0.0, d.beyond) == (largest, at, largest > 0)
+    assert ("between rows of a" in d.note) == (largest > 0)
+
+
+def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None:
+    def said(name: str, time: list[float], words: list[str]) -> Ran:
+        return Ran(Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words}))
+
+    a = said("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
+    assert compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
+    (d,) = compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "q", "y"]), 0.0).beyond
+    assert d.at == 1.5
+    (d,) = compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["q", "q", "q", "q"]), 0.0).beyond
+    assert d.at == 0.0

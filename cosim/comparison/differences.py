@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.comparison.between import Between, rows_between
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.text import amount, counted, plain
@@ -17,6 +18,7 @@ from fmus.units import factor
 
 SAME_TIME = 1e-9  # of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
+BETWEEN = "between rows of a"
 SHOWN = 12  # signals, where a comparison is told in a few lines
 
 
@@ -134,7 +136,9 @@ class Compared:
 
 
 def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
-    """Hold b against a, at the times of a; InputError where they share no signal or no time.
+    """Hold b against a, at the times of a, and its rows between against what a spans there.
+
+    Raises InputError where they share no signal or no time.
 
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
     """
@@ -152,10 +156,11 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
             f"{r.results.time[0]:g} … {r.results.time[-1]:g} s" if r.results.time.size else "no rows" for r in (a, b)
         ]
         raise InputError([Fault(b.path, 0, 0, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")])
+    between = None if aligned else rows_between(a.results.time, b.results.time, _near(a.results.time))
     differences, values = [], {}
     for name in shared:
         if name in a.results.exact or name in b.results.exact:
-            differences.append(_of_text(a, b, name, rows, aligned))
+            differences.append(_of_text(a, b, name, rows, between))
             continue
         first = a.results[name][rows]
         second = b.results[name][: time.size] if aligned else _at(time, b.results.time, b.results[name])
@@ -167,7 +172,10 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
         second = second * scale if scale != 1.0 else second
         values[name] = first, second
         found = _of_numbers(name, unit or other, time, first, second, tolerance, absolute, rounded=scale != 1.0)
-        differences.append(replace(found, note=_of_units(unit, other, found)))
+        found = replace(found, note=_of_units(unit, other, found))
+        if between is not None:
+            found = _with(found, *between.outside(a.results[name], b.results[name] * scale), tolerance, absolute)
+        differences.append(found)
     only_a, only_b = (tuple(n for n in (*r.results.columns, *r.results.exact) if n not in {*shared}) for r in (a, b))
     return Compared(
         a, b, tuple(differences), only_a, only_b, time, values, aligned, _shorter(a, b), tolerance, absolute
@@ -180,11 +188,18 @@ def _rows(a: Ran, b: Ran) -> tuple[slice, bool]:
     count = min(first.size, second.size)
     if not count:
         return slice(0, 0), False
-    step = float(np.min(np.diff(first))) if first.size > 1 else 1.0
-    if np.all(np.abs(first[:count] - second[:count]) <= SAME_TIME * max(step, abs(first[count - 1]) * 1e-6)):
+    near = _near(first)
+    if np.all(np.abs(first[:count] - second[:count]) <= near):
         return slice(0, count), True
-    low, high = np.searchsorted(first, [second[0] - SAME_TIME * step, second[-1] + SAME_TIME * step])
+    low, high = np.searchsorted(first, [second[0] - near, second[-1] + near])
     return slice(int(low), int(high)), False
+
+
+def _near(time: Array) -> float:
+    """How far apart two times are that are meant to be one [s]: far less than a step, more than rounding."""
+    steps = np.diff(time)
+    step = float(np.min(steps[steps > 0.0], initial=1.0))
+    return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
 
 
 def _at(time: Array, times: Array, values: Array) -> Array:
@@ -213,6 +228,15 @@ def _of_numbers(
     return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
 
 
+def _with(d: Difference, outside: float, at: float, tolerance: float | None, absolute: float) -> Difference:
+    """With what b does between the rows of a, where that is more."""
+    if outside <= max(d.largest, ROUNDING * d.scale):
+        return d
+    beyond = tolerance is not None and not outside <= absolute + tolerance * d.scale
+    note = "; ".join(filter(None, [d.note, BETWEEN]))
+    return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=d.beyond or beyond, note=note)
+
+
 def _of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:
     """Numbers in units between which there is no conversion."""
     note = f"in {unit} in one, in {other} in the other"
@@ -226,16 +250,19 @@ def _of_units(unit: str, other: str, d: Difference) -> str:
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
-def _of_text(a: Ran, b: Ran, name: str, rows: slice, aligned: bool) -> Difference:
+def _of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None) -> Difference:
     """Text: 1 where a row differs, 0 where none does; at other times that of b holds until its next row."""
+    aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
     time = a.results.time[rows]
     places = range(time.size) if aligned else np.searchsorted(b.results.time, time + SAME_TIME, side="right") - 1
     pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
-    differs = next((k for k, (x, y) in enumerate(pairs) if x != y), None)
+    differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
+    if differs is None and between is not None:
+        differs = between.other_text(first, second)
     if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
-    return Difference(name, "", 1.0, float(time[differs]), 1.0, 1.0, 1.0, True, "text differs")
+    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, True, "text differs")
 
 
 def _shorter(a: Ran, b: Ran) -> str:
@@ -271,9 +298,9 @@ def sentence(c: Compared) -> str:
     all_ = f"All {counted(count, 'signal')}{' that both have' if c.only_a else ''}"
     most = max(c.differences, key=lambda d: d.share)
     if not any(d.largest for d in c.differences):
-        told = f"{all_} are equal in every row." if count > 1 else "The signal is equal in every row."
-        if c.only_a and count == 1:
-            told = "The signal that both have is equal in every row."
+        where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
+        one = "The signal that both have" if c.only_a else "The signal"
+        told = f"{all_} are equal {where}." if count > 1 else f"{one} is equal {where}."
     elif c.judged and not c.beyond:
         told = (
             f"{all_} are within the tolerance; {_most(most)}." if count > 1 else f"Within the tolerance: {_most(most)}."
