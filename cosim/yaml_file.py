@@ -106,7 +106,7 @@ class YamlFile:
             return None, faults
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
-        errors = error.errors(include_url=False)
+        errors = _of_the_branch_meant(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
             faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
@@ -203,6 +203,16 @@ _WORDS = {
 }
 
 _LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
+
+
+def _of_the_branch_meant(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Faults without those of branches of a union that was not meant: where one looks inside a value, its form fits."""
+    places = [location_in(data, e["loc"], e["type"]) for e in errors]
+    looked_into = {place[:k] for place in places for k in range(len(place))}
+    return [e for e, p in zip(errors, places, strict=True) if e["type"] not in _FORMS or p not in looked_into]
+
+
+_FORMS = {"dict_type", "model_type", "model_attributes_type", "list_type", "tuple_type", "string_type", "float_type"}
 
 
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
