@@ -129,6 +129,13 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         (b"[" * 3000, ":1:1", "nested too deep"),
         (b"{scenario: 5, schema_version: 1}", ":1:1", "is missing"),
         (b"connections: 5", ":1:14", "it should be a list"),
+        (b"criteria: {peak: 5}", ":1:18", "it should be a mapping of keys to values or a list"),
+        (
+            b"criteria: {peak: {of: a.b, max: fast}}",
+            ":1:33",
+            "criteria.peak.max is 'fast': it should be a valid number",
+        ),
+        (b"criteria: {peak: [{of: a.b, max: 5 rpm}]}", ":1:34", "criteria.peak.0.max is '5 rpm': it should be a valid"),
         (b"\xff\xfe\x00", "", "is not UTF-8 text"),
     ],
 )
