@@ -173,6 +173,25 @@ def test_an_array_fits_one_of_as_many_elements_alone() -> None:
     assert connected(outputs, [port("c.u")], {"a.u": 3}) == {"c.u": ("b.u", "")}
 
 
+# -- values with units --------------------------------------------------------------------------------
+
+
+def test_a_value_is_converted_from_any_unit_of_its_dimension_and_others_are_offered(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, units=("V", "V"))
+    quick = ["--stop", "0.1", "--step", "0.1", "--no-report", "--in-process", "--out", tmp_path / "o"]
+    told("simulate", fmu, "--set", "r_in=500 mV", *quick)
+    assert read_results(tmp_path / "o" / "results.csv")["typed.r_in"][0] == 0.5
+    refused = told("simulate", fmu, "--set", "r_in=5 rpm", *quick, code=2)
+    assert "it is a number [V], or text with a unit: 3 V, " in refused
+    assert "3 mV" in refused
+
+
+def test_a_unit_for_a_variable_that_declares_none_is_refused_with_the_cure(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
+    refused = told("simulate", fmu, "--set", "r_in=500 mV", "--out", tmp_path / "o", code=2)
+    assert refused.endswith("it is a number alone: the FMU declares no unit of it")
+
+
 # -- init -----------------------------------------------------------------------------------------
 
 
