@@ -106,7 +106,7 @@ class YamlFile:
             return None, faults
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
-        errors = error.errors(include_url=False)
+        errors = _of_the_branch_meant(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
             faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
@@ -125,7 +125,9 @@ class YamlFile:
         if kind == "missing":
             return self.fault(location[:-1], f'"{name}" is missing; add it')
         of_key = "[key]" in error["loc"][len(within) :]
-        detail = _in_words(kind, str(error["msg"]), error.get("ctx") or {})
+        each = [error, *error.get("else", ())]
+        detail = ", or ".join(dict.fromkeys(_in_words(e["type"], str(e["msg"]), e.get("ctx") or {}) for e in each))
+        detail = detail.replace(", or it should be ", " or ")
         return self.fault(location, f"{name or 'it'} is {shown(given)}: {detail}", key=of_key)
 
 
@@ -203,6 +205,29 @@ _WORDS = {
 }
 
 _LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
+
+
+def _of_the_branch_meant(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Faults of a union as of the branch that was meant: where one looks inside a value, its form fits that one.
+
+    Where a value has the form of none the first holds the others as `else`.
+    """
+    found: dict[Location, Any] = {}
+    kept = []
+    places = [location_in(data, e["loc"], e["type"]) for e in errors]
+    looked_into = {place[:k] for place in places for k in range(len(place))}
+    for error, place in zip(errors, places, strict=True):
+        if error["type"] not in _FORMS:
+            kept.append(error)
+        elif place in found:
+            found[place]["else"].append(error)
+        elif place not in looked_into:
+            found[place] = {**error, "else": []}
+            kept.append(found[place])
+    return kept
+
+
+_FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
 
 
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:

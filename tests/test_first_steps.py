@@ -19,8 +19,9 @@ from cosim.errors import CosimError, InputError
 from cosim.kinds import READ_BY
 from cosim.results import read_results
 from cosim.simulation.draft_text import scalar
-from cosim.simulation.matching import Port, matched, text
+from cosim.simulation.matching import Matches, Port, matched, text
 from cosim.simulation.parts import component_name
+from cosim.simulation.scenario_file import ScenarioFile
 from tests.typed import typed_fmu
 
 EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'
@@ -38,9 +39,9 @@ def told(*arguments: str | Path, code: int = 0) -> str:
 
 
 def connected(
-    outputs: Sequence[tuple[str, Signal]], inputs: Sequence[tuple[str, Signal]]
+    outputs: Sequence[Port], inputs: Sequence[Port], sizes: dict[str, int] | None = None
 ) -> dict[str, tuple[str, str]]:
-    found = matched(outputs, inputs).found
+    found = matched(outputs, inputs, sizes or {}).found
     return {text(m.target): (text(m.source), m.guess) for m in found}
 
 
@@ -145,10 +146,50 @@ def test_what_alone_is_left_to_fit_is_a_guess() -> None:
     assert connected([port("a.y")], [port("b.u")]) == {"b.u": ("a.y", "nothing else is left that fits")}
 
 
-def test_several_outputs_of_one_name_are_a_guess_that_names_the_others() -> None:
-    (match,) = matched([port("a.x"), port("b.x")], [port("c.x")]).found
-    assert match.guess
-    assert match.others == ("b.x",)
+def test_outputs_that_fit_alike_are_a_choice_that_is_left_to_the_user() -> None:
+    for outputs, target in (
+        ([port("a.x"), port("b.x")], port("c.x")),  # of one name
+        ([port("pump.flow_left"), port("pump.flow_right"), port("pump.level")], port("tank.flow")),
+    ):
+        made = matched(outputs, [target])
+        assert not made.found
+        assert made.choices == {text(target): tuple(map(text, outputs[:2]))}
+        assert made.left[0][1][:2] == tuple(map(text, outputs[:2]))
+
+
+def test_an_output_that_another_input_takes_is_none_to_choose_from() -> None:
+    outputs = [port("pump.flow_left"), port("pump.flow_right")]
+    found = connected(outputs, [port("tank.flow"), port("tank.flow_left")])
+    assert found == {
+        "tank.flow": ("pump.flow_right", "similar name"),
+        "tank.flow_left": ("pump.flow_left", ""),
+    }
+
+
+def test_an_array_fits_one_of_as_many_elements_alone() -> None:
+    outputs = [port("a.u"), port("b.u"), port("b.w")]
+    assert connected(outputs, [port("c.u")], {"a.u": 3, "c.u": 3}) == {"c.u": ("a.u", "")}
+    assert connected(outputs, [port("c.u")], {"a.u": 3, "c.u": 2}) == {}
+    assert connected(outputs, [port("c.u")], {"a.u": 3}) == {"c.u": ("b.u", "")}
+
+
+# -- values with units --------------------------------------------------------------------------------
+
+
+def test_a_value_is_converted_from_any_unit_of_its_dimension_and_others_are_offered(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path, units=("V", "V"))
+    quick = ["--stop", "0.1", "--step", "0.1", "--no-report", "--in-process", "--out", tmp_path / "o"]
+    told("simulate", fmu, "--set", "r_in=500 mV", *quick)
+    assert read_results(tmp_path / "o" / "results.csv")["typed.r_in"][0] == 0.5
+    refused = told("simulate", fmu, "--set", "r_in=5 rpm", *quick, code=2)
+    assert "it is a number [V], or text with a unit: 3 V, " in refused
+    assert "3 mV" in refused
+
+
+def test_a_unit_for_a_variable_that_declares_none_is_refused_with_the_cure(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
+    refused = told("simulate", fmu, "--set", "r_in=500 mV", "--out", tmp_path / "o", code=2)
+    assert refused.endswith("it is a number alone: the FMU declares no unit of it")
 
 
 # -- init -----------------------------------------------------------------------------------------
@@ -168,6 +209,21 @@ def test_the_scenario_that_init_writes_checks_and_runs_and_converts_units(tmp_pa
     values = run(written, in_process=True, set={"components.si.start.r_in": 2 * math.pi})
     assert values["rpm.r_in"][-1] == pytest.approx(60, rel=1e-12)
     assert values.time[-1] == 2.0
+
+
+def test_what_init_offers_can_be_uncommented_where_nothing_was_connected(tmp_path: Path) -> None:
+    from cosim.simulation.draft_text import scenario_text
+    from cosim.simulation.parts import parts_of, times_of
+
+    parts = parts_of([typed_fmu(tmp_path, name="one"), typed_fmu(tmp_path, name="two")])
+    (target,) = (p for p in parts[1].ports[0] if p[1].name == "r_in")
+    none = Matches((), ((target, ("one.r_out",)),))
+    written = scenario_text(tmp_path, parts, none, times_of(parts), "gauss-seidel")
+    (tmp_path / "as_is.yaml").write_text(written)
+    assert not ScenarioFile(tmp_path / "as_is.yaml").faults
+    (tmp_path / "taken.yaml").write_text(written.replace("  # - {from", "  - {from"))
+    (connection,) = ScenarioFile(tmp_path / "taken.yaml").scenario.connections
+    assert (connection.source, connection.target) == ("one.r_out", "two.r_in")
 
 
 def test_init_never_writes_over_a_file(tmp_path: Path) -> None:

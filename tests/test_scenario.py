@@ -129,6 +129,7 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         (b"[" * 3000, ":1:1", "nested too deep"),
         (b"{scenario: 5, schema_version: 1}", ":1:1", "is missing"),
         (b"connections: 5", ":1:14", "it should be a list"),
+        (b"criteria: {peak: 5}", ":1:18", "it should be a mapping of keys to values or a list"),
         (b"\xff\xfe\x00", "", "is not UTF-8 text"),
     ],
 )
@@ -139,6 +140,23 @@ def test_what_is_not_yaml_is_said_to_be_so(tmp_path: Path, content: bytes, place
         ScenarioFile(path)
     assert f"{path}{place}: " in str(caught.value)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("peak", "fault"),
+    [
+        ("{of: r.x, max: fast}", "5:33: criteria.peak.max is 'fast': it should be a valid number"),
+        ("[{of: r.x, max: 5 rpm}]", "5:34: criteria.peak.0.max is '5 rpm': it should be a valid number"),
+        ("{of: r.x}", '5:18: "criteria.peak.max" is missing; add it'),
+    ],
+)
+def test_of_a_key_that_takes_several_forms_the_one_that_was_meant_is_judged_alone(
+    tmp_path: Path, peak: str, fault: str
+) -> None:
+    path = tmp_path / "case.yaml"
+    content = "name: n\nduration: 1\nstep: 0.1\ncomponents: {r: {block: reference, signals: {x: {}}}}\n"
+    path.write_text(f"{content}criteria: {{peak: {peak}}}\n")
+    assert [str(f) for f in ScenarioFile(path).faults] == [f"{path}:{fault}"]
 
 
 def test_a_file_that_is_no_fmu_exits_3_and_a_fault_of_the_user_wins(project: Path) -> None:

@@ -137,9 +137,10 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
         raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
     parts = parts_of(fmus)
     inputs, outputs = ([p for part in parts for p in part.ports[side]] for side in (0, 1))
-    matches = _without_loops(parts, matched(outputs, inputs))
+    sizes = {name: size for part in parts for name, size in part.sizes.items()}
+    matches = _without_loops(parts, matched(outputs, inputs, sizes))
     if len(parts) > 1 and not matches.found and not any(candidates for _, candidates in matches.left):
-        raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs))])
+        raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs, sizes))])
     times = times_of(parts)
     with draft_of(path) as made:
         algorithm, system = _that_runs(made, path.parent, parts, matches, times)
@@ -164,7 +165,7 @@ def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
     for guess in (m for m in matches.found if m.guess):
         kept += [] if _loops(blocks, [*kept, guess]) else [guess]
     dropped = tuple((m.target, (text(m.source), *m.others)) for m in matches.found if m not in kept)
-    return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped))
+    return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped), matches.choices)
 
 
 def _loops(blocks: Mapping[str, FmuBlock], matches: Sequence[Match]) -> bool:
@@ -188,9 +189,21 @@ def _that_runs(made: Path, folder: Path, parts: Sequence[Part], matches: Matches
     raise AssertionError  # the second one returned or raised
 
 
-def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port]) -> str:
+def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
     names = " and ".join(p.name for p in fmus)
     if not outputs or not inputs:
         return f"{names} cannot be connected: they have no {'outputs' if not outputs else 'inputs'}"
-    some = [", ".join(f"{text(p)} [{p[1].unit or p[1].kind}]" for p in ports[:6]) for ports in (outputs, inputs)]
-    return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by type and unit"
+
+    def about(port: Port) -> str:
+        size = sizes.get(text(port))
+        return f"{text(port)} [{port[1].unit or port[1].kind}{f', {size} elements' if size else ''}]"
+
+    some = [", ".join(map(about, ports[:6])) for ports in (outputs, inputs)]
+    by = "type, unit and number of elements" if sizes else "type and unit"
+    element = next((port for port in (*inputs, *outputs) if text(port) in sizes), None)
+    cure = (
+        f"; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"
+        if element
+        else ""
+    )
+    return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}{cure}"

@@ -34,6 +34,7 @@ def scenario_text(
         BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
         "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
         *_guessed(sum(bool(m.guess) for m in matches.found)),
+        *_to_choose(len(matches.choices)),
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {times.step:.12g} # s: {times.why_step}",
@@ -57,6 +58,11 @@ def scenario_text(
 def _guessed(count: int) -> list[str]:
     what = f"{counted(count, 'connection')} below {'is a guess' if count == 1 else 'are guesses'}"
     return [f"# {what}, marked so: look there first."] if count else []
+
+
+def _to_choose(count: int) -> list[str]:
+    what = f"{counted(count, 'input')} {'is' if count == 1 else 'are'} left open, which several outputs fit alike"
+    return [f"# {what}: uncomment the one that is meant."] if count else []
 
 
 def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
@@ -83,15 +89,15 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
 
 
 def _connections(matches: Matches) -> list[str]:
-    lines = ["connections:" if matches.found else "connections: []"]
+    listed = matches.found or any(candidates for _, candidates in matches.left)
+    lines = ["connections:" if listed else "connections: []"]
     for m in matches.found:
         lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
     for port, candidates in matches.left:
         start = f", {unit}" if (unit := port[1].unit) else ""
-        lines.append(
-            f"  # {_comment(text(port))}{start}: not connected, stays at its start value"
-            + ("; fits:" if candidates else "")
-        )
+        alike = len(matches.choices.get(text(port), ()))
+        what = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
+        lines.append(f"  # {_comment(text(port))}{start}: not connected, stays at its start value{what}")
         lines += [f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates]
     return lines
 

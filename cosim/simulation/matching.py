@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import SequenceMatcher
+from types import MappingProxyType
 
 from cosim.blocks.interface import Signal
 from cosim.blocks.kinds import goes
@@ -17,6 +18,7 @@ SAME_UNIT, ONE_UNIT, USED = 0.3, -0.15, -0.4  # of both; of one of them only; of
 REFERENCES = {"ref", "reference", "set", "setpoint", "sp", "target", "desired", "des"}  # which no measurement is
 PREFIX, OTHER = 0.8, 0.5  # of two words: one begins with the other; they share letters
 MOST = 5  # candidates that are named for an input
+CLOSE = 0.1  # of scores: so near to each other they do not tell which is meant
 
 Port = tuple[str, Signal]  # component, signal
 
@@ -38,10 +40,14 @@ class Match:
 
 @dataclass(frozen=True)
 class Matches:
-    """Connections by input, in the order of the inputs, and the inputs left, each with outputs that would fit."""
+    """Connections by input, in the order of the inputs, and the inputs left, each with outputs that would fit.
+
+    choices: of the inputs left, those for which several outputs are as likely, with these
+    """
 
     found: tuple[Match, ...]
     left: tuple[tuple[Port, tuple[str, ...]], ...]
+    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def text(port: Port) -> str:
@@ -49,33 +55,50 @@ def text(port: Port) -> str:
     return f"{port[0]}.{port[1].array or port[1].name}"
 
 
-def matched(outputs: Sequence[Port], inputs: Sequence[Port]) -> Matches:
-    """Connect outputs to inputs of other components: those of the same name, then by likeness, each once."""
-    fits = {text(i): [o for o in outputs if o[0] != i[0] and fit(o[1], i[1])] for i in inputs}
+def matched(
+    outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int] = MappingProxyType({})
+) -> Matches:
+    """Connect outputs to inputs of other components: those of the same name, then by likeness, each once.
+
+    Where several are as likely none is taken: that is a choice.
+
+    sizes: of arrays, `component.variable` → number of elements
+    """
+    fits = {text(i): [o for o in outputs if o[0] != i[0] and fit(o, i, sizes)] for i in inputs}
     found: dict[str, Match] = {}
+    choices: dict[str, Sequence[Port]] = {}
     for target in inputs:
         same = [o for o in fits[text(target)] if o[1].name == target[1].name]
-        if same:
-            others = tuple(text(o) for o in same[1:])
-            found[text(target)] = Match(same[0], target, "several have this name" if others else "", others)
+        if len(same) == 1:
+            found[text(target)] = Match(same[0], target)
+        elif same:
+            choices[text(target)] = same
     used = {text(m.source) for m in found.values()}
-    open_ = [i for i in inputs if text(i) not in found]
+    open_ = [i for i in inputs if text(i) not in found and text(i) not in choices]
     while best := _best(open_, fits, used):
-        _, target, source, others = best
-        why = "similar name" + (", same unit" if _units_agree(source[1], target[1]) else "")
-        found[text(target)] = Match(source, target, why, others)
-        used.add(text(source))
+        target, (likely, *others) = best
+        why = "similar name" + (", same unit" if _units_agree(likely[1], target[1]) else "")
+        found[text(target)] = Match(likely, target, why, tuple(map(text, others[: MOST - 1])))
+        used.add(text(likely))
         open_ = [i for i in open_ if text(i) != text(target)]
-    for match in _only_ones(open_, fits, used):
+    for target in open_:
+        if likely_ones := _likely(target, fits[text(target)], used):
+            choices[text(target)] = [s for score, s in likely_ones if likely_ones[0][0] - score < CLOSE]
+    for match in _only_ones([i for i in open_ if text(i) not in choices], fits, used):
         found[text(match.target)] = match
     ordered = tuple(found[text(i)] for i in inputs if text(i) in found)
-    left = tuple((i, tuple(text(o) for o in fits[text(i)][:MOST])) for i in inputs if text(i) not in found)
-    return Matches(ordered, left)
+    left = []
+    for target in (i for i in inputs if text(i) not in found):
+        first = [*choices.get(text(target), ()), *fits[text(target)]]
+        left.append((target, tuple(dict.fromkeys(map(text, first)))[:MOST]))
+    return Matches(ordered, tuple(left), {name: tuple(map(text, sources)) for name, sources in choices.items()})
 
 
-def fit(source: Signal, target: Signal) -> bool:
-    """Types go, dimensions agree, and an array stays one."""
-    return goes(source.kind, target.kind) and source.conversion(target) is not None
+def fit(source: Port, target: Port, sizes: Mapping[str, int] = MappingProxyType({})) -> bool:
+    """Types go, dimensions agree, and an array has as many elements."""
+    a, b = source[1], target[1]
+    same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)
+    return same_size and goes(a.kind, b.kind) and a.conversion(b) is not None
 
 
 def alike(a: str, b: str) -> float:
@@ -112,26 +135,30 @@ def _units_agree(a: Signal, b: Signal) -> bool:
     return bool(a.unit and b.unit) and {a.unit, b.unit} != {"1"}
 
 
+def _likely(target: Port, fitting: Sequence[Port], used: Collection[str]) -> list[tuple[float, Port]]:
+    """Outputs that are likely enough for an input, with their scores, the likeliest first."""
+    scored = []
+    for source in fitting:
+        score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
+        scored.append((score + USED * (text(source) in used), score, source))
+    scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
+    if not scored or scored[0][1] < ENOUGH or scored[0][0] < ENOUGH / 2:
+        return []
+    return [(net, source) for net, score, source in scored if score >= ENOUGH]
+
+
 def _best(
     inputs: Sequence[Port], fits: Mapping[str, Sequence[Port]], used: Collection[str]
-) -> tuple[float, Port, Port, tuple[str, ...]] | None:
-    """The likeliest pair with its score, and what else would do for its input; None where none is likely enough."""
-    best: tuple[float, Port, Port, tuple[str, ...]] | None = None
+) -> tuple[Port, list[Port]] | None:
+    """The input of the likeliest pair, and what is likely for it; None where no pair stands out."""
+    best: tuple[float, Port, list[Port]] | None = None
     for target in inputs:
-        scored = []
-        for source in fits[text(target)]:
-            score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
-            scored.append((score + USED * (text(source) in used), score, source))
-        scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
-        if (
-            scored
-            and scored[0][1] >= ENOUGH
-            and scored[0][0] >= ENOUGH / 2
-            and (best is None or scored[0][0] > best[0])
-        ):
-            others = tuple(text(s) for _, score, s in scored[1:MOST] if score >= ENOUGH)
-            best = scored[0][0], target, scored[0][2], others
-    return best
+        likely = _likely(target, fits[text(target)], used)
+        if not likely or (likely[1:] and likely[0][0] - likely[1][0] < CLOSE):
+            continue
+        if best is None or likely[0][0] > best[0]:
+            best = likely[0][0], target, [source for _, source in likely]
+    return None if best is None else best[1:]
 
 
 def _only_ones(inputs: Sequence[Port], fits: Mapping[str, Sequence[Port]], used: Collection[str]) -> list[Match]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +46,13 @@ class Part:
         order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
         inputs, outputs = (sorted(_whole(side), key=lambda s: order.get(s.array or s.name, 0)) for side in both)
         return [(self.name, s) for s in inputs], [(self.name, s) for s in outputs]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Its arrays, `component.variable` → number of elements."""
+        block = self.block
+        every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
+        return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
 
 
 def _whole(signals: Sequence[Signal]) -> list[Signal]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -229,6 +230,11 @@ class Criterion(Part):
     max: Number
 
 
+Connections = Annotated[  # all of them commented out leave a key without a value
+    list[Connection],
+    BeforeValidator(lambda given: [] if given is None else given),
+    Field(json_schema_extra={"type": ["array", "null"]}),
+]
 Criteria = dict[
     Literal["settling_time", "overshoot", "rms_error", "final_error", "peak", "effort"], Criterion | list[Criterion]
 ]
@@ -281,7 +287,7 @@ class Scenario(Part):
     record: list[str] = Field(default_factory=list)
     design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
-    connections: list[Connection] = Field(default_factory=list)
+    connections: Connections = Field(default_factory=list)
     events: list[Event] = Field(default_factory=list)
     faults: list[Disturbance] = Field(default_factory=list)
     criteria: Criteria = Field(default_factory=dict)

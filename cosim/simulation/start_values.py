@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.description import unit_of
+from cosim.blocks.description import unit_definition, unit_of
+from cosim.blocks.interface import Signal
 from cosim.blocks.kinds import Kind, element_names, kinds_of
 from cosim.yaml_file import did_you_mean
+from fmus.units import alternatives, parse
 
 # a number and its unit, which may begin with a digit (1/min) where a blank comes before it
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*(?=[^\s\d.])|\s+)(\S+)\s*")
@@ -138,7 +140,17 @@ def _converted(description: Any, variable: Any, text: str) -> float | Misfit:
     displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
     known = {unit: (1.0, 0.0), **{d.name: (float(d.factor), float(d.offset)) for d in displays}}
     match = QUANTITY.fullmatch(text)
-    if match is None or match[2] not in known:
-        return Misfit(f"it is a number [{unit or '1'}], or text with a unit: {', '.join(f'3 {u}' for u in known if u)}")
-    factor, offset = known[match[2]]
-    return (float(match[1]) - offset) / factor
+    if not unit:
+        return Misfit("it is a number alone: the FMU declares no unit of it")
+    if match is not None and match[2] in known:
+        factor, offset = known[match[2]]
+        return (float(match[1]) - offset) / factor
+    if match is not None and (found := _meant(description, match[2]).conversion(_meant(description, unit))):
+        return found[0] * float(match[1]) + found[1]
+    offered = dict.fromkeys((*known, *(alternatives(unit) if parse(unit) else ())))
+    return Misfit(f"it is a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}")
+
+
+def _meant(description: Any, unit: str) -> Signal:
+    """A value in a unit as the FMU defines it, else as people write it."""
+    return Signal("", unit, unit_definition(description, unit))

@@ -132,20 +132,28 @@ def init(
             {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
         ]
         left = [text(port) for port, _ in draft.matches.left]
-        say_json(
-            {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left}
-        )
+        say_json({
+            "scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left,
+            "choices": dict(draft.matches.choices),
+        })  # fmt: skip
         return
     for m in found:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
         for other in m.others:
             say(f"      or {other}")
+    for name, sources in draft.matches.choices.items():
+        say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
     for warning in draft.warnings:
         warn(warning)
     guesses = sum(bool(m.guess) for m in found)
     say(
         f"wrote {out}: {counted(len(fmus), 'FMU')}, {counted(len(found), 'connection')}"
         + (f", {guesses} guessed (marked in the file)" if guesses else "")
+        + (
+            f", {counted(len(draft.matches.choices), 'input')} to choose for (in the file)"
+            if draft.matches.choices
+            else ""
+        )
     )
     say(f"next: cosim run {as_typed(out)}")
 

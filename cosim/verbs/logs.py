@@ -46,6 +46,7 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    from cosim.residuals.record import as_json as numbers
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
@@ -62,7 +63,8 @@ def replay(
     say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
-        say_json({"sentence": verdict(comparison), "findings": findings, **_left(place, "results.csv", "residual.csv")})
+        content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
+        say_json({**content, **_left(place, "results.csv", "residual.csv")})
     if report and open_:
         show(place / "report.html")
 

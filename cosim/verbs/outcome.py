@@ -55,9 +55,12 @@ def _content(outcome: Outcome) -> dict[str, Any]:
     """What a script asks of a run."""
     folder, results = outcome.folder, outcome.results
     page = folder / "report.html"
+    criteria, missed = outcome.manifest["criteria"], bool(outcome.missed)
     return {
-        "status": outcome.manifest["status"],
-        "criteria": outcome.manifest["criteria"],
+        "status": "missed" if missed else outcome.manifest["status"],
+        "exit_code": CriterionMissed.exit_code if missed else 0,
+        "met": not missed if criteria else None,  # nothing was asked for
+        "criteria": criteria,
         "warnings": outcome.manifest["warnings"],
         "rows": len(results.time),
         "end": float(results.time[-1]) if len(results.time) else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -15,7 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cosim.errors import CosimError
+from cosim.errors import CosimError, SimulationError
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
@@ -64,12 +65,23 @@ def say_failure(error: CosimError) -> None:
     """What is wrong as JSON too, where a script asked for it and has got none."""
     if MANNER.as_json and not MANNER.told:
         faults = getattr(error, "faults", ())
+        about = _stopped(error) if isinstance(error, SimulationError) else {}
         say_json({
             "error": str(error), "exit_code": error.exit_code,
             "faults": [
                 {"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults
             ],
+            **about,
         })  # fmt: skip
+
+
+def _stopped(error: SimulationError) -> dict[str, Any]:
+    """Where a run stopped, and the files that it left, null where there are none."""
+    names = {"results": "results.csv", "manifest": "manifest.json", "report": "report.html"}
+    paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
+    left = {key: str(path) if path is not None and path.is_file() else None for key, path in paths.items()}
+    time = error.time if math.isfinite(error.time) else None
+    return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **left}
 
 
 def warn(text: str) -> None:
