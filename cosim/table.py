@@ -7,8 +7,8 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +18,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import atomic_write
 from cosim.yaml_file import did_you_mean
+from fmus.units import alternatives, factor
 
 MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
 MOST_FAULTS = 100_000  # after which nothing more is read
@@ -133,19 +134,22 @@ class Faults:
 
 
 def read_columns(path: Path, names: Container[str] = ()) -> Table:
-    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault.
+    """Time, in seconds, and every column of a CSV that has a finite number in every cell; InputError with every fault.
 
     names: that are known, so that brackets in them are no unit
     """
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
-        if heading.name == "time" and heading.unit not in {"", "s"}:
-            faults.note(heading.line, heading.cell, f'"time [{heading.unit}]": time is in seconds')
+        if heading.name == "time":
+            scale, wrong = seconds(heading.unit)
+            if wrong:
+                faults.note(heading.line, heading.cell, wrong)
+            return Column(heading, scale, "the time")
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
-        what = "the time" if heading.name == "time" else "a column played back"
-        return Column(heading, known=what) if heading.name else None
+            return None
+        return Column(heading, known="a column played back")
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
@@ -155,7 +159,14 @@ def read_columns(path: Path, names: Container[str] = ()) -> Table:
 
 
 def read_table(
-    faults: Faults, choose: Choose, holds: str, shorter: str, *, timed: bool = True, names: Container[str] = ()
+    faults: Faults,
+    choose: Choose,
+    holds: str,
+    shorter: str,
+    *,
+    timed: bool = True,
+    names: Container[str] = (),
+    times: Collection[str] = (),
 ) -> Table:
     """Read a CSV as far as it goes and note its faults; `timed`: its first column is `time`, which increases.
 
@@ -163,8 +174,9 @@ def read_table(
     holds:   what its columns are beside the time, for a file that is empty
     shorter: what to do about one that is too large
     names:   that are known, so that brackets in them are no unit
+    times:   what the first column may be called beside `time`
     """
-    path, reader = faults.path, _Reader(faults, choose, timed, names)
+    path, reader = faults.path, _Reader(faults, choose, timed, names, times)
     try:
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
@@ -203,8 +215,10 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 class _Reader:
     """Fills a table while the header and then the cells are read."""
 
-    def __init__(self, faults: Faults, choose: Choose, timed: bool, names: Container[str]) -> None:
-        self.faults, self.choose, self.timed, self.names = faults, choose, timed, names
+    def __init__(
+        self, faults: Faults, choose: Choose, timed: bool, names: Container[str], times: Collection[str]
+    ) -> None:
+        self.faults, self.choose, self.timed, self.names, self.times = faults, choose, timed, names, times
         self.table = Table()
         self.width = 0  # of the header
         self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
@@ -243,15 +257,17 @@ class _Reader:
             self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
             return
         for cell, text in enumerate(header, 1):
-            self._heading(Heading(self.table.header, cell, *parted(text, self.names)))
+            heading = Heading(self.table.header, cell, *parted(text, self.names))
+            if self.timed and cell == 1 and (is_time(heading.name) or heading.name in self.times):
+                heading = replace(heading, name="time")
+            self._heading(heading)
         columns, values = self.table.columns, self.table.values
         self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1 or not self.timed]
 
     def _heading(self, heading: Heading) -> None:
         line, cell, name = heading.line, heading.cell, heading.name
         if self.timed and cell == 1 and name != "time":
-            message = f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
-            self.faults.note(line, 1, message)
+            self.faults.note(line, 1, not_time(name))
         elif name in self.table.columns:
             first = self.table.columns[name].cell
             self.faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
@@ -300,6 +316,24 @@ class _Reader:
             message = f"{column.name} has no value here; {known}"
             self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
         return value * column.factor
+
+
+def is_time(name: str) -> bool:
+    """The name of a first column that is the time, whatever its capitals."""
+    return name.casefold() == "time"
+
+
+def not_time(name: str) -> str:
+    """What is wrong where the first column has another name."""
+    return f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
+
+
+def seconds(unit: str) -> tuple[float, str]:
+    """What times in a unit are multiplied by to be in seconds, and what is wrong where they cannot be."""
+    scale = factor(unit, "s")
+    if scale is None:
+        return 1.0, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}'
+    return scale, ""
 
 
 def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
