@@ -147,7 +147,7 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
         raise InputError([Fault(path, 2, 1, "a time is no number")])
     time = numbers.pop("time") * scale
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    found = {**{n: u for n, u in named[1:] if u}, **(units or {})}
+    found = {n: u for n, u in named[1:] if u} | {n: u for n, u in (units or {}).items() if n in numbers or n in exact}
     return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))
 
 

@@ -47,11 +47,13 @@ class Column:
 
     factor: what its numbers are multiplied by
     known:  what it is, "the time" or "an input", where it has a value at every row; else "", an empty cell is NaN
+    spare:  nobody needs it: a cell without a finite number is no fault, the column is left out
     """
 
     heading: Heading
     factor: float = 1.0
     known: str = ""
+    spare: bool = False
 
     @property
     def cell(self) -> int:
@@ -77,6 +79,8 @@ class Table:
     values:  name → its numbers, one a row
     lines:   of the file, one a row
     header:  line that names the columns
+    first:   what the first column is called
+    spoiled: spare columns with a cell that is no finite number
     whole:   it was read to its end
     """
 
@@ -84,6 +88,8 @@ class Table:
     values: dict[str, array[float]] = field(default_factory=dict)
     lines: array[int] = field(default_factory=lambda: array("q"))
     header: int = 1
+    first: str = ""
+    spoiled: set[str] = field(default_factory=set)
     whole: bool = False
 
     @property
@@ -133,10 +139,11 @@ class Faults:
 # -- reading ------------------------------------------------------------------------------------
 
 
-def read_columns(path: Path, names: Container[str] = ()) -> Table:
+def read_columns(path: Path, names: Collection[str] = ()) -> Table:
     """Time, in seconds, and every column of a CSV that has a finite number in every cell; InputError with every fault.
 
-    names: that are known, so that brackets in them are no unit
+    names: that are needed, so that brackets in them are no unit; where there are any, others may hold what is no number
+           and are left out then
     """
     faults = Faults(path)
 
@@ -149,12 +156,15 @@ def read_columns(path: Path, names: Container[str] = ()) -> Table:
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
             return None
-        return Column(heading, known="a column played back")
+        spare = bool(names) and heading.name not in names
+        return Column(heading, known="" if spare else "a column played back", spare=spare)
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
         faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()
+    for name in table.spoiled:
+        del table.columns[name], table.values[name]
     return table
 
 
@@ -256,6 +266,7 @@ class _Reader:
             cure = "separate them with commas, decimals with a point"
             self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
             return
+        self.table.first = parted(header[0], self.names)[0]
         for cell, text in enumerate(header, 1):
             heading = Heading(self.table.header, cell, *parted(text, self.names))
             if self.timed and cell == 1 and (is_time(heading.name) or heading.name in self.times):
@@ -300,8 +311,19 @@ class _Reader:
         before.append(time)
         return True
 
+    def _spare(self, column: Column, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            self.table.spoiled.add(column.name)
+        return value * column.factor
+
     def _value(self, line: int, column: Column, text: str) -> float:
         """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
+        if column.spare:
+            return self._spare(column, text)
         try:
             value = float(text) if text and not text.isspace() else math.nan
         except ValueError:

@@ -17,8 +17,9 @@ from typing import Protocol
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.errors import Fault, InputError
 from cosim.table import Column, Faults, Heading, read_table
-from cosim.yaml_file import closest, did_you_mean
+from cosim.yaml_file import closest, did_you_mean, short
 from fmus.units import alternatives, factor, taken
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
@@ -34,7 +35,7 @@ HINTS, SHOWN = 50, 40  # columns, of which it is said what may have been meant, 
 MISSING = 1.5  # steps from row to row, from which one is missing in between
 OTHER_MODEL = (
     "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
-    "where columns have other names, --column COLUMN=VARIABLE says which is which"
+    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
 )
 
 
@@ -227,8 +228,11 @@ class _Reader:
         """Every input of the model, and one output at least."""
         line, columns = self.table.header, self.table.columns
         for name, meant in self.called.items():
-            if meant == "time":
-                continue  # the first column, by another name
+            if meant == "time" and self.timed:
+                if name != self.table.first:
+                    message = f'"{name}" is to be the time, which is the first column, "{self.table.first}"'
+                    self.faults.note(line, 1, message)
+                continue
             if meant not in self.known:
                 message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
                 self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
@@ -286,6 +290,15 @@ class _Reader:
         for row in _absurd(values):
             message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
             self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)
+
+
+def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
+    """Column of the log → name in the model, of texts such as `measured_speed=motor.w`, `stamp=time`; InputError."""
+    parts = [(text, *text.partition("=")) for text in texts]
+    if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
+        cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
+        raise InputError([Fault(log, 0, 0, f'--column "{short(t)}" {cure}') for t in wrong])
+    return {name.strip(): meant.strip() for _, name, _, meant in parts}
 
 
 def named(names: Collection[str]) -> str:
