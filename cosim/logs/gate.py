@@ -57,9 +57,10 @@ def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     """The findings that make a log unusable, as faults of its file."""
-    places = {name: cell for cell, name in enumerate(log.written, 1)}
     return [
-        Fault(log.path, log.header, places.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence)
+        Fault(
+            log.path, log.header, log.cells.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence
+        )
         for f in findings
         if f.severity == "fault"
     ]

@@ -82,6 +82,7 @@ class Log:
     unread: Mapping[str, str] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     undeclared: Mapping[str, str] = field(default_factory=dict)
+    cells: Mapping[str, int] = field(default_factory=dict)  # of the header, by signal, from 1
     table: bool = False  # rows stand each for itself, in no order; `time` is their number
 
     @property
@@ -183,6 +184,7 @@ class _Reader:
             self._unread(),
             dict(self.called),
             self.undeclared,
+            {name: column.cell for name, column in self.table.columns.items()},
             not self.timed,
         )
 
