@@ -61,8 +61,8 @@ def test_a_column_with_a_unit_is_converted_to_si_where_the_model_declares_none(t
     inflow, level = of_units(log)
     assert inflow.severity == level.severity == "warning"
     assert inflow.whole == (
-        "inflow has no unit in the model: it is taken as m3/s, so l/min are converted; leave the unit out of the header "
-        "if it is in l/min itself"
+        "inflow has no unit in the model: it is taken as m3/s, so l/min are converted; "
+        "leave the unit out of the header if it is in l/min itself"
     )
     assert level.whole.startswith("level has no unit in the model: it is taken as m, so mm are converted")
 
@@ -279,8 +279,9 @@ def test_a_log_with_names_of_its_own_can_be_checked(tmp_path: Path) -> None:
     assert any("1 column not read, for the model has none of this name: mode" in line for line in lines)
     with pytest.raises(InputError, match='"odometer" is to be y, which the model does not have'):
         cosim.check(tmp_path / "a.csv", model, columns={**columns, "odometer": "y"})
+    (tmp_path / "b.csv").write_text(f"time,pull,mode,odometer\n{rows}")
     with pytest.raises(InputError, match="--column COLUMN=VARIABLE, or `columns` of a study"):
-        cosim.check(tmp_path / "a.csv", model, columns={"stamp": "time"})
+        cosim.check(tmp_path / "b.csv", model)
 
 
 def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read(tmp_path: Path) -> None:
