@@ -97,6 +97,7 @@ def replay(
     start: Mapping[str, Any] | None = None,
     columns: Mapping[str, str] | None = None,
     report: bool = True,
+    force: bool = False,
     in_process: bool = False,
     limits: str = "",
     progress: Callable[[int, int], None] | None = None,
@@ -105,19 +106,19 @@ def replay(
 
     out:     folder for results.csv, residual.csv and report.html; nothing is left without
     start:   start values and parameters of the FMU
-    columns: of the log under other names, column → variable
+    columns: of the log under other names, column → variable, or `time`
+    force:   also over what another command left in `out`
     Raises InputError, FmuError, SimulationError.
     """
-    from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     with _folder(out) as folder:
-        comparison = replay_log(
+        replay_log(
             log, folder, fmu, start=[f"{n}={_as_yaml(v)}" for n, v in (start or {}).items()],
             columns=[f"{c}={v}" for c, v in (columns or {}).items()], report=report and out is not None,
-            in_process=in_process, limits=limits, progress=progress,
+            force=force, in_process=in_process, limits=limits, progress=progress,
         )  # fmt: skip
-        return _replay(Path(folder), None if out is None else Path(out), verdict(comparison))
+        return _replay(Path(folder), None if out is None else Path(out))
 
 
 def refine(
@@ -125,23 +126,36 @@ def refine(
     out: FilePath,
     *,
     report: bool = True,
+    force: bool = False,
     in_process: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Refined:
     """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
 
+    force: also over what another study or command left there
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.refinement.workflow import refine as refine_study
 
-    return Refined(refine_study(study, out, progress, report=report, in_process=in_process).record, Path(out))
+    return Refined(
+        refine_study(study, out, progress, report=report, force=force, in_process=in_process).record, Path(out)
+    )
 
 
-def check(files: FilePath | Sequence[FilePath], model: str = "base", *, load: bool = True) -> list[str]:
-    """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them."""
+def check(
+    files: FilePath | Sequence[FilePath],
+    model: str = "base",
+    *,
+    load: bool = True,
+    columns: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
+
+    columns: of logs under other names than the model's, column → variable, or `time`
+    """
     from cosim.checks import check_files
 
-    return check_files(files, model, load=load)
+    return check_files(files, model, load=load, columns=columns or {})
 
 
 def compare(
@@ -151,16 +165,20 @@ def compare(
     *,
     tolerance: float | None = None,
     absolute: float = 0.0,
+    force: bool = False,
 ) -> Compared:
     """Hold run b against run a, each a folder, a CSV or what a verb returned.
 
     out:       folder for comparison.json and report.html; nothing is left without
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    force:     also over what another command left in `out`
     Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
     """
     from cosim.comparison.page import compare as compare_runs
 
-    made, _ = compare_runs(_ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None)
+    made, _ = compare_runs(
+        _ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
+    )
     return made
 
 
@@ -184,7 +202,7 @@ def read(folder: FilePath) -> Run | Replay | Refined | Signals:
     if (path / "refine.json").is_file():
         return Refined(json.loads((path / "refine.json").read_text(encoding="utf-8")), path)
     if (path / "residual.csv").is_file():
-        return _replay(path, path, "")
+        return _replay(path, path)
     ran = read_ran(path)
     if not path.is_dir():
         return Signals(ran.name, ran.results)
@@ -197,11 +215,15 @@ def _run(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> 
     return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
 
 
-def _replay(folder: Path, left: Path | None, sentence: str) -> Replay:
+def _replay(folder: Path, left: Path | None) -> Replay:
+    from cosim.folders import left_by_replay
     from cosim.results import read_results
 
-    residual = Signals("residual", read_results(folder / "residual.csv"), left)
-    return Replay("replay", read_results(folder / "results.csv"), left, residual, sentence)
+    told = left_by_replay(folder)
+    units = told.get("units")
+    known = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
+    rows, missed = (read_results(folder / name, known) for name in ("results.csv", "residual.csv"))
+    return Replay("replay", rows, left, Signals("residual", missed, left), str(told.get("sentence", "")))
 
 
 @contextmanager

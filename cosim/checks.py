@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 from cosim import kinds
@@ -39,10 +40,17 @@ LONGEST = 60.0  # [s] that a call may take while an FMU is tried
 STEP, STEPS = 0.01, 500  # [s] of an FMU that says nothing, steps in the experiment of one that says no step
 
 
-def check_files(files: FilePath | Iterable[FilePath], model: str = BASE, *, load: bool = True) -> list[str]:
+def check_files(
+    files: FilePath | Iterable[FilePath],
+    model: str = BASE,
+    *,
+    load: bool = True,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> list[str]:
     """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
 
-    load: FMUs and scenarios are loaded and stepped once, in a worker process
+    load:    FMUs and scenarios are loaded and stepped once, in a worker process
+    columns: name in the logs → name in their model, or `time`, where they differ
     What is to be known and no fault, a line each; InputError with all faults of all files.
     """
     faults: list[Fault] = []
@@ -50,7 +58,7 @@ def check_files(files: FilePath | Iterable[FilePath], model: str = BASE, *, load
     with Worker(*MODULES) if load else nullcontext() as worker:
         for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
             try:
-                said += [f"{path}: {line}" for line in _check(path, model, worker)]
+                said += [f"{path}: {line}" for line in _check(path, model, worker, columns)]
             except InputError as error:
                 faults += error.faults
     if faults:
@@ -58,7 +66,7 @@ def check_files(files: FilePath | Iterable[FilePath], model: str = BASE, *, load
     return said
 
 
-def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
+def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
     if not path.suffix.startswith(".py:"):
         refuse_unreadable(path, WANTED)
@@ -70,7 +78,7 @@ def _check(path: Path, model: str, worker: Worker | None) -> list[str]:
         case kinds.SSP:
             return check_ssp(path, worker)
         case kinds.LOG:
-            return log_findings(path, load_model(model, Path()).model)
+            return log_findings(path, load_model(model, Path()).model, columns)
         case kinds.CODE:
             only_model(path)
             return []
@@ -108,9 +116,9 @@ def _refuse_unchecked(path: Path, kind: str) -> NoReturn:
     raise InputError([Fault(path, 0, 0, f"is {kind}, in which there is nothing to check: {cure}")])
 
 
-def log_findings(path: Path, model: Model) -> list[str]:
+def log_findings(path: Path, model: Model, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """What the gate says of a log, a line each; InputError with its faults."""
-    log = read_log(path, model.inputs, model.outputs, table=model.static)
+    log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
     findings = gate(log, model.rate, traits=Traits.of(model))
     refuse_faults(log, findings)
     return [f.line for f in findings]

@@ -170,13 +170,18 @@ def check(
     load: Annotated[
         bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
     ] = True,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Say what is wrong with files, all faults at once."""
     from cosim.checks import check_files
+    from cosim.logs.log import renamed
 
     try:
-        lines = check_files(files, model, load=load)
+        lines = check_files(files, model, load=load, columns=renamed(column or (), files[0]))
     except Signalled as ended:
         raise FmuError(ended.reason) from None
     except Terminated as ended:

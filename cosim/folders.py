@@ -12,10 +12,12 @@ from cosim.errors import Fault, InputError
 RESULTS = Path("results")
 MARKS = {  # a file that only one command leaves
     "manifest.json": "cosim run", "refine.json": "cosim refine", "residual.csv": "cosim replay",
+    "replay.json": "cosim replay",
     "comparison.json": "cosim compare", "excitation.csv": "cosim excite", "sweep.json": "cosim sweep",
     "linear.json": "cosim linearize", "identify.json": "cosim identify",
     "consistency.json": "cosim consistency",
 }  # fmt: skip
+REPLAY = "replay.json"  # beside the rows of a replay
 SOURCES = {"cosim refine": ("refine.json", "study"), "cosim linearize": ("linear.json", "model")}  # of what it is
 CURE = "give another folder as --out, or write over it by --force"
 
@@ -56,6 +58,11 @@ def _content(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def left_by_replay(folder: Path) -> dict[str, Any]:
+    """What a replay says of its rows, `units` and `sentence`, empty where there is none that can be read."""
+    return _content(folder / REPLAY)
 
 
 def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:

@@ -24,7 +24,7 @@ NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT,
     "a notebook", "a file of matrices", "a workbook", "an archive that holds no FMU", "a compiled library",
     "a database", "a JSON schema", "a pointer of Git LFS", "a text", "a PDF", "XML",
 )  # fmt: skip
-BINARY = "a binary file"
+BINARY, REPLAYED = "a binary file", "an answer of `cosim replay`"
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
     RESULTS: "`cosim compare {file} OTHER` holds it against another, `cosim replay {file}` drives an FMU with it",
@@ -43,6 +43,7 @@ READ_BY = {
     SWEPT: "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
     TABLE: "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
     COMPARED: "scripts read it; `cosim compare A B` makes one",
+    REPLAYED: "scripts read it; `cosim replay LOG.csv` makes one",
     IDENTIFIED: "scripts read it; `cosim build --model` and studies take the model file beside it",
     PAGE: "a browser opens it; `cosim report FOLDER` makes that of a run again",
     PICTURE: "a browser opens it; `cosim graph SCENARIO` draws one",
@@ -163,6 +164,7 @@ def kind_by_keys(root: Any) -> str | None:
         (keys >= {"schema_version", "estimates"}, IDENTIFIED),
         (keys >= {"schema_version", "states", "models"}, LINEAR),
         (keys >= {"scenario", "schema_version"}, MANIFEST),
+        (keys >= {"schema_version", "units"}, REPLAYED),
         (keys >= {"cells", "tests"} or (bool(keys & {"rest", "distance"}) and "logs" not in keys), PROTOCOL),
         (bool(keys & {"components", "connections"}), SCENARIO),
         ("vary" in keys, SWEEP),

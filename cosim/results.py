@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
-from cosim.table import MOST_BYTES, no_time, parted, seconds_per, write_table
+from cosim.table import MOST_BYTES, is_time, not_time, parted, seconds, write_table
 from cosim.text import counted
 from fmus.files import draft_of
 
@@ -114,17 +114,18 @@ def cell(value: Any) -> str:
 def read_results(path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = ()) -> Results:
     """Results that were written, or any CSV whose first column is `time`; InputError where it is none.
 
+    A time in another unit is converted to seconds.
     units: of columns whose header says none
     text:  columns that are no numbers, whatever they look like; others are told by their cells
     """
     header, rows = _cells(path)
     named = [parted(text, units or {}) for text in header]
-    if not named or named[0][0] != "time":
-        first = named[0][0] if named else ""
-        raise InputError([Fault(path, 1, 1, f'the first column is "{first}"; it must be "time" [s]')])
-    seconds = seconds_per(named[0][1])
-    if seconds is None:
-        raise InputError([Fault(path, 1, 1, no_time(named[0][1]))])
+    if not is_time(named[0][0] if named else ""):
+        raise InputError([Fault(path, 1, 1, not_time(named[0][0] if named else ""))])
+    scale, unknown = seconds(named[0][1])
+    if unknown:
+        raise InputError([Fault(path, 1, 1, unknown)])
+    named[0] = ("time", "s")
     wrong = next((k for k, row in enumerate(rows, 2) if len(row) != len(header)), None)
     if wrong is not None:
         count = len(rows[wrong - 2])
@@ -144,9 +145,9 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
             exact[name] = list(cells)
     if "time" not in numbers:
         raise InputError([Fault(path, 2, 1, "a time is no number")])
-    time = numbers.pop("time") * seconds
+    time = numbers.pop("time") * scale
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    found = {**{n: u for n, u in named[1:] if u}, **(units or {})}
+    found = {n: u for n, u in named[1:] if u} | {n: u for n, u in (units or {}).items() if n in numbers or n in exact}
     return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))
 
 

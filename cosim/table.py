@@ -7,8 +7,8 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,11 +47,13 @@ class Column:
 
     factor: what its numbers are multiplied by
     known:  what it is, "the time" or "an input", where it has a value at every row; else "", an empty cell is NaN
+    spare:  nobody needs it: a cell without a finite number is no fault, the column is left out
     """
 
     heading: Heading
     factor: float = 1.0
     known: str = ""
+    spare: bool = False
 
     @property
     def cell(self) -> int:
@@ -77,6 +79,8 @@ class Table:
     values:  name → its numbers, one a row
     lines:   of the file, one a row
     header:  line that names the columns
+    first:   what the first column is called
+    spoiled: spare columns with a cell that is no finite number
     whole:   it was read to its end
     """
 
@@ -84,6 +88,8 @@ class Table:
     values: dict[str, array[float]] = field(default_factory=dict)
     lines: array[int] = field(default_factory=lambda: array("q"))
     header: int = 1
+    first: str = ""
+    spoiled: set[str] = field(default_factory=set)
     whole: bool = False
 
     @property
@@ -133,31 +139,44 @@ class Faults:
 # -- reading ------------------------------------------------------------------------------------
 
 
-def read_columns(path: Path, names: Container[str] = ()) -> Table:
-    """Time [s] and every column of a CSV that has a finite number in every cell; InputError with every fault.
+def read_columns(path: Path, names: Collection[str] = ()) -> Table:
+    """Time, in seconds, and every column of a CSV that has a finite number in every cell; InputError with every fault.
 
-    names: that are known, so that brackets in them are no unit
+    names: that are needed, so that brackets in them are no unit; where there are any, others may hold what is no number
+           and are left out then
     """
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
-        seconds = seconds_per(heading.unit) if heading.name == "time" else 1.0
-        if seconds is None:
-            faults.note(heading.line, heading.cell, no_time(heading.unit))
+        if heading.name == "time":
+            scale, wrong = seconds(heading.unit)
+            if wrong:
+                faults.note(heading.line, heading.cell, wrong)
+            return Column(heading, scale, "the time")
         if not heading.name:
             faults.note(heading.line, heading.cell, "the column has no name")
-        what = "the time" if heading.name == "time" else "a column played back"
-        return Column(heading, seconds or 1.0, known=what) if heading.name else None
+            return None
+        spare = bool(names) and heading.name not in names
+        return Column(heading, known="" if spare else "a column played back", spare=spare)
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
         faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()
+    for name in table.spoiled:
+        del table.columns[name], table.values[name]
     return table
 
 
 def read_table(
-    faults: Faults, choose: Choose, holds: str, shorter: str, *, timed: bool = True, names: Container[str] = ()
+    faults: Faults,
+    choose: Choose,
+    holds: str,
+    shorter: str,
+    *,
+    timed: bool = True,
+    names: Container[str] = (),
+    times: Collection[str] = (),
 ) -> Table:
     """Read a CSV as far as it goes and note its faults; `timed`: its first column is `time`, which increases.
 
@@ -165,8 +184,9 @@ def read_table(
     holds:   what its columns are beside the time, for a file that is empty
     shorter: what to do about one that is too large
     names:   that are known, so that brackets in them are no unit
+    times:   what the first column may be called beside `time`
     """
-    path, reader = faults.path, _Reader(faults, choose, timed, names)
+    path, reader = faults.path, _Reader(faults, choose, timed, names, times)
     try:
         if not path.is_file():
             faults.note(0, 0, "is no file" if path.exists() else "no such file")
@@ -205,8 +225,10 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 class _Reader:
     """Fills a table while the header and then the cells are read."""
 
-    def __init__(self, faults: Faults, choose: Choose, timed: bool, names: Container[str]) -> None:
-        self.faults, self.choose, self.timed, self.names = faults, choose, timed, names
+    def __init__(
+        self, faults: Faults, choose: Choose, timed: bool, names: Container[str], times: Collection[str]
+    ) -> None:
+        self.faults, self.choose, self.timed, self.names, self.times = faults, choose, timed, names, times
         self.table = Table()
         self.width = 0  # of the header
         self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
@@ -244,16 +266,19 @@ class _Reader:
             cure = "separate them with commas, decimals with a point"
             self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
             return
+        self.table.first = parted(header[0], self.names)[0]
         for cell, text in enumerate(header, 1):
-            self._heading(Heading(self.table.header, cell, *parted(text, self.names)))
+            heading = Heading(self.table.header, cell, *parted(text, self.names))
+            if self.timed and cell == 1 and (is_time(heading.name) or heading.name in self.times):
+                heading = replace(heading, name="time")
+            self._heading(heading)
         columns, values = self.table.columns, self.table.values
         self.signals = [(c, c.cell - 1, values[c.name]) for c in columns.values() if c.cell > 1 or not self.timed]
 
     def _heading(self, heading: Heading) -> None:
         line, cell, name = heading.line, heading.cell, heading.name
         if self.timed and cell == 1 and name != "time":
-            message = f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
-            self.faults.note(line, 1, message)
+            self.faults.note(line, 1, not_time(name))
         elif name in self.table.columns:
             first = self.table.columns[name].cell
             self.faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
@@ -286,8 +311,19 @@ class _Reader:
         before.append(time)
         return True
 
+    def _spare(self, column: Column, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            self.table.spoiled.add(column.name)
+        return value * column.factor
+
     def _value(self, line: int, column: Column, text: str) -> float:
         """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
+        if column.spare:
+            return self._spare(column, text)
         try:
             value = float(text) if text and not text.isspace() else math.nan
         except ValueError:
@@ -304,6 +340,24 @@ class _Reader:
         return value * column.factor
 
 
+def is_time(name: str) -> bool:
+    """The name of a first column that is the time, whatever its capitals."""
+    return name.casefold() == "time"
+
+
+def not_time(name: str) -> str:
+    """What is wrong where the first column has another name."""
+    return f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
+
+
+def seconds(unit: str) -> tuple[float, str]:
+    """What times in a unit are multiplied by to be in seconds, and what is wrong where they cannot be."""
+    scale = factor(unit, "s")
+    if scale is None:
+        return 1.0, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}'
+    return scale, ""
+
+
 def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
     """Name and unit of a header's cell, `name [unit]`; brackets of a known name, or of an index, are its own.
 
@@ -315,16 +369,6 @@ def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
     if not bracket or whole in names or "]" in unit:
         return whole, ""
     return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
-
-
-def seconds_per(unit: str) -> float | None:
-    """What a time in this unit is multiplied by to be in seconds, which "" is; None where it is no unit of time."""
-    return factor(unit, "s")
-
-
-def no_time(unit: str) -> str:
-    """What is said of a time in a unit that is none."""
-    return f'"{unit}" is no unit of time, which is in s; known here: {", ".join(alternatives("s"))}'
 
 
 def _no_number(text: str, column: Column) -> tuple[str, str]:

@@ -74,19 +74,29 @@ DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
 
 def parse(text: str) -> Unit | None:
     """The unit written as `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s` or `N.m.s/rad`; None where it is none."""
+    words = _words(text)
+    if words is None:
+        return None
     size, exponents = 1.0, dict[str, int]()
+    for symbol, power in words:
+        unit = SYMBOLS[symbol]
+        size *= unit.factor**power
+        for name, count in unit.exponents.items():
+            exponents[name] = exponents.get(name, 0) + power * count
+    return Unit({name: count for name, count in exponents.items() if count}, size)
+
+
+def _words(text: str) -> list[tuple[str, int]] | None:
+    """Symbols of a unit with their powers, as they are written; None where one is unknown."""
+    found = []
     for place, part in enumerate(text.translate(ONE_WAY).split("/")):
         sign = 1 if place == 0 else -1
         for word in re.split(r"[.·*\s]+", part.strip()):
             token = TOKEN.fullmatch(word)
             if token is None or token[1] not in SYMBOLS:
                 return None
-            power = sign * int(token[2] or 1)
-            unit = SYMBOLS[token[1]]
-            size *= unit.factor**power
-            for name, count in unit.exponents.items():
-                exponents[name] = exponents.get(name, 0) + power * count
-    return Unit({name: count for name, count in exponents.items() if count}, size)
+            found.append((token[1], sign * int(token[2] or 1)))
+    return found
 
 
 def factor(written: str, wanted: str) -> float | None:
@@ -99,6 +109,54 @@ def factor(written: str, wanted: str) -> float | None:
     if here is None or there is None or here.exponents != there.exponents:
         return None
     return here.factor / there.factor
+
+
+class Taken(NamedTuple):
+    """How numbers in a written unit are taken where they go to a signal that declares none.
+
+    unit:     in which they are then; factor: what each is multiplied by
+    sentence: what is to be said of the signal, "" where the numbers stay and nobody can be mistaken
+    """
+
+    unit: str
+    factor: float = 1.0
+    sentence: str = ""
+
+
+def taken(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
+    """A signal without a unit is in SI units: `rpm` become rad/s; a unit that is none known here changes nothing.
+
+    g alone changes nothing either: gram, or of an accelerometer 9.81 m/s². of: what declares none; cure: if it should.
+    """
+    unit = parse(written)
+    if unit is None or written == "g":
+        why = f'"{written}" is no unit known here' if unit is None else '"g" may be gram or standard gravity'
+        other = "" if unit is None else "; write kg, or m/s2"
+        return Taken(written, 1.0, f"has no unit in {of}, and {why}: its numbers are taken as they are{other}")
+    if unit.factor == 1.0:
+        return Taken(written)
+    wanted = coherent(written)
+    told = (
+        f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
+    )
+    return Taken(wanted, unit.factor, told)
+
+
+def coherent(written: str) -> str:
+    """The SI unit without a factor in place of one that can be parsed: rad/s for rpm, V for mV, m3/s for l/min."""
+    powers: dict[str, int] = {}
+    for symbol, power in _words(written) or ():
+        unit = SYMBOLS[symbol]
+        sizes = (s for s, u in SYMBOLS.items() if u.factor == 1.0 and u.exponents == unit.exponents)
+        same = symbol if unit.factor == 1.0 else next(sizes, "")
+        for name, count in {same: 1}.items() if same else unit.exponents.items():
+            powers[name] = powers.get(name, 0) + power * count
+    above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
+    return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}{power}"
 
 
 def computed_in(displayed: str) -> tuple[str, float]:

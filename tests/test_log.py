@@ -153,7 +153,7 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
         (HEADER.replace(",tilt_left", "") + "\n0,6,6,0,0,0\n1,6,6,0,0,0\n", ":1:1", 'input "tilt_left" is missing'),
         (HEADER.replace("psi,psi_dot", "spsi,psidot") + "\n" + ROWS, ":1:1", 'did you mean "psi_dot"?'),
         (HEADER.replace("psi_dot", "psi") + "\n" + ROWS, ":1:7", "stands twice"),
-        (HEADER.replace("time", "Time") + "\n" + ROWS, ":1:1", 'did you mean "time"?'),
+        (HEADER.replace("time", "tiem") + "\n" + ROWS, ":1:1", 'did you mean "time"?'),
         (HEADER.replace("psi_dot", "psi_dot [m]") + "\n" + ROWS, ":1:7", "known here: rad/s, deg/s"),
         (HEADER.replace("time", "time [V]") + "\n" + ROWS, ":1:1", "ms"),
         (HEADER + "\n" + ROWS.replace("0.04,", "0.02,"), ":4:1", "does not increase"),

@@ -402,7 +402,7 @@ def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
         replay(log, tmp_path / "out", fmu)
     assert stopped.value.exit_code == 4
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["results.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["replay.json", "results.csv"]
     assert rows_in(tmp_path / "out") == 100
     assert not list(temporary.glob("cosim-replay-rows-*"))
 
@@ -421,7 +421,8 @@ def test_a_replay_whose_fmu_crashes_as_it_is_freed_is_written_whole(tmp_path: Pa
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "FreeInstance", "exit")
     with pytest.raises(Crashed, match="fmi2FreeInstance ended the process, exit code 0"):
         replay(log, tmp_path / "out", fmu)
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "residual.csv", "results.csv"]
+    left = ["replay.json", "report.html", "residual.csv", "results.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == left
 
 
 def test_a_replay_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:

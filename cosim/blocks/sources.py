@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import ctypes
-from collections.abc import Callable, Collection, Container, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -96,10 +96,10 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
     return Source(name, signals)
 
 
-def playback(name: str, path: Path, names: Container[str] = ()) -> Source:
-    """Columns of a CSV file whose first column is `time` [s]; header cells are `name` or `name [unit]`.
+def playback(name: str, path: Path, names: Collection[str] = ()) -> Source:
+    """Columns of a CSV file whose first column is `time`; header cells are `name` or `name [unit]`.
 
-    names: that connections use, so that brackets in them are no unit
+    names: that connections use, so that brackets in them are no unit; others are left out where one is no number
     Degrees become radians; InputError with every fault of the file.
     """
     table = read_columns(path, names)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import Fault, InputError
-from cosim.folders import manifest_in
+from cosim.folders import left_by_replay, manifest_in
 from cosim.kinds import LOG, check_given, refuse_folder
 from cosim.results import Results, read_results
 
@@ -44,7 +44,7 @@ def read_ran(path: Path) -> Ran:
         cure = "give the folder that a run left, or a CSV"
         raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
     manifest = manifest_in(path)
-    units = manifest.get("units")
+    units = manifest.get("units") or left_by_replay(path).get("units")
     text = manifest.get("beside")
     results = read_results(csv, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
     return Ran(path, path.resolve().name, results, manifest)

@@ -68,7 +68,7 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
         yield Finding(
             severity, "degrees", degrees,
             f"is {plain(float(max(slope, 1 / slope)), 3)} times what {other} says: one is in degrees, the other in "
-            f'radians. Give the unit in the header, "{degrees} [{"deg" if slope > 1.0 else "deg/s"}]"', numbers,
+            f"radians. {_unit_of(log, degrees, other, 'deg' if slope > 1.0 else 'deg/s')}", numbers,
         )  # fmt: skip
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
         share = plain(float(1 / slope), 3)
@@ -79,6 +79,14 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
         bias = amount(float(-drift / slope), log.units[rate], 2)
         yield Finding("note", "drift", rate, f"is {bias} above d {name}/dt throughout: a bias of one of the sensors",
                       numbers)  # fmt: skip
+
+
+def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
+    """What to do about one of two columns that is in degrees, for what their headers say."""
+    said = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
+    if log.written.get(degrees):
+        return f"The header says {said}: one of the units is wrong"
+    return f'Give the unit in the header, "{degrees} [{unit}]"'
 
 
 def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]:
@@ -97,16 +105,23 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
     return change[whole], integral[whole], length[whole]
 
 
+def degrees_or(log: Log, name: str) -> str:
+    """What may be wrong with an angle that is too large: its unit, where the header says none, or what it says."""
+    if written := log.written.get(name):
+        return f'its header says "{written}": is it so, and may the model not go there?'
+    return f'if it is in degrees, call it "{name} [deg]"'
+
+
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
     """Angles too large to be radians, and jumps of a turn that were not undone; bounds: as the model declares them."""
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
-    cure = f'if it is in degrees, call it "{name} [deg]"'
+    cure, stated = degrees_or(log, name), bool(log.written.get(name))
     if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
         least, most = (plain(v) for v in bounds)
         text = f"reaches {plain(size)} rad, beyond what the model allows ({least} to {most}); {cure}"
         yield Finding("fault", "degrees", name, text, numbers)
-    elif (name in log.inputs and size > TURN) or size > 20.0 * TURN:
+    elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
         yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
     jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
     if jumps.size and name in log.outputs and size <= 20.0 * TURN:

@@ -39,9 +39,11 @@ def gate(
     traits: what the model says of its signals, None where none is known
     """
     if log.table:
-        return sorted((*table_findings(log, traits), *_unread(log)), key=lambda f: ORDER.index(f.severity))
+        return sorted(
+            (*table_findings(log, traits), *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity)
+        )
     clock = [*_timing(log), *_rate(log, rate, strict)]
-    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits), *_unread(log)]
+    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits), *_undeclared(log), *_unread(log)]
     if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
         found = [f for f in found if f.kind != "scale"]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
@@ -55,12 +57,19 @@ def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     """The findings that make a log unusable, as faults of its file."""
-    places = {name: cell for cell, name in enumerate(log.written, 1)}
     return [
-        Fault(log.path, log.header, places.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence)
+        Fault(
+            log.path, log.header, log.cells.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence
+        )
         for f in findings
         if f.severity == "fault"
     ]
+
+
+def _undeclared(log: Log) -> Iterator[Finding]:
+    """Columns with a unit of signals without one: how their numbers were taken."""
+    for name, said in log.undeclared.items():
+        yield Finding("warning", "undeclared", name, said)
 
 
 def _unread(log: Log) -> Iterator[Finding]:

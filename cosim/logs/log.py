@@ -17,9 +17,10 @@ from typing import Protocol
 import numpy as np
 
 from cosim.arrays import Array, Rows
+from cosim.errors import Fault, InputError
 from cosim.table import Column, Faults, Heading, read_table
-from cosim.yaml_file import closest, did_you_mean
-from fmus.units import alternatives, factor
+from cosim.yaml_file import closest, did_you_mean, short
+from fmus.units import alternatives, factor, taken
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
@@ -34,7 +35,7 @@ HINTS, SHOWN = 50, 40  # columns, of which it is said what may have been meant, 
 MISSING = 1.5  # steps from row to row, from which one is missing in between
 OTHER_MODEL = (
     "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
-    "where columns have other names, --column COLUMN=VARIABLE says which is which"
+    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
 )
 
 
@@ -59,7 +60,9 @@ class Log:
     time:      [s], shape (rows,), increasing
     inputs:    name → (rows,), every value known
     outputs:   name → (rows,), NaN where nothing was measured
-    units:     name → unit of the model; `written`: name → unit of the header, "" where it gave none
+    units:     name → unit of the model, where it has none that of the header in SI; `written`: name → unit of the
+               header, "" where it gave none
+    undeclared: signal without a unit in the model, whose column has one → what is to be said of that
     step:      usual time between rows [s], see `usual_step`
     unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
     header:    line of the file that names the columns
@@ -78,6 +81,8 @@ class Log:
     header: int = 1
     unread: Mapping[str, str] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
+    undeclared: Mapping[str, str] = field(default_factory=dict)
+    cells: Mapping[str, int] = field(default_factory=dict)  # of the header, by signal, from 1
     table: bool = False  # rows stand each for itself, in no order; `time` is their number
 
     @property
@@ -116,7 +121,7 @@ def read_log(
 ) -> Log:
     """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault.
 
-    columns: name in the file → name in the model, where they differ
+    columns: name in the file → name in the model, or `time`, where they differ
     """
     known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
     return _Reader(path, *known, not table, columns).log()
@@ -130,13 +135,18 @@ class _Reader:
     ) -> None:
         self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
         self.called = columns
+        self.units = dict(self.known)  # in which values are once they are read
         self.faults = Faults(path)
         self.timeless = 0  # cell of a time that a table does not need
         self.unread: dict[str, str] = {}
+        self.undeclared: dict[str, str] = {}
         self.seen: dict[str, int] = {}  # column → its cell
         shorter = "cut it into pieces and list them as logs of one study"
         names = frozenset((*self.known, *columns))
-        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names)
+        times = [name for name, meant in columns.items() if meant == "time"]
+        self.table = read_table(
+            self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names, times=times
+        )
 
     def log(self) -> Log:
         """The log, or InputError."""
@@ -150,10 +160,10 @@ class _Reader:
         outputs, unwrapped = dict[str, Array](), dict[str, tuple[float, ...]]()
         for name in (n for n in columns if n in self.outputs):
             outputs[name] = columns[name]
-            if self.timed and self.known[name] == "rad":
+            if self.timed and self.units[name] == "rad":
                 outputs[name], jumps = _continuous(columns[name])
                 unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
-        inputs, units = {n: columns[n] for n in self.inputs}, {n: self.known[n] for n in columns}
+        inputs, units = {n: columns[n] for n in self.inputs}, {n: self.units[n] for n in columns}
         written = {name: column.heading.unit for name, column in self.table.columns.items()}
         if self.timeless:
             names = list(written)
@@ -173,6 +183,8 @@ class _Reader:
             header,
             self._unread(),
             dict(self.called),
+            self.undeclared,
+            {name: column.cell for name, column in self.table.columns.items()},
             not self.timed,
         )
 
@@ -199,19 +211,30 @@ class _Reader:
         if not is_time and name not in self.known:
             self.unread[written] = ""
             return None
+        known = "the time" if is_time else "an input" if name in self.inputs else ""
         wanted = "s" if is_time else self.known[name]
+        if heading.unit and not wanted:
+            found = taken(heading.unit)
+            self.units[name] = found.unit
+            if found.sentence:
+                self.undeclared[name] = found.sentence
+            return Column(heading, found.factor, known)
         scale = factor(heading.unit, wanted)
         if scale is None:
             offered = ", ".join(alternatives(wanted))
             message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
             self.faults.note(heading.line, heading.cell, message)
-        known = "the time" if is_time else "an input" if name in self.inputs else ""
         return Column(heading, 1.0 if scale is None else scale, known)
 
     def _check_header(self) -> None:
         """Every input of the model, and one output at least."""
         line, columns = self.table.header, self.table.columns
         for name, meant in self.called.items():
+            if meant == "time" and self.timed:
+                if name != self.table.first:
+                    message = f'"{name}" is to be the time, which is the first column, "{self.table.first}"'
+                    self.faults.note(line, 1, message)
+                continue
             if meant not in self.known:
                 message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
                 self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
@@ -269,6 +292,15 @@ class _Reader:
         for row in _absurd(values):
             message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
             self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)
+
+
+def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
+    """Column of the log → name in the model, of texts such as `measured_speed=motor.w`, `stamp=time`; InputError."""
+    parts = [(text, *text.partition("=")) for text in texts]
+    if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
+        cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
+        raise InputError([Fault(log, 0, 0, f'--column "{short(t)}" {cure}') for t in wrong])
+    return {name.strip(): meant.strip() for _, name, _, meant in parts}
 
 
 def named(names: Collection[str]) -> str:

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from cosim.logs.finding import Finding
+from cosim.logs.frames import degrees_or
 from cosim.logs.log import Log
 from cosim.text import amount, counted, percent, plain
 from plant.traits import Traits
@@ -43,7 +44,7 @@ def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Fin
         values = columns[name]
         if np.nanmin(values) < low or np.nanmax(values) > high:
             text = f"reaches {plain(float(np.nanmax(np.abs(values))))} rad, beyond what the model allows"
-            cure = f'if it is in degrees, call it "{name} [deg]"'
+            cure = degrees_or(log, name)
             yield Finding("fault", "degrees", name, f"{text} ({plain(low)} to {plain(high)}); {cure}")
 
 

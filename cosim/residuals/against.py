@@ -61,6 +61,12 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
                 "warning", "sign", name, f"moves against the model (correlation {plain(rho, 2)}): it, or a command, "
                 "has the wrong sign", numbers,
             )  # fmt: skip
+        elif rho > LIKE and _unconverted(log, name, slope):
+            written = log.written[name]
+            yield Finding(
+                "fault", "unit", name, f"moves as the model does in {written}, which declares no unit: "
+                f'leave "[{written}]" out of the header, so that nothing is converted', numbers,
+            )  # fmt: skip
         elif rho > LIKE and (unit := _other_unit(log.units[name], slope)):
             yield Finding(
                 "fault", "unit", name, f"moves as the model does, but {plain(slope)} times as far: "
@@ -72,6 +78,12 @@ def _other_unit(unit: str, slope: float) -> str | None:
     """The unit in which values are `slope` times those in `unit`, if that is far from 1."""
     sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
     return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
+
+
+def _unconverted(log: Log, name: str, slope: float) -> bool:
+    """Whether a column that was converted for want of a declared unit fits a model in the unit of its header."""
+    by = factor(log.written[name], log.units[name]) if name in log.undeclared else None
+    return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
 
 
 class Delay(NamedTuple):

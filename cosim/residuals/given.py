@@ -37,15 +37,6 @@ def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | boo
     return found
 
 
-def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
-    """Column of the log → variable of the FMU, of texts such as `measured_speed=motor.w`; InputError."""
-    parts = [(text, *text.partition("=")) for text in texts]
-    if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
-        cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
-        raise InputError([Fault(log, 0, 0, f'--column "{short(t)}" {cure}') for t in wrong])
-    return {name.strip(): meant.strip() for _, name, _, meant in parts}
-
-
 def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | bool | str]:
     """Name and value; ValueError says what is wrong."""
     name, sign, value = (part.strip() for part in text.rpartition("=") if part is not None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -14,22 +15,23 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import DiskFull, Terminated, stopped
 from cosim.files import FilePath, atomic_write, check_writable, is_full
-from cosim.folders import check_left
+from cosim.folders import REPLAY, check_left
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
-from cosim.logs.log import Log
+from cosim.logs.log import Log, renamed
 from cosim.models.file import load_model
 from cosim.registry import BASE
 from cosim.report.template import render
 from cosim.residuals.apart import MODULES, DriveApart
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.given import renamed, start_values
+from cosim.residuals.given import start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import Replay, free_run
+from cosim.residuals.words import verdict
 from cosim.results import Results
 from fmus.build import build as build_fmu
 from fmus.sampled import AUTHOR
@@ -54,7 +56,7 @@ def replay(
 
     start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
-    Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
+    Leaves results.csv, residual.csv, replay.json and report.html. Raises InputError, FmuError, SimulationError.
     force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
@@ -95,7 +97,7 @@ def write_replay(
     limits: Limits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
+    """Replay a log through an FMU and leave results.csv, residual.csv, replay.json and report.html in `folder`.
 
     start:   of the free run, in place of what its first rows show
     given:   start values and parameters of every run
@@ -115,12 +117,15 @@ def write_replay(
     with apart or Drive(log, fmu, told, given=given) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
-        check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
-        for name in ("report.html", "residual.csv"):  # they would be of other results
+        check_writable(folder, ("results.csv", "residual.csv", REPLAY, "report.html"), (log.path, fmu))
+        for name in ("report.html", "residual.csv", REPLAY):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
         comparison = compare(drive, _free_run(drive, start, folder), findings)
         try:
-            residuals(comparison).write_csv(folder / "residual.csv")
+            left = residuals(comparison)
+            left.write_csv(folder / "residual.csv")
+            units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **left.units}
+            _record(folder, {"sentence": verdict(comparison), "units": units})
             if report:
                 with atomic_write(folder / "report.html") as stream:
                     stream.write(render(TEMPLATE, context(comparison, passing=passing)))
@@ -156,8 +161,9 @@ def _full(folder: Path, log: Log) -> DiskFull:
 
 
 def _write_rows(made: Results, folder: Path) -> None:
-    """results.csv; DiskFull where only some of its rows fit."""
+    """results.csv, its units in replay.json; DiskFull where only some of its rows fit."""
     try:
+        _record(folder, {"units": dict(made.units)})
         made.write_csv(folder / "results.csv")
     except OSError as error:
         if not is_full(error):
@@ -169,6 +175,12 @@ def _write_rows(made: Results, folder: Path) -> None:
             count = 0
         told = f"the disk is full: {count} of {len(made.time)} rows are in results.csv"
         raise DiskFull("the replay", made.time[max(0, count - 1)].item(), told) from None
+
+
+def _record(folder: Path, content: Mapping[str, Any]) -> None:
+    """replay.json: what rows do not say of themselves."""
+    with atomic_write(folder / REPLAY) as stream:
+        stream.write(json.dumps({"schema_version": 1, **content}, ensure_ascii=False, indent=1) + "\n")
 
 
 def _older(drive: Drive) -> Iterator[Finding]:
@@ -186,14 +198,18 @@ def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
     log, rows = drive.log, len(next(iter(outputs.values())))
     columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
     columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
-    return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())))
+    known = drive.units | dict(log.units)  # where the FMU declares none, as the log was read
+    units = {name: known.get(name.partition(".")[2], "") for name in columns}
+    return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())), units)
 
 
 def residuals(comparison: Comparison) -> Results:
     """Measured − model of every horizon: `free_run.angle`, `within_2s.angle`, `within_500ms.angle`."""
     columns: dict[str, Array] = {}
+    units: dict[str, str] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):
         size = f"{horizon:g}s" if horizon == round(horizon, 0) else f"{1000 * horizon:g}ms"
         label = "free_run" if horizon == FREE_RUN else f"within_{size}"
         columns |= {f"{label}.{n}": e for n, e in replayed.errors(comparison.log).items()}
-    return Results(comparison.log.time, tuple(columns), np.column_stack(list(columns.values())))
+        units |= {f"{label}.{n}": comparison.log.units[n] for n in comparison.log.outputs}
+    return Results(comparison.log.time, tuple(columns), np.column_stack(list(columns.values())), units)

@@ -116,7 +116,7 @@ def _played(path: Path, part: Part) -> Played:
     for c in fed:
         unit, _ = computed_in(c.heading.unit)
         found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
-    missed = [c.name for c in columns if c.name not in inputs]
+    missed = [*(c.name for c in columns if c.name not in inputs), *sorted(log.spoiled)]
     notes = (f"{path.name}: not inputs of {part.name}, so not played: {', '.join(missed)}",) if missed else ()
     time = log["time"]
     between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS

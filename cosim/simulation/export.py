@@ -21,6 +21,7 @@ from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
+from cosim.simulation.wiring import taken_for
 from cosim.ssp.structure import Units
 from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
 from cosim.table import read_columns
@@ -149,7 +150,9 @@ def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -
         yield file.fault(
             ("connections", k), f"{connection.source} is {source.kind}, {connection.target} {target.kind}: {cure}"
         )
-    if (connection.conversion or source.conversion(target)) != (1.0, 0.0):
+    assumed = taken_for(file, connection, source, target)
+    conversion = connection.conversion or source.conversion(target)
+    if (conversion if assumed is None else (assumed.factor, 0.0)) != (1.0, 0.0):
         what = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
         cure = "not all importers of SSPs convert; let both ends have one unit, or an FMU between them convert"
         yield file.fault(("connections", k), f"the connection converts: {what}; {cure}")

@@ -15,9 +15,18 @@ from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.stepping import Does, Link, link
 from cosim.errors import SimulationError
 from cosim.simulation.diagnosis import Diagnosis, Place
-from cosim.simulation.scenario import Connection, Disturbance, FixComponent, FmuComponent, Noise
+from cosim.simulation.scenario import (
+    Connection,
+    Disturbance,
+    FixComponent,
+    FmuComponent,
+    Noise,
+    PlaybackComponent,
+    ReferenceComponent,
+)
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.yaml_file import did_you_mean
+from fmus.units import Taken, taken
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
@@ -171,6 +180,11 @@ def _transfers(
             diagnosis.note(("connections", k), misfit)
             return ()
         conversion = connection.conversion or source.conversion(target)
+        if (assumed := taken_for(file, connection, source, target)) is not None:
+            conversion = assumed.factor, 0.0
+            told = f"{connection.target} {assumed.sentence}"
+            if assumed.sentence and told not in diagnosis.warnings:  # of an array once
+                diagnosis.warnings.append(told)
         origin, name = (f"{owner}.{end.name}" for owner, end in zip(owners, (source, target), strict=True))
         (from_beside, at), (to_beside, to) = layout.place[origin], layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
@@ -184,6 +198,15 @@ def _transfers(
         sides = from_beside, to_beside
         found.append(Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin))
     return tuple(found)
+
+
+def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
+    """How an input without a unit takes numbers whose unit people wrote; None where it declares one."""
+    component = file.scenario.components.get(connection.source.partition(".")[0])
+    written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
+    if not written or target.unit or target.whole or connection.conversion is not None:
+        return None
+    return taken(source.unit, "its FMU", f"give {connection.source} no unit")
 
 
 def _misfit(connection: Connection, source: Signal, target: Signal) -> str:

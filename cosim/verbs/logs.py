@@ -34,7 +34,7 @@ def replay(
     ] = None,
     column: Annotated[
         list[str] | None,
-        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; measured_speed=motor.w."),
+        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; speed=motor.w, stamp=time."),
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     in_process: InProcess = False,

@@ -101,7 +101,7 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
 
 def _axis(log: Log, q: Quantity) -> tuple[str, str, float]:
     """Name of an input, its unit as the table was written or as usual, and what its values are multiplied by."""
-    scale = factor(log.written[q.name], q.unit) if log.written.get(q.name) else None
+    scale = factor(log.written[q.name], q.unit or log.units[q.name]) if log.written.get(q.name) else None
     return (q.name, log.written[q.name], 1.0 / scale) if scale else (q.name, *display(q.unit))
 
 

@@ -1,0 +1,298 @@
+"""Units that only a header says: of columns, of times, of what a replay leaves; a model may declare none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.blocks.interface import Signal
+from cosim.blocks.sources import playback
+from cosim.errors import InputError
+from cosim.logs.finding import Finding
+from cosim.logs.gate import gate, gate_faults
+from cosim.logs.log import Log, read_log
+from cosim.outcomes import Replay
+from cosim.residuals.against import scales
+from cosim.results import read_results
+from cosim.table import read_columns
+from fmus.units import SYMBOLS, coherent, factor, parse, taken
+from tests.typed import typed_fmu
+
+NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one
+ROWS = "".join(f"{500 * k},{60 + k % 7},{1000 + k * k % 11}\n" for k in range(60))
+
+
+def tank_log(path: Path, header: str, **signals: str) -> Log:
+    path.write_text(f"{header}\n{ROWS}", encoding="utf-8")
+    return read_log(path, *([Signal(s.name, signals.get(s.name, "")) for s in side] for side in NO_UNIT))
+
+
+def of_units(log: Log) -> list[Finding]:
+    return [f for f in gate(log) if f.kind == "undeclared"]
+
+
+# -- columns of signals without a unit --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("written", [*SYMBOLS, "l/min", "V/rpm", "rev/min", "mm2/h", "1/min", "N.mm", "kg·mm²"])
+def test_the_coherent_unit_is_of_the_same_dimension_and_has_no_factor(written: str) -> None:
+    unit, there = parse(written), parse(coherent(written))
+    assert unit is not None
+    assert there is not None
+    assert there.factor == 1.0
+    assert there.exponents == unit.exponents
+
+
+def test_a_coherent_unit_is_written_as_people_write_it() -> None:
+    found = [coherent(u) for u in ("rpm", "mV", "deg/s", "l/min", "km/h", "N.mm", "V/rpm", "%")]
+    assert found == ["rad/s", "V", "rad/s", "m3/s", "m/s", "N.m", "V.s/rad", "1"]
+
+
+def test_a_column_with_a_unit_is_converted_to_si_where_the_model_declares_none(tmp_path: Path) -> None:
+    log = tank_log(tmp_path / "a.csv", "time [ms],inflow [l/min],level [mm]")
+    np.testing.assert_allclose(log.inputs["inflow"][:2], [1e-3, 61 / 60e3], rtol=1e-12)
+    assert log.outputs["level"][0] == 1.0
+    assert log.time[1] == 0.5
+    assert log.units == {"inflow": "m3/s", "level": "m"}
+    inflow, level = of_units(log)
+    assert inflow.severity == level.severity == "warning"
+    assert inflow.whole == (
+        "inflow has no unit in the model: it is taken as m3/s, so l/min are converted; "
+        "leave the unit out of the header if it is in l/min itself"
+    )
+    assert level.whole.startswith("level has no unit in the model: it is taken as m, so mm are converted")
+
+
+def test_nothing_is_said_of_columns_in_si_or_without_a_unit_or_of_signals_that_have_one(tmp_path: Path) -> None:
+    bare = tank_log(tmp_path / "a.csv", "time,inflow,level [m]")
+    declared = tank_log(tmp_path / "b.csv", "time,inflow [l/min],level [mm]", inflow="m3/s", level="mm")
+    assert of_units(bare) == of_units(declared) == []
+    assert bare.inputs["inflow"][0] == 60.0
+    assert bare.units == {"inflow": "", "level": "m"}
+    assert declared.outputs["level"][0] == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "why"),
+    [("foo", '"foo" is no unit known here: its numbers'), ("g", '"g" may be gram or standard gravity')],
+)
+def test_a_unit_that_says_nothing_changes_nothing_and_is_told(tmp_path: Path, unit: str, why: str) -> None:
+    log = tank_log(tmp_path / "a.csv", f"time,inflow [{unit}],level")
+    assert log.inputs["inflow"][0] == 60.0
+    (found,) = of_units(log)
+    assert f"inflow has no unit in the model, and {why}" in found.whole
+
+
+def test_an_angle_of_an_undeclared_unit_is_made_continuous(tmp_path: Path) -> None:
+    rows = "".join(f"{k},0,{(100 * k) % 360}\n" for k in range(20))
+    (tmp_path / "a.csv").write_text(f"time,u,turned [deg]\n{rows}")
+    log = read_log(tmp_path / "a.csv", [Signal("u")], [Signal("turned")])
+    np.testing.assert_allclose(log.outputs["turned"], np.radians(100.0) * np.arange(20), rtol=1e-12)
+
+
+def test_a_model_that_moves_as_the_column_did_before_it_was_converted_is_told(tmp_path: Path) -> None:
+    log = tank_log(tmp_path / "a.csv", "time,inflow,level [mm]")
+    (found,) = scales(log, {"level": 1000.0 * log.outputs["level"]})
+    assert found.severity == "fault"
+    assert found.whole.startswith('level moves as the model does in mm, which declares no unit: leave "[mm]" out')
+    assert not [*scales(log, {"level": log.outputs["level"]})]
+
+
+# -- of recordings and references in a scenario -----------------------------------------------------
+
+
+def played(folder: Path, column: str, units: tuple[str, str] = ("", ""), **connection: float) -> cosim.outcomes.Run:
+    (folder / "in.csv").write_text(f"time [ms],{column},mode\n0,500,RUN\n1000,800,STOP\n")
+    components = {
+        "a": {"fmu": str(typed_fmu(folder, units=units))},
+        "log": {"block": "playback", "file": str(folder / "in.csv")},
+    }
+    wires = [{"from": "log.u", "to": "a.r_in", **connection}]
+    scenario = {"name": "s", "duration": 2, "step": 0.5, "components": components, "connections": wires}
+    return cosim.run(scenario, in_process=True)
+
+
+@pytest.mark.parametrize(
+    ("column", "units", "connection", "last", "said"),
+    [
+        (
+            "u [mV]",
+            ("", ""),
+            {},
+            0.8,
+            "it is taken as V, so mV are converted; give log.u no unit if",
+        ),
+        ("u [foo]", ("", ""), {}, 800.0, 'a.r_in has no unit in its FMU, and "foo" is no unit known here'),
+        ("u [mV]", ("", ""), {"factor": 1.0}, 800.0, ""),
+        ("u [mV]", ("V", "V"), {}, 0.8, ""),
+        ("u [V]", ("", ""), {}, 800.0, ""),
+        ("u", ("", ""), {}, 800.0, ""),
+    ],
+)
+def test_a_recorded_unit_counts_where_the_input_declares_none(
+    tmp_path: Path, column: str, units: tuple[str, str], connection: dict[str, float], last: float, said: str
+) -> None:
+    made = played(tmp_path, column, units, **connection)
+    assert made["a.r_in"].tolist() == pytest.approx([last * 5 / 8, last * 5 / 8, last, last, last], rel=1e-15)
+    told = [w for w in made.warnings if "has no unit" in w]
+    assert len(told) == bool(said)
+    assert all(said in w for w in told)
+
+
+def test_a_reference_in_another_unit_is_converted_too(tmp_path: Path) -> None:
+    components = {
+        "a": {"fmu": str(typed_fmu(tmp_path))},
+        "r": {"block": "reference", "signals": {"u": {"unit": "rpm", "start": 60}}},
+    }
+    wires = [{"from": "r.u", "to": "a.r_in"}]
+    made = cosim.run(
+        {"name": "s", "duration": 1, "step": 0.5, "components": components, "connections": wires}, in_process=True
+    )
+    assert made["a.r_in"][0] == pytest.approx(2.0 * math.pi, rel=1e-15)
+    assert any("a.r_in has no unit in its FMU: it is taken as rad/s" in w for w in made.warnings)
+
+
+def test_a_recorded_column_that_nobody_needs_may_hold_text(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("time,u,mode,late\n0,1,RUN,\n1,2,STOP,3\n")
+    table = read_columns(path, ["u"])
+    assert ([*table.columns], table.spoiled) == (["time", "u"], {"mode", "late"})
+    assert [s.name for s in playback("log", path, ["u"]).outputs] == ["u"]
+    with pytest.raises(InputError, match=r'in.csv:2:3: "RUN" in column mode is no number'):
+        read_columns(path, ["u", "mode"])
+
+
+# -- times ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("head", ["time [ms]", "Time [ms]"])
+def test_times_in_another_unit_are_converted_by_every_verb(tmp_path: Path, head: str) -> None:
+    (tmp_path / "ms.csv").write_text(f"{head},x [mm]\n0,0\n500,60\n1000,61\n")
+    (tmp_path / "s.csv").write_text("time,x [mm]\n0,0\n0.5,60\n1,61\n")
+    assert read_results(tmp_path / "ms.csv").time.tolist() == [0.0, 0.5, 1.0]
+    assert cosim.read(tmp_path / "ms.csv").time[-1] == 1.0  # type: ignore[union-attr]
+    assert cosim.compare(tmp_path / "s.csv", tmp_path / "ms.csv", tolerance=0.0).same
+    assert list(read_columns(tmp_path / "ms.csv").values["time"]) == [0.0, 0.5, 1.0]
+
+
+def test_a_unit_that_is_none_of_time_is_a_fault_everywhere(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time [m],x\n0,0\n1,2\n")
+    for read in (read_results, read_columns):
+        with pytest.raises(InputError, match=r'a.csv:1:1: "m" is no unit of time; known here: s, ms'):
+            read(tmp_path / "a.csv")
+
+
+def test_the_first_column_may_be_called_the_time(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"stamp [ms],inflow,level\n{ROWS}")
+    assert read_log(tmp_path / "a.csv", *NO_UNIT, columns={"stamp": "time"}).time[-1] == 29.5
+    (tmp_path / "b.csv").write_text(f"time,inflow,level\n{ROWS}")
+    with pytest.raises(InputError, match='"clock" is to be the time, which is the first column, "time"'):
+        read_log(tmp_path / "b.csv", *NO_UNIT, columns={"clock": "time"})
+
+
+# -- what a replay and a check say ------------------------------------------------------------------
+
+
+def test_a_replay_has_units_in_python_and_when_read_back(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
+    rows = "".join(f"{20 * k},{k % 7},0,1,0,{k % 7},A\n" for k in range(300))
+    (tmp_path / "log.csv").write_text(f"stamp [ms],drive [mV],i_in,e_in,b_in,seen [mV],mode\n{rows}")
+    columns = {"stamp": "time", "drive": "r_in", "seen": "r_out"}
+    out = tmp_path / "out"
+    made = cosim.replay(tmp_path / "log.csv", out, fmu, columns=columns, report=False, in_process=True)
+    read = cosim.read(out)
+    assert isinstance(read, Replay)
+    for found in (made, read):
+        assert found.units["plant.r_in"] == found.units["plant.r_out"] == found.units["log.r_out"] == "V"
+        assert found.residual is not None
+        assert {*found.residual.units.values()} == {"V"}
+        assert found.residual.units.keys() == {*found.residual.names}
+        assert found.units.keys() <= {*found.names}
+    assert read.sentence == made.sentence != ""
+    assert read["plant.r_in"].max() == pytest.approx(6e-3)
+    assert "[V]" in repr(read)
+    assert {d.unit for d in cosim.compare(out, read).differences if d.name.endswith(".r_out")} == {"V"}
+
+
+def test_a_folder_that_another_command_left_is_refused_in_python_without_force(tmp_path: Path) -> None:
+    fmu, out = typed_fmu(tmp_path), tmp_path / "out"
+    rows = "".join(f"{k / 50},{k % 7},0,1,0,{k % 7}\n" for k in range(300))
+    (tmp_path / "log.csv").write_text(f"time,r_in,i_in,e_in,b_in,r_out\n{rows}")
+    out.mkdir()
+    (out / "manifest.json").write_text("{}")
+    with pytest.raises(InputError, match="holds what `cosim run` left"):
+        cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True)
+    with pytest.raises(InputError, match="holds what `cosim run` left"):
+        cosim.compare(tmp_path / "log.csv", tmp_path / "log.csv", out)
+    cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True, force=True)
+    assert (out / "replay.json").is_file()
+
+
+def test_an_angle_whose_header_says_degrees_is_not_asked_to_be_in_degrees(tmp_path: Path) -> None:
+    turns = "".join(f"{k / 50},{k % 7},{40 * k}\n" for k in range(300))
+    for header, told in (("phi [deg]", False), ("phi [rad]", False), ("phi", True)):
+        (tmp_path / "a.csv").write_text(f"time,u,{header}\n{turns}")
+        log = read_log(tmp_path / "a.csv", [Signal("u", "V")], [Signal("phi", "rad")])
+        assert any(f.kind == "degrees" for f in gate(log)) == told
+
+
+CART = """
+from dataclasses import dataclass
+from plant.model import Equations, Model
+from plant.quantities import Quantity, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cart(Model):
+    \"\"\"A cart that is pulled.\"\"\"
+
+    title = "Cart"
+    base_states = (Quantity("x", "m", "position"), Quantity("v", "m/s", "speed"))
+    inputs = (Quantity("f", "N", "force"),)
+    outputs = base_states
+    sensor_variance = {"x": 1e-6, "v": 1e-6}
+    forced = ("v",)
+    rate, substep, horizon = 0.02, 0.02, 2.0
+    m: float = parameter(1.0, unit="kg", bounds=(0.1, 10), doc="mass")
+
+    def equations(self, m):
+        def derivative(t, state, command):
+            return state[1], command[0] / self.m
+
+        def output(t, state, command):
+            return state
+
+        return Equations(derivative, output)
+"""
+
+
+def test_a_log_with_names_of_its_own_can_be_checked(tmp_path: Path) -> None:
+    (tmp_path / "cart.py").write_text(CART)
+    rows = "".join(f"{20 * k},{k * k % 13},A,{k % 7}\n" for k in range(600))
+    (tmp_path / "a.csv").write_text(f"stamp [ms],pull [mN],mode,odometer [mm]\n{rows}")
+    model, columns = f"{tmp_path / 'cart.py'}:Cart", {"stamp": "time", "pull": "f", "odometer": "x"}
+    lines = cosim.check(tmp_path / "a.csv", model, columns=columns)
+    assert any("1 column not read, for the model has none of this name: mode" in line for line in lines)
+    with pytest.raises(InputError, match='"odometer" is to be y, which the model does not have'):
+        cosim.check(tmp_path / "a.csv", model, columns={**columns, "odometer": "y"})
+    (tmp_path / "b.csv").write_text(f"time,pull,mode,odometer\n{rows}")
+    with pytest.raises(InputError, match="--column COLUMN=VARIABLE, or `columns` of a study"):
+        cosim.check(tmp_path / "b.csv", model)
+
+
+def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read(tmp_path: Path) -> None:
+    rows = "".join(f"{k},A,{k % 7},{k % 5}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text(f"time,mode,inflow,level\n{rows}")
+    log = read_log(tmp_path / "a.csv", *NO_UNIT)
+    (fault,) = gate_faults(log, [Finding("fault", "sign", "level", "is wrong")])
+    assert (fault.line, fault.column) == (1, 4)
+
+
+def test_how_numbers_are_taken_is_what_factor_says() -> None:
+    found = taken("rpm")
+    assert (found.unit, found.factor) == ("rad/s", factor("rpm", "rad/s"))
+    assert taken("rad/s") == ("rad/s", 1.0, "")
