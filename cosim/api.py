@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
+from cosim.folders import content_of
 from cosim.outcomes import Refined, Replay, Run, Signals
 from cosim.results import Results
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 def run(
     scenario: FilePath | Mapping[str, Any],
     out: FilePath | None = None,
-    set: Mapping[str, Any] | None = None,
+    set: Mapping[str, Any] | Sequence[str] | None = None,
     *,
     seed: int | None = None,
     nearest: bool = False,
@@ -38,14 +39,14 @@ def run(
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
 
     out:    folder for results.csv, manifest.json and report.html; nothing is left without
-    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2}
+    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2}; or "path=value" each
     force:  also over what the run of another scenario left in `out`
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
     from cosim.simulation.workflow import run as run_file
 
-    overrides = [f"{path}={_as_yaml(value)}" for path, value in (set or {}).items()]
+    overrides = _overrides(set)
     overrides += [] if seed is None else [f"seed={seed}"]
     with _folder(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
@@ -58,7 +59,7 @@ def run(
 def simulate(
     fmu: FilePath,
     out: FilePath | None = None,
-    set: Mapping[str, Any] | None = None,
+    set: Mapping[str, Any] | Sequence[str] | None = None,
     *,
     input: FilePath | None = None,
     stop: float | None = None,
@@ -72,7 +73,7 @@ def simulate(
     """Run one FMU over its default experiment.
 
     out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
-    set:        parameters and inputs → value
+    set:        parameters and inputs → value; or "name=value" each
     input:      a CSV with time and columns named as inputs, played to them
     stop, step: [s], in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
@@ -82,7 +83,7 @@ def simulate(
 
     with _folder(out) as folder:
         outcome, notes = simulate_fmu(
-            fmu, folder, start=dict(set or {}), recorded=input, stop=stop, step=step, record=record,
+            fmu, folder, start=_given(set), recorded=input, stop=stop, step=step, record=record,
             report=report and out is not None, force=force, in_process=in_process, progress=progress,
         )  # fmt: skip
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
@@ -94,18 +95,20 @@ def replay(
     out: FilePath | None = None,
     fmu: FilePath | None = None,
     *,
-    start: Mapping[str, Any] | None = None,
-    columns: Mapping[str, str] | None = None,
+    start: Mapping[str, Any] | Sequence[str] | None = None,
+    columns: Mapping[str, str] | Sequence[str] | None = None,
     report: bool = True,
+    force: bool = False,
     in_process: bool = False,
     limits: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
     """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
 
-    out:     folder for results.csv, residual.csv and report.html; nothing is left without
+    out:     folder for results.csv, residual.csv, replay.json and report.html; nothing is left without
     start:   start values and parameters of the FMU
     columns: of the log under other names, column → variable
+    force:   also over the replay of another log or FMU in `out`
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.residuals.words import verdict
@@ -113,9 +116,9 @@ def replay(
 
     with _folder(out) as folder:
         comparison = replay_log(
-            log, folder, fmu, start=[f"{n}={_as_yaml(v)}" for n, v in (start or {}).items()],
-            columns=[f"{c}={v}" for c, v in (columns or {}).items()], report=report and out is not None,
-            in_process=in_process, limits=limits, progress=progress,
+            log, folder, fmu, start=_overrides(start),
+            columns=[f"{c}={v}" for c, v in columns.items()] if isinstance(columns, Mapping) else _given(columns), report=report and out is not None,
+            force=force, in_process=in_process, limits=limits, progress=progress,
         )  # fmt: skip
         return _replay(Path(folder), None if out is None else Path(out), verdict(comparison))
 
@@ -151,16 +154,20 @@ def compare(
     *,
     tolerance: float | None = None,
     absolute: float = 0.0,
+    force: bool = False,
 ) -> Compared:
     """Hold run b against run a, each a folder, a CSV or what a verb returned.
 
     out:       folder for comparison.json and report.html; nothing is left without
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    force:     also over the comparison of other runs in `out`
     Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
     """
     from cosim.comparison.page import compare as compare_runs
 
-    made, _ = compare_runs(_ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None)
+    made, _ = compare_runs(
+        _ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
+    )
     return made
 
 
@@ -184,7 +191,7 @@ def read(folder: FilePath) -> Run | Replay | Refined | Signals:
     if (path / "refine.json").is_file():
         return Refined(json.loads((path / "refine.json").read_text(encoding="utf-8")), path)
     if (path / "residual.csv").is_file():
-        return _replay(path, path, "")
+        return _replay(path, path, str(content_of(path / "replay.json").get("sentence") or ""))
     ran = read_ran(path)
     if not path.is_dir():
         return Signals(ran.name, ran.results)
@@ -234,6 +241,25 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
         except InputError as error:
             at_it = [replace(f, file=told, line=0, column=0) if f.file == path else f for f in error.faults]
             raise InputError(at_it) from None
+
+
+def _given(values: Mapping[str, Any] | Sequence[str] | None) -> Mapping[str, Any] | Sequence[str]:
+    """What is set, as it was given, one text as a list of it; TypeError of what is neither."""
+    if values is None:
+        return ()
+    if isinstance(values, str):
+        return (values,)
+    if isinstance(values, Mapping):
+        return dict(values)
+    if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
+        return tuple(values)
+    raise TypeError(f'give a mapping, {{"name": value}}, or "name=value" each: {values!r}')
+
+
+def _overrides(values: Mapping[str, Any] | Sequence[str] | None) -> Sequence[str]:
+    """NAME=VALUE of what is set, as the command line takes it."""
+    found = _given(values)
+    return [f"{n}={_as_yaml(v)}" for n, v in found.items()] if isinstance(found, Mapping) else found
 
 
 def _as_yaml(value: Any) -> str:

@@ -27,7 +27,8 @@ NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT,
 BINARY = "a binary file"
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
-    RESULTS: "`cosim compare {file} OTHER` holds it against another, `cosim replay {file}` drives an FMU with it",
+    RESULTS: "`cosim compare {file} OTHER` holds it against another, "
+    "`cosim replay {file} --plant FMU --column COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
     FMU: "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
     "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
     SSP: "`cosim run {file}` runs it",
@@ -94,6 +95,8 @@ PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of some instrument
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
 FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
+KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
+UTF_16 = b"\xff\xfe", b"\xfe\xff"
 HEAD = 1024  # bytes
 
 
@@ -113,9 +116,13 @@ def kind_by_form(path: Path) -> str | None:
         return kind
     if ending == ".csv" and path.name == "results.csv" and (path.parent / "manifest.json").is_file():
         return RESULTS
+    if ending == ".csv" and _no_text(head):
+        return BINARY
+    if ending == ".csv" and _keyed(head):
+        return _by_keys(path) or LOG
     if ending in ENDINGS or not head:
         return ENDINGS.get(ending)
-    if b"\0" in head and ending not in WRITTEN and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
+    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
 
@@ -143,6 +150,21 @@ def _tabular(head: bytes) -> bool:
     """Whether a text may be a table or a mapping: it has a row of numbers, or begins with a column or a key."""
     lines = head.decode("utf-8", errors="replace").splitlines()
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
+
+
+def _no_text(head: bytes) -> bool:
+    """Whether bytes are none of a text, in any encoding that loggers write; a zero here or there is a torn row."""
+    if head.startswith(UTF_16):
+        return False
+    controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    return b"\0" in head.partition(b"\n")[0] or (controls > 0.05 * len(head) and any(byte > 127 for byte in head))
+
+
+def _keyed(head: bytes) -> bool:
+    """Whether a text begins as YAML or JSON does, with a key."""
+    lines = (line.strip() for line in head.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines())
+    first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
+    return bool(first == "{" or KEYED.match(first))
 
 
 def _marked(head: bytes) -> str | None:
@@ -176,6 +198,10 @@ def kind_of(path: Path) -> str | None:
     """The kind of a file by its form, or of a YAML or JSON file by its keys; None where neither says."""
     if (kind := kind_by_form(path)) is not None or path.suffix.lower() not in WRITTEN:
         return kind
+    return _by_keys(path)
+
+
+def _by_keys(path: Path) -> str | None:
     try:
         return kind_by_keys(YamlFile(path).root)
     except InputError:

@@ -51,7 +51,7 @@ def compare(
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_left(place, "cosim compare", force=force)
+    check_left(place, "cosim compare", str(a.path), str(b.path), force=force)
     check_writable(place, MADE, read)
     with atomic_write(place / "comparison.json") as stream:
         json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -30,10 +31,13 @@ from cosim.residuals.given import renamed, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.statistics import FREE_RUN
 from cosim.residuals.windows import Replay, free_run
+from cosim.residuals.words import verdict
 from cosim.results import Results
 from fmus.build import build as build_fmu
 from fmus.sampled import AUTHOR
 
+RECORD = "replay.json"  # of what it is, and what it found
+SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
 
 
@@ -54,13 +58,14 @@ def replay(
 
     start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
-    Leaves results.csv, residual.csv and report.html in `folder`. Raises InputError, FmuError, SimulationError.
+    Leaves results.csv, residual.csv, replay.json and report.html in `folder`.
+    Raises InputError, FmuError, SimulationError.
     force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
     check_files(Path(log), None if fmu is None else Path(fmu))
-    check_left(Path(folder), "cosim replay", force=force)
+    check_left(Path(folder), "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -95,7 +100,7 @@ def write_replay(
     limits: Limits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Replay a log through an FMU and leave results.csv, residual.csv and report.html in `folder`.
+    """Replay a log through an FMU and leave results.csv, residual.csv, replay.json, report.html in `folder`.
 
     start:   of the free run, in place of what its first rows show
     given:   start values and parameters of every run
@@ -115,8 +120,8 @@ def write_replay(
     with apart or Drive(log, fmu, told, given=given) as drive:
         findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
         refuse_faults(log, findings)
-        check_writable(folder, ("results.csv", "residual.csv", "report.html"), (log.path, fmu))
-        for name in ("report.html", "residual.csv"):  # they would be of other results
+        check_writable(folder, ("results.csv", "residual.csv", "report.html", RECORD), (log.path, fmu))
+        for name in ("report.html", "residual.csv", RECORD):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
         comparison = compare(drive, _free_run(drive, start, folder), findings)
         try:
@@ -124,6 +129,10 @@ def write_replay(
             if report:
                 with atomic_write(folder / "report.html") as stream:
                     stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+            with atomic_write(folder / RECORD) as stream:
+                named = {"log": str(log.path), "fmu": "" if passing else str(fmu), "sentence": verdict(comparison)}
+                stream.write(json.dumps({"schema_version": SCHEMA_VERSION, **named}, indent=2, ensure_ascii=False))
+                stream.write("\n")
         except OSError as error:
             if not is_full(error):
                 raise

@@ -158,6 +158,8 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     if path.exists():
         cure = "it is never written over; give another name as --out, or move it away"
         raise InputError([Fault(path, 0, 0, f"is there already; {cure}")])
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError([Fault(path, 0, 0, "a scenario is YAML; name a .yaml or .yml file as --out")])
     if not path.parent.is_dir():
         raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
     parts = parts_of(fmus)
