@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
 from cosim.folders import content_of
-from cosim.outcomes import Refined, Replay, Run, Signals
+from cosim.given import Given, given, texts
+from cosim.outcomes import Refined, Replay, Run, Runs, Signals
 from cosim.results import Results
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def run(
     scenario: FilePath | Mapping[str, Any],
     out: FilePath | None = None,
-    set: Mapping[str, Any] | Sequence[str] | None = None,
+    set: Given | None = None,
     *,
     seed: int | None = None,
     nearest: bool = False,
@@ -39,14 +39,15 @@ def run(
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
 
     out:    folder for results.csv, manifest.json and report.html; nothing is left without
-    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2}; or "path=value" each
+    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2};
+            or "path=value" each
     force:  also over what the run of another scenario left in `out`
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
     from cosim.simulation.workflow import run as run_file
 
-    overrides = _overrides(set)
+    overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
     with _folder(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
@@ -59,7 +60,7 @@ def run(
 def simulate(
     fmu: FilePath,
     out: FilePath | None = None,
-    set: Mapping[str, Any] | Sequence[str] | None = None,
+    set: Given | None = None,
     *,
     input: FilePath | None = None,
     stop: float | None = None,
@@ -83,7 +84,7 @@ def simulate(
 
     with _folder(out) as folder:
         outcome, notes = simulate_fmu(
-            fmu, folder, start=_given(set), recorded=input, stop=stop, step=step, record=record,
+            fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
             report=report and out is not None, force=force, in_process=in_process, progress=progress,
         )  # fmt: skip
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
@@ -95,8 +96,8 @@ def replay(
     out: FilePath | None = None,
     fmu: FilePath | None = None,
     *,
-    start: Mapping[str, Any] | Sequence[str] | None = None,
-    columns: Mapping[str, str] | Sequence[str] | None = None,
+    start: Given | None = None,
+    columns: Given | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -116,8 +117,8 @@ def replay(
 
     with _folder(out) as folder:
         comparison = replay_log(
-            log, folder, fmu, start=_overrides(start),
-            columns=[f"{c}={v}" for c, v in columns.items()] if isinstance(columns, Mapping) else _given(columns), report=report and out is not None,
+            log, folder, fmu, start=texts(start, "start"),
+            columns=_pairs(columns), report=report and out is not None,
             force=force, in_process=in_process, limits=limits, progress=progress,
         )  # fmt: skip
         return _replay(Path(folder), None if out is None else Path(out), verdict(comparison))
@@ -180,8 +181,8 @@ def _ran(side: FilePath | Signals) -> Any:
     return Ran(side.folder or Path(side.title), side.title, side.results, manifest)
 
 
-def read(folder: FilePath) -> Run | Replay | Refined | Signals:
-    """What `run`, `simulate`, `replay` or `refine` left in a folder, or the signals of a CSV with time first.
+def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
+    """What `run`, `simulate`, `replay`, `refine` or `sweep` left in a folder, or the signals of a CSV with time first.
 
     InputError where there is none of it.
     """
@@ -190,6 +191,8 @@ def read(folder: FilePath) -> Run | Replay | Refined | Signals:
     path = Path(folder)
     if (path / "refine.json").is_file():
         return Refined(json.loads((path / "refine.json").read_text(encoding="utf-8")), path)
+    if (path / "sweep.json").is_file() and (path / "sweep.parquet").is_file():
+        return Runs(content_of(path / "sweep.json"), path)
     if (path / "residual.csv").is_file():
         return _replay(path, path, str(content_of(path / "replay.json").get("sentence") or ""))
     ran = read_ran(path)
@@ -202,6 +205,11 @@ def _run(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> 
     scenario = manifest.get("scenario")
     name = scenario.get("name") if isinstance(scenario, Mapping) else None
     return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
+
+
+def _pairs(columns: Given | None) -> Sequence[str]:
+    found = given(columns, "columns")
+    return [f"{column}={variable}" for column, variable in found.items()] if isinstance(found, Mapping) else found
 
 
 def _replay(folder: Path, left: Path | None, sentence: str) -> Replay:
@@ -241,29 +249,3 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
         except InputError as error:
             at_it = [replace(f, file=told, line=0, column=0) if f.file == path else f for f in error.faults]
             raise InputError(at_it) from None
-
-
-def _given(values: Mapping[str, Any] | Sequence[str] | None) -> Mapping[str, Any] | Sequence[str]:
-    """What is set, as it was given, one text as a list of it; TypeError of what is neither."""
-    if values is None:
-        return ()
-    if isinstance(values, str):
-        return (values,)
-    if isinstance(values, Mapping):
-        return dict(values)
-    if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
-        return tuple(values)
-    raise TypeError(f'give a mapping, {{"name": value}}, or "name=value" each: {values!r}')
-
-
-def _overrides(values: Mapping[str, Any] | Sequence[str] | None) -> Sequence[str]:
-    """NAME=VALUE of what is set, as the command line takes it."""
-    found = _given(values)
-    return [f"{n}={_as_yaml(v)}" for n, v in found.items()] if isinstance(found, Mapping) else found
-
-
-def _as_yaml(value: Any) -> str:
-    """A value of Python as --set takes it."""
-    if isinstance(value, os.PathLike):
-        return json.dumps(os.fspath(value))
-    return json.dumps(value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value)
