@@ -72,8 +72,14 @@ FOLDERS = {  # a file in it: whose folder it is, and what is done with that
     ),
     "residual.csv": ("the folder of a replay", "`cosim compare {file} OTHER` holds it against another"),
     "sweep.json": ("the folder of a sweep", "`cosim.read` reads it in Python"),
-    "comparison.json": ("the folder of a comparison", "its report.html opens in a browser"),
-    "linear.json": ("the folder of a linearisation", "its report.html opens in a browser"),
+    "comparison.json": (
+        "the folder of a comparison",
+        "its report.html opens in a browser, scripts read comparison.json",
+    ),
+    "linear.json": (
+        "the folder of a linearisation",
+        "its report.html opens in a browser, its linear.py loads it in Python",
+    ),
     "identify.json": ("the folder of an identification", "`cosim build --model` takes the model file in it"),
     "excitation.yaml": ("the folder of an excitation", "`cosim run {file}/excitation.yaml` plays it"),
 }

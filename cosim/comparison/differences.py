@@ -82,6 +82,11 @@ class Compared:
         """Within the tolerance, over the whole of both runs."""
         return not self.beyond and not self.shorter
 
+    def __repr__(self) -> str:
+        ranked, more = self._ranked()
+        lines = ["  ".join(cells) for cells in ranked] + ([more] if more else [])
+        return "\n  ".join([self._heading(), *lines])
+
     def to_pandas(self) -> pandas.DataFrame:
         """A row a signal that both have, the most different first; ImportError where pandas is not installed."""
         try:
@@ -107,11 +112,6 @@ class Compared:
         drawn = [d for d in ranked if d.name in names] if names else ranked[:DRAWN]
         runs = self.a.name, self.b.name
         return sheet(self.time, [p for d in drawn for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
-
-    def __repr__(self) -> str:
-        ranked, more = self._ranked()
-        lines = ["  ".join(cells) for cells in ranked] + ([more] if more else [])
-        return "\n  ".join([self._heading(), *lines])
 
     def _repr_html_(self) -> str:
         from html import escape
