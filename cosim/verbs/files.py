@@ -19,6 +19,7 @@ class Kind(StrEnum):
     STUDY = "study"
     MODEL = "model"
     SWEEP = "sweep"
+    PROTOCOL = "protocol"
 
 
 def register(app: typer.Typer) -> None:
@@ -66,7 +67,7 @@ def graph(
         show(path)
 
 
-def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model or sweep.")]) -> None:
+def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model, sweep or protocol.")]) -> None:
     """Print the JSON schema of a file, for the completion of an editor."""
     from cosim.schemas import schema_of
 
