@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
@@ -13,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
-from cosim.outcomes import Refined, Replay, Run, Signals
+from cosim.folders import content_of
+from cosim.given import Given, given, texts
+from cosim.outcomes import Refined, Replay, Run, Runs, Signals
 from cosim.results import Results
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 def run(
     scenario: FilePath | Mapping[str, Any],
     out: FilePath | None = None,
-    set: Mapping[str, Any] | None = None,
+    set: Given | None = None,
     *,
     seed: int | None = None,
     nearest: bool = False,
@@ -38,14 +39,15 @@ def run(
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
 
     out:    folder for results.csv, manifest.json and report.html; nothing is left without
-    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2}
+    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2};
+            or "path=value" each
     force:  also over what the run of another scenario left in `out`
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
     from cosim.simulation.workflow import run as run_file
 
-    overrides = [f"{path}={_as_yaml(value)}" for path, value in (set or {}).items()]
+    overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
     with _folder(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
@@ -58,7 +60,7 @@ def run(
 def simulate(
     fmu: FilePath,
     out: FilePath | None = None,
-    set: Mapping[str, Any] | None = None,
+    set: Given | None = None,
     *,
     input: FilePath | None = None,
     stop: float | None = None,
@@ -72,7 +74,7 @@ def simulate(
     """Run one FMU over its default experiment.
 
     out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
-    set:        parameters and inputs → value
+    set:        parameters and inputs → value; or "name=value" each
     input:      a CSV with time and columns named as inputs, played to them
     stop, step: [s], in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
@@ -82,7 +84,7 @@ def simulate(
 
     with _folder(out) as folder:
         outcome, notes = simulate_fmu(
-            fmu, folder, start=dict(set or {}), recorded=input, stop=stop, step=step, record=record,
+            fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
             report=report and out is not None, force=force, in_process=in_process, progress=progress,
         )  # fmt: skip
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
@@ -94,8 +96,8 @@ def replay(
     out: FilePath | None = None,
     fmu: FilePath | None = None,
     *,
-    start: Mapping[str, Any] | None = None,
-    columns: Mapping[str, str] | None = None,
+    start: Given | None = None,
+    columns: Given | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -104,18 +106,18 @@ def replay(
 ) -> Replay:
     """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
 
-    out:     folder for results.csv, residual.csv and report.html; nothing is left without
+    out:     folder for results.csv, residual.csv, replay.json and report.html; nothing is left without
     start:   start values and parameters of the FMU
     columns: of the log under other names, column → variable, or `time`
-    force:   also over what another command left in `out`
+    force:   also over what another command, or the replay of another log or FMU, left in `out`
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.residuals.workflow import replay as replay_log
 
     with _folder(out) as folder:
         replay_log(
-            log, folder, fmu, start=[f"{n}={_as_yaml(v)}" for n, v in (start or {}).items()],
-            columns=[f"{c}={v}" for c, v in (columns or {}).items()], report=report and out is not None,
+            log, folder, fmu, start=texts(start, "start"),
+            columns=_pairs(columns), report=report and out is not None,
             force=force, in_process=in_process, limits=limits, progress=progress,
         )  # fmt: skip
         return _replay(Path(folder), None if out is None else Path(out))
@@ -171,7 +173,7 @@ def compare(
 
     out:       folder for comparison.json and report.html; nothing is left without
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    force:     also over what another command left in `out`
+    force:     also over what another command, or the comparison of other runs, left in `out`
     Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
     """
     from cosim.comparison.page import compare as compare_runs
@@ -191,8 +193,8 @@ def _ran(side: FilePath | Signals) -> Any:
     return Ran(side.folder or Path(side.title), side.title, side.results, manifest)
 
 
-def read(folder: FilePath) -> Run | Replay | Refined | Signals:
-    """What `run`, `simulate`, `replay` or `refine` left in a folder, or the signals of a CSV with time first.
+def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
+    """What `run`, `simulate`, `replay`, `refine` or `sweep` left in a folder, or the signals of a CSV with time first.
 
     InputError where there is none of it.
     """
@@ -201,6 +203,8 @@ def read(folder: FilePath) -> Run | Replay | Refined | Signals:
     path = Path(folder)
     if (path / "refine.json").is_file():
         return Refined(json.loads((path / "refine.json").read_text(encoding="utf-8")), path)
+    if (path / "sweep.json").is_file() and (path / "sweep.parquet").is_file():
+        return Runs(content_of(path / "sweep.json"), path)
     if (path / "residual.csv").is_file():
         return _replay(path, path)
     ran = read_ran(path)
@@ -213,6 +217,11 @@ def _run(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> 
     scenario = manifest.get("scenario")
     name = scenario.get("name") if isinstance(scenario, Mapping) else None
     return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
+
+
+def _pairs(columns: Given | None) -> Sequence[str]:
+    found = given(columns, "columns")
+    return [f"{column}={variable}" for column, variable in found.items()] if isinstance(found, Mapping) else found
 
 
 def _replay(folder: Path, left: Path | None) -> Replay:
@@ -256,10 +265,3 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
         except InputError as error:
             at_it = [replace(f, file=told, line=0, column=0) if f.file == path else f for f in error.faults]
             raise InputError(at_it) from None
-
-
-def _as_yaml(value: Any) -> str:
-    """A value of Python as --set takes it."""
-    if isinstance(value, os.PathLike):
-        return json.dumps(os.fspath(value))
-    return json.dumps(value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value)

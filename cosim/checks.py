@@ -82,6 +82,8 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.CODE:
             only_model(path)
             return []
+        case kinds.MODEL | kinds.PROTOCOL | kinds.SWEEP | kinds.STUDY | kinds.SCENARIO | kinds.MANIFEST:
+            pass  # by its keys below
         case str() as other:
             _refuse_unchecked(path, other)
     if path.suffix.startswith(".py:"):  # FILE.py:Class

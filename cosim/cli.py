@@ -18,7 +18,18 @@ from cosim.program import STOPPED, as_program
 from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
 from cosim.verbs.streams import echo, open_streams
-from cosim.verbs.terminal import Force, InProcess, Json, Open, progress_bar, say, say_failure, say_json
+from cosim.verbs.terminal import (
+    Force,
+    InProcess,
+    Json,
+    Open,
+    progress_bar,
+    say,
+    say_failure,
+    say_json,
+    say_note,
+    say_usage,
+)
 from cosim.version import __version__
 
 app = typer.Typer(
@@ -155,7 +166,7 @@ def export(
 
     exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
     for note in exported.notes:
-        echo(f"note: {note}", err=True)
+        say_note(note)
     say(f"wrote {exported.path}")
     if as_json:
         say_json({"ssp": str(exported.path), "notes": list(exported.notes)})
@@ -224,6 +235,9 @@ def entry() -> None:
     try:
         check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
+    except SystemExit as ended:
+        say_usage(ended.__context__)
+        raise
     except CosimError as error:
         echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         say_failure(error)

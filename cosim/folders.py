@@ -18,7 +18,10 @@ MARKS = {  # a file that only one command leaves
     "consistency.json": "cosim consistency",
 }  # fmt: skip
 REPLAY = "replay.json"  # beside the rows of a replay
-SOURCES = {"cosim refine": ("refine.json", "study"), "cosim linearize": ("linear.json", "model")}  # of what it is
+SOURCES = {  # a file, and its keys that say of what it is
+    "cosim refine": ("refine.json", "study"), "cosim linearize": ("linear.json", "model"),
+    "cosim compare": ("comparison.json", "a", "b"), "cosim replay": (REPLAY, "log", "fmu"),
+}  # fmt: skip
 CURE = "give another folder as --out, or write over it by --force"
 
 
@@ -49,10 +52,11 @@ def name_of(model: str) -> str:
 
 def manifest_in(folder: Path) -> dict[str, Any]:
     """The manifest that a run left in a folder, empty where there is none that can be read."""
-    return _content(folder / "manifest.json")
+    return content_of(folder / "manifest.json")
 
 
-def _content(path: Path) -> dict[str, Any]:
+def content_of(path: Path) -> dict[str, Any]:
+    """What a JSON file of keys holds, empty where there is none that can be read."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -61,8 +65,8 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def left_by_replay(folder: Path) -> dict[str, Any]:
-    """What a replay says of its rows, `units` and `sentence`, empty where there is none that can be read."""
-    return _content(folder / REPLAY)
+    """What a replay says of its rows: `log`, `fmu`, `units`, `sentence`; empty where there is none that can be read."""
+    return content_of(folder / REPLAY)
 
 
 def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
@@ -79,17 +83,21 @@ def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: 
     check_left(folder, "cosim run")
 
 
-def check_left(folder: Path, by: str, source: str = "", *, force: bool = False) -> None:
-    """InputError where a folder holds what another command left, or the same one of another source."""
+def check_left(folder: Path, by: str, *sources: str, force: bool = False) -> None:
+    """InputError where a folder holds what another command left, or the same one of other sources."""
     if force or not folder.is_dir():
         return
     other = next((verb for file, verb in MARKS.items() if verb != by and (folder / file).is_file()), None)
     if other is not None:
         raise InputError([Fault(folder, 0, 0, f"holds what `{other}` left; {CURE}")])
-    file, key = SOURCES.get(by, ("", ""))
-    before = _content(folder / file).get(key) if file else None
-    if isinstance(before, str) and not _same(before, source):
-        raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {before}; {CURE}")])
+    if not sources or by not in SOURCES:
+        return
+    file, *keys = SOURCES[by]
+    content = content_of(folder / file)
+    before = [str(content.get(key) or "") for key in keys]
+    if any(before) and not all(map(_same, before, sources)):
+        of = " and ".join(filter(None, before))
+        raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {of}; {CURE}")])
 
 
 def _same(one: str, other: str) -> bool:

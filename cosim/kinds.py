@@ -27,7 +27,8 @@ NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT,
 BINARY, REPLAYED = "a binary file", "an answer of `cosim replay`"
 READ_BY = {
     LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
-    RESULTS: "`cosim compare {file} OTHER` holds it against another, `cosim replay {file}` drives an FMU with it",
+    RESULTS: "`cosim compare {file} OTHER` holds it against another, "
+    "`cosim replay {file} --plant FMU --column COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
     FMU: "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
     "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
     SSP: "`cosim run {file}` runs it",
@@ -72,8 +73,14 @@ FOLDERS = {  # a file in it: whose folder it is, and what is done with that
     ),
     "residual.csv": ("the folder of a replay", "`cosim compare {file} OTHER` holds it against another"),
     "sweep.json": ("the folder of a sweep", "`cosim.read` reads it in Python"),
-    "comparison.json": ("the folder of a comparison", "its report.html opens in a browser"),
-    "linear.json": ("the folder of a linearisation", "its report.html opens in a browser"),
+    "comparison.json": (
+        "the folder of a comparison",
+        "its report.html opens in a browser, scripts read comparison.json",
+    ),
+    "linear.json": (
+        "the folder of a linearisation",
+        "its report.html opens in a browser, its linear.py loads it in Python",
+    ),
     "identify.json": ("the folder of an identification", "`cosim build --model` takes the model file in it"),
     "excitation.yaml": ("the folder of an excitation", "`cosim run {file}/excitation.yaml` plays it"),
 }
@@ -95,6 +102,8 @@ PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of some instrument
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
 FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
+KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
+UTF_16 = b"\xff\xfe", b"\xfe\xff"
 HEAD = 1024  # bytes
 
 
@@ -114,9 +123,13 @@ def kind_by_form(path: Path) -> str | None:
         return kind
     if ending == ".csv" and path.name == "results.csv" and (path.parent / "manifest.json").is_file():
         return RESULTS
+    if ending == ".csv" and _no_text(head):
+        return BINARY
+    if ending == ".csv" and _keyed(head):
+        return _by_keys(path) or LOG
     if ending in ENDINGS or not head:
         return ENDINGS.get(ending)
-    if b"\0" in head and ending not in WRITTEN and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
+    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
 
@@ -144,6 +157,21 @@ def _tabular(head: bytes) -> bool:
     """Whether a text may be a table or a mapping: it has a row of numbers, or begins with a column or a key."""
     lines = head.decode("utf-8", errors="replace").splitlines()
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
+
+
+def _no_text(head: bytes) -> bool:
+    """Whether bytes are none of a text, in any encoding that loggers write; a zero here or there is a torn row."""
+    if head.startswith(UTF_16):
+        return False
+    controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    return b"\0" in head.partition(b"\n")[0] or (controls > 0.05 * len(head) and any(byte > 127 for byte in head))
+
+
+def _keyed(head: bytes) -> bool:
+    """Whether a text begins as YAML or JSON does, with a key."""
+    lines = (line.strip() for line in head.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines())
+    first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
+    return bool(first == "{" or KEYED.match(first))
 
 
 def _marked(head: bytes) -> str | None:
@@ -178,6 +206,10 @@ def kind_of(path: Path) -> str | None:
     """The kind of a file by its form, or of a YAML or JSON file by its keys; None where neither says."""
     if (kind := kind_by_form(path)) is not None or path.suffix.lower() not in WRITTEN:
         return kind
+    return _by_keys(path)
+
+
+def _by_keys(path: Path) -> str | None:
     try:
         return kind_by_keys(YamlFile(path).root)
     except InputError:

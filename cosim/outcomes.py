@@ -213,6 +213,15 @@ class Refined:
         ]
         return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
 
+    def plot(self, part: str = "validation") -> Figure:
+        """A matplotlib figure of the errors of each channel before and after, of the `validation` or `estimation` logs.
+
+        ValueError where the record holds none of that part.
+        """
+        from cosim.refinement.report.figure import errors_figure
+
+        return errors_figure(self.record, part)
+
     def __repr__(self) -> str:
         return f"{self.verdict}: {self.sentence}"
 
@@ -220,3 +229,27 @@ class Refined:
         from html import escape
 
         return f"<p><b>{escape(self.verdict)}</b>: {escape(self.sentence)}</p>"
+
+
+@dataclass(frozen=True, repr=False)
+class Runs:
+    """Runs of a sweep: `record` is sweep.json; sweep.parquet is in `folder`."""
+
+    record: Mapping[str, Any]
+    folder: Path
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        from cosim.sweeps.store import read_table
+
+        frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()
+        return frame
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.record.get('sweep', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
+        )

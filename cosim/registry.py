@@ -79,6 +79,7 @@ MODELS = {
 BASE_NAME = next(iter(MODELS))
 # modelName of an FMU that is no model of equations → what does the same for many runs at once (cosim/sweeps/twins.py)
 TWINS = {"HovercraftController": "controller.many:Controllers"}
+SCHEMAS = {"protocol": "cosim.identification.protocol:ProtocolFile"}  # kind of file → what describes its keys
 PAGES = (
     Page(
         frozenset({"x_world", "y_world", "psi"}),

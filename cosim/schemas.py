@@ -7,13 +7,16 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from cosim.registry import SCHEMAS, resolve
+
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-TITLES = {"scenario": "cosim scenario", "study": "cosim study", "model": "cosim model file", "sweep": "cosim sweep"}
+TITLES = {"scenario": "cosim scenario", "study": "cosim study", "model": "cosim model file", "sweep": "cosim sweep",
+          "protocol": "cosim protocol of a testing bench"}  # fmt: skip
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """JSON schema of a `scenario`, `study`, `model` or `sweep`, each key with what it means."""
+    """JSON schema of a `scenario`, `study`, `model`, `sweep` or `protocol`, each key with what it means."""
     schema = _model(kind).model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):
         _described(part)
@@ -24,6 +27,9 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 def _model(kind: str) -> type[BaseModel]:
+    if kind in SCHEMAS:
+        found: type[BaseModel] = resolve(SCHEMAS[kind])
+        return found
     if kind == "scenario":
         from cosim.simulation.scenario import Scenario
 

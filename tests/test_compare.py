@@ -276,3 +276,22 @@ def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None
     assert d.at == 1.5
     (d,) = compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["q", "q", "q", "q"]), 0.0).beyond
     assert d.at == 0.0
+
+
+@pytest.mark.parametrize("text", ["[1", "{}", "[]", '{"scenario": 1}'])
+def test_a_page_is_not_made_again_of_a_torn_manifest(tmp_path: Path, text: str) -> None:
+    (tmp_path / "results.csv").write_text("time,a.x\n0,0\n1,1\n")
+    (tmp_path / "manifest.json").write_text(text)
+    assert "is no manifest of a run" in told("report", tmp_path, code=2)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_comparison_is_written_over_by_one_of_the_same_runs_alone(tmp_path: Path) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.csv").write_text("time,x\n0,0\n1,1\n")
+    a, b, c = (tmp_path / f"{name}.csv" for name in "abc")
+    out = ("--out", tmp_path / "out", "--no-report")
+    for _ in range(2):
+        told("compare", a, b, *out)
+    assert "holds what `cosim compare` left of" in told("compare", a, c, *out, code=2)
+    told("compare", a, c, *out, "--force")

@@ -313,6 +313,68 @@ def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(t
     assert "is a scenario of yours" in told(*again, "--force", code=2)
 
 
+@pytest.mark.parametrize(
+    ("options", "duration", "step", "last", "words"),
+    [
+        (["--step", "0.3"], "2.1 # s: whole steps; the default experiment of typed is 2 s", "0.3 # s: given", 2.1,
+         "the run ends at 2.1 s, not at 2 s"),
+        (["--stop", "1.1"], "1.1 # s: given", "# s: 3 to the end; not 0.5 s, the step of typed", 1.1,
+         "the step is 0.366667 s, not 0.5 s (the step of typed), to end at 1.1 s"),
+        (["--stop", "1", "--step", "0.3"], "1.2 # s: whole steps; given is 1 s", "0.3 # s: given", 1.2,
+         "the run ends at 1.2 s, not at 1 s (given)"),
+        ([], "2 # s: the default experiment of typed", "0.5 # s: the step of typed", 2.0, ""),
+        (["--stop", "1.5"], "1.5 # s: given", "0.5 # s: the step of typed", 1.5, ""),
+    ],
+)  # fmt: skip
+def test_a_stop_or_step_that_is_not_kept_is_told_and_its_comment_is_true(
+    tmp_path: Path, options: list[str], duration: str, step: str, last: float, words: str
+) -> None:
+    fmu, out = typed_fmu(tmp_path, **{EXPERIMENT: RUNS}), tmp_path / "out"
+    done = CliRunner().invoke(app, ["simulate", "--in-process", str(fmu), *options, "--out", str(out), "--no-report"])
+    assert done.exit_code == 0
+    assert words in done.output
+    assert words or "the run ends" not in done.output
+    scenario = (out / "scenario.yaml").read_text()
+    assert f"duration: {duration}\n" in scenario
+    assert f"{step}\n" in scenario
+    assert float((out / "results.csv").read_text().splitlines()[-1].partition(",")[0]) == last
+
+
+def test_a_step_beyond_the_end_is_refused(tmp_path: Path) -> None:
+    fmu, out = typed_fmu(tmp_path, **{EXPERIMENT: RUNS}), tmp_path / "out"
+    message = told("simulate", "--in-process", fmu, "--step", "3", "--out", out, code=2)
+    assert "is longer than the run, 2 s (the default experiment of typed)" in message
+    assert not out.exists()
+
+
+def test_a_run_begins_where_its_recording_begins_and_says_what_it_does_not_play(tmp_path: Path) -> None:
+    fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
+    log.write_text("time,r_in,other\n" + "".join(f"{t:.1f},{t:.1f},0\n" for t in np.arange(5, 6.01, 0.1)))
+    made = simulate(fmu, input=log, in_process=True)
+    assert made.time[0] == 5
+    assert made.time[-1] == pytest.approx(6)
+    assert made["typed.r_out"] == pytest.approx(made.time, abs=1e-6)
+    assert "the run begins at 5 s, where log.csv does" in made.warnings
+    assert any("other are recorded as recorded.NAME, and drive nothing" in w for w in made.warnings)
+    late = typed_fmu(tmp_path, name="late", **{EXPERIMENT: '<DefaultExperiment startTime="5.5" stopTime="7"/>'})
+    made = simulate(late, input=log, in_process=True)
+    assert (made.time[0], made.time[-1]) == pytest.approx((5.5, 6))
+    assert "log.csv: begins at 5 s, the run at 5.5 s as late says" in made.warnings
+
+
+def test_an_input_is_not_both_set_and_played(tmp_path: Path) -> None:
+    fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
+    log.write_text("time,r_in\n0,0\n1,1\n")
+    asked = ["--input", log, "--set", "r_in=3", "--out", tmp_path / "out"]
+    assert "--set r_in=3: log.csv plays it" in told("simulate", "--in-process", fmu, *asked, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_init_writes_yaml_alone(tmp_path: Path) -> None:
+    assert "name a .yaml or .yml file" in told("init", typed_fmu(tmp_path), "--out", tmp_path / "x.csv", code=2)
+    assert not (tmp_path / "x.csv").exists()
+
+
 def test_results_go_to_the_name_of_the_fmu_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fmu = typed_fmu(tmp_path)
     monkeypatch.chdir(tmp_path)

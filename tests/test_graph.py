@@ -91,3 +91,17 @@ def test_lines_lie_in_lanes_and_slots_of_their_own() -> None:
     upright = re.findall(r'class="wire" d="M[\d.]+ [\d.]+L([\d.]+)', svg)  # where each first turns
     assert len(upright) == 9
     assert len({round(float(x)) for x in upright[:6]}) == 6  # those that leave one box
+
+
+def test_a_picture_is_drawn_again_but_over_no_other_file(scenario: Path, tmp_path: Path) -> None:
+    for name in ("x.svg", "x.mmd"):
+        path = tmp_path / name
+        for _ in range(2):
+            told("graph", scenario, "--out", path)
+        mine = path.read_text()
+        for foreign in ("<svg/>", mine.replace(graph_of(scenario).name, "other") if name == "x.svg" else "graph TD\n"):
+            path.write_text(foreign)
+            assert "is there, and no picture of" in told("graph", scenario, "--out", path, code=2)
+            assert path.read_text() == foreign
+        told("graph", scenario, "--out", path, "--force")
+        assert path.read_text() == mine

@@ -8,12 +8,13 @@ import re
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cosim.cli import app, entry
 from cosim.errors import CosimError
-from cosim.kinds import LOG, RESULTS, kind_of
+from cosim.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
 
 SHORT = 400  # characters that are read before one gives up
 WORDS = {  # file → what it is called
@@ -195,6 +196,25 @@ def test_a_folder_says_which_of_its_files_may_be_meant(tmp_path: Path, monkeypat
 def test_a_log_of_another_ending_is_no_text(tmp_path: Path, text: str) -> None:
     (tmp_path / "log.txt").write_text(text)
     assert kind_of(tmp_path / "log.txt") is None
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"# a comment\nname: s\nduration: 1\ncomponents: {}\n", SCENARIO),
+        (b'{"name": "s", "components": {}}', SCENARIO),
+        (b"Device: X\ntime,x\n0,1\n", LOG),
+        (b"time: s,x\n0,1\n", LOG),
+        ("zeit,größe\n0,1\n".encode("latin-1"), LOG),
+        ("time,x\n0,1\n".encode("utf-16"), LOG),
+        (b"time,x\n0,1\n" + bytes(200), LOG),  # a logger that lost its power
+        (bytes((k * k + 7 * k) % 251 for k in range(900)), BINARY),
+        (np.linspace(0, 1, 200).tobytes(), BINARY),
+    ],
+)
+def test_a_csv_is_what_it_holds(tmp_path: Path, content: bytes, kind: str) -> None:
+    (tmp_path / "x.csv").write_bytes(content)
+    assert kind_of(tmp_path / "x.csv") == kind
 
 
 def test_rows_are_those_of_a_run_where_its_manifest_lies_beside_them(shelf: Path) -> None:

@@ -74,6 +74,31 @@ def test_json_of_what_is_done_is_alone_on_stdout(
     assert (code, json.loads(out)) == (0, {"report": "results/my-tank/report.html"})
 
 
+@pytest.mark.parametrize("words", [["run"], ["info", "--bogus"], ["frobnicate"], ["run", "a", "b"]])
+def test_json_of_wrong_usage_is_alone_on_stdout(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    code, out, err = told(monkeypatch, capsys, *words, "--json")
+    found = json.loads(out)
+    assert (code, found["exit_code"], found["faults"]) == (2, 2, [])
+    assert found["error"] in err
+    code, out, _ = told(monkeypatch, capsys, *words)
+    assert (code, out) == (2, "")
+
+
+def test_a_quiet_run_names_the_criteria_it_missed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(
+        "name: s\nduration: 1\nstep: 0.1\ncomponents: {r: {block: reference, signals: {x: {start: 1}}}}\n"
+        "criteria: {peak: {of: r.x, max: 0.5}}\n"
+    )
+    code, out, err = told(monkeypatch, capsys, "run", "s.yaml", "-q", "--in-process", "--no-report")
+    assert (code, out) == (5, "")
+    assert "r.x" in err
+
+
 # -- folders ----------------------------------------------------------------------------------------
 
 
@@ -102,6 +127,10 @@ def test_results_are_called_after_what_they_are_of(tmp_path: Path) -> None:
         ("refine.json", '{"study": "b/study.yaml"}', "cosim refine", "left of b/study.yaml"),
         ("linear.json", '{"model": "a/study.yaml"}', "cosim linearize", ""),
         ("refine.json", '{"study": "./a/study.yaml"}', "cosim refine", ""),
+        ("comparison.json", '{"a": "a/study.yaml", "b": "b"}', "cosim compare", "left of a/study.yaml and b"),
+        ("comparison.json", '{"a": "a/study.yaml", "b": "./c"}', "cosim compare", ""),
+        ("replay.json", '{"log": "e1.csv", "fmu": ""}', "cosim replay", "left of e1.csv"),
+        ("replay.json", '{"log": "a/study.yaml", "fmu": "c"}', "cosim replay", ""),
         ("notes.txt", "", "cosim excite", ""),
     ],
 )
@@ -109,12 +138,13 @@ def test_what_another_left_is_written_over_by_force_alone(
     tmp_path: Path, file: str, content: str, by: str, words: str
 ) -> None:
     (tmp_path / file).write_text(content)
-    check_left(tmp_path, by, "a/study.yaml", force=True)
+    sources = "a/study.yaml", "c"
+    check_left(tmp_path, by, *sources, force=True)
     if not words:
-        check_left(tmp_path, by, "a/study.yaml")
+        check_left(tmp_path, by, *sources)
         return
     with pytest.raises(InputError, match="give another folder as --out, or write over it by --force") as refused:
-        check_left(tmp_path, by, "a/study.yaml")
+        check_left(tmp_path, by, *sources)
     assert words in str(refused.value)
     assert refused.value.exit_code == 2
 

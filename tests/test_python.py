@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import cosim
 from cosim.cli import app
 from cosim.errors import InputError
-from cosim.outcomes import Replay, Run, Signals
+from cosim.outcomes import Refined, Replay, Run, Signals
 from cosim.schemas import schema_of
 from cosim.yaml_file import YamlFile
 from tests.conftest import ROOT
@@ -27,6 +27,8 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read
 SHIPPED = {
     "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
     "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep"}),
+    "protocol": sorted((ROOT / "examples").glob("*/protocol.yaml")),
+    "model": sorted(p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"),
     "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
 }
 
@@ -100,7 +102,13 @@ def test_a_replay_has_its_residual_and_is_read_back(tmp_path: Path) -> None:
     assert "free_run.r_out" in made.residual
     read = cosim.read(tmp_path / "out")
     assert isinstance(read, Replay)
-    assert read.names == made.names
+    assert (read.names, read.sentence) == (made.names, made.sentence)
+    for wrong, words in ({"nope": "r_out"}, 'has no column "nope"'), (["r_inn=r_in"], 'did you mean "r_in"'):
+        with pytest.raises(InputError, match=words):
+            cosim.replay(tmp_path / "log.csv", fmu=fmu, columns=wrong, in_process=True)
+    (tmp_path / "other.csv").write_bytes((tmp_path / "log.csv").read_bytes())
+    with pytest.raises(InputError, match=r"left of .*log.csv and .*fmu"):
+        cosim.replay(tmp_path / "other.csv", tmp_path / "out", fmu, in_process=True)
 
 
 def test_a_figure_shows_the_signals_that_are_asked_for(tmp_path: Path) -> None:
@@ -109,6 +117,32 @@ def test_a_figure_shows_the_signals_that_are_asked_for(tmp_path: Path) -> None:
     assert [line.get_label() for line in axes.lines] == ["a.r_out"]
     with pytest.raises(KeyError, match="did you mean"):
         made.plot("a.r_outt")
+
+
+def test_what_is_set_is_a_mapping_or_texts(tmp_path: Path) -> None:
+    for given in ({"duration": 0.2}, ["duration=0.2"], "duration=0.2"):
+        assert cosim.run(turning(tmp_path), set=given, in_process=True).time[-1] == pytest.approx(0.2)
+    for wrong in (5, [1]):
+        with pytest.raises(InputError, match="set: give a mapping"):
+            cosim.run(turning(tmp_path), set=wrong, in_process=True)
+    linear = cosim.linearize("base", set={"friction": 0}, at={"phi": 0.01})
+    assert linear.first.point.states.tolist().count(0.01) == 1
+
+
+def test_a_comparison_and_a_refine_are_drawn(tmp_path: Path) -> None:
+    runs = [cosim.run(turning(tmp_path), set={"duration": 0.2}, in_process=True) for _ in range(2)]
+    made = cosim.compare(*runs)
+    lines = [line.get_label() for ax in made.plot("a.r_out").axes for line in ax.lines]
+    assert [label[:2] for label in lines] == ["a:", "b:", "b "]
+    with pytest.raises(KeyError, match="did you mean"):
+        made.plot("a.r_outt")
+    if importlib.util.find_spec("pandas") is not None:
+        assert made.to_pandas().loc["a.r_out", "largest"] == 0
+    error = {m: {"validation": {"level": k, "speed": None}} for k, m in enumerate(("before", "after"))}
+    refined = Refined({"verdict": "no_effect", "error": error}, tmp_path)
+    assert [bar.get_height() for bar in refined.plot().axes[0].patches] == [0, 1]
+    with pytest.raises(ValueError, match="no errors of"):
+        refined.plot("test")
 
 
 def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Path) -> None:
@@ -125,13 +159,13 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep", "protocol"])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep", "protocol"])
 def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
     schema = schema_of(kind)
     parts = {"": schema, **schema.get("$defs", {})}

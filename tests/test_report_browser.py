@@ -148,6 +148,27 @@ def test_a_curve_is_hidden_and_shown_by_its_name(page: Page) -> None:
     assert line.is_visible()
 
 
+def test_every_chart_is_saved_under_a_name_of_its_own_with_its_unit_where_titles_are_alike(
+    browser: Browser, tmp_path: Path
+) -> None:
+    time = np.arange(3.0)
+    columns = ("tank.a", "tank.b", "tank.c", "valve.e")
+    results = Results(time, columns, np.outer(time, range(4)), {"tank.a": "m", "tank.b": "m/s", "tank.c": "rad"})
+    write_report(tmp_path / "report.html", results, {"scenario": {"name": "tank"}})
+    opened = browser.new_page()
+    opened.goto((tmp_path / "report.html").as_uri())
+    opened.wait_for_selector("html[data-ready]", state="attached")
+    titles = opened.eval_on_selector_all("[data-chart]", "all => all.map((c) => c.dataset.title)")
+    names = []
+    for button in opened.get_by_role("button", name="as CSV").all():
+        with opened.expect_download() as waiting:
+            button.click()
+        names.append(waiting.value.suggested_filename)
+    opened.close()
+    assert len(set(names)) == len(names) == len(titles) > len(set(titles))
+    assert {"tank_m.csv", "tank_m_s.csv", "tank_deg.csv"} <= set(names)
+
+
 def test_what_a_chart_shows_is_saved_as_numbers_and_as_pictures(page: Page, report: tuple[Path, Results]) -> None:
     results = report[1]
     kept = {}

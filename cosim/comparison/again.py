@@ -26,6 +26,9 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         )
         raise InputError([Fault(path, 0, 0, f"holds no manifest.json; {cure}")])
     ran = read_ran(path)
+    if not isinstance(ran.manifest.get("scenario"), dict):
+        told = "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
+        raise InputError([Fault(path / "manifest.json", 0, 0, told)])
     if not ran.results.time.size:
         raise InputError(
             [Fault(path / "results.csv", 0, 0, "has no rows: the run stopped before its first; run it again")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +16,14 @@ from cosim.errors import Fault, InputError
 from cosim.text import amount, counted, plain
 from fmus.units import factor
 
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
 SAME_TIME = 1e-9  # of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
 BETWEEN = "between rows of a"
+DRAWN = 4  # signals in a picture, where nobody says which
 SHOWN = 12  # signals, where a comparison is told in a few lines
 
 
@@ -101,6 +106,32 @@ class Compared:
         ranked, more = self._ranked()
         lines = ["  ".join(cells) for cells in ranked] + ([more] if more else [])
         return "\n  ".join([self._heading(), *lines])
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row a signal that both have, the most different first; ImportError where pandas is not installed."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        ranked = sorted(self.differences, key=lambda d: -d.share)
+        return pandas.DataFrame([asdict(d) for d in ranked]).set_index("name")
+
+    def plot(self, *names: str) -> Figure:
+        """A matplotlib figure of both runs over each other and of b − a; of the most different signals without names.
+
+        KeyError of a name that has no numbers in both.
+        """
+        from cosim.comparison.panels import panels_of
+        from cosim.simulation.report.figures import sheet
+        from cosim.yaml_file import did_you_mean
+
+        for name in names:
+            if name not in self.values:
+                raise KeyError(f'no signal "{name}" in both{did_you_mean(name, self.values)}')
+        ranked = sorted((d for d in self.differences if d.name in self.values), key=lambda d: -d.share)
+        drawn = [d for d in ranked if d.name in names] if names else ranked[:DRAWN]
+        runs = self.a.name, self.b.name
+        return sheet(self.time, [p for d in drawn for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
 
     def _repr_html_(self) -> str:
         from html import escape

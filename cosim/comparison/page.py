@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from cosim.comparison.differences import Compared, Difference, compared, criteria_of, sentence, shared, sized
+from cosim.comparison.panels import panels_of
 from cosim.comparison.ran import Ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.folders import check_left, folder_named
 from cosim.report.data import to_json
 from cosim.report.drawing import Drawing
-from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
-from cosim.text import amount, display, written
+from cosim.text import amount, written
 from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
@@ -51,7 +51,7 @@ def compare(
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_left(place, "cosim compare", force=force)
+    check_left(place, "cosim compare", str(a.path), str(b.path), force=force)
     check_writable(place, MADE, read)
     with atomic_write(place / "comparison.json") as stream:
         json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
@@ -68,7 +68,7 @@ def context(c: Compared) -> Mapping[str, Any]:
     ranked = sorted(c.differences, key=lambda d: -d.share)
     drawn = [d for d in ranked if d.name in c.values][:DRAWN]
     drawing = Drawing(c.time, 3 * len(drawn))
-    panels = [panel for d in drawn for panel in _panels(c, d)]
+    panels = [panel for d in drawn for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
     plots = drawing.plots(panels)
     return {
         "a": c.a, "b": c.b, "outcome": sentence(c),
@@ -110,13 +110,3 @@ def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:
     return f"{shown} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
         "good" if entry.get("met") else "bad"
     )
-
-
-def _panels(c: Compared, d: Difference) -> list[Panel]:
-    unit, factor = display(d.unit)
-    first, second = (v * factor for v in c.values[d.name])
-    both = [Trace(f"a: {c.a.name}", first, "s0"), Trace(f"b: {c.b.name}", second, "s1")]
-    return [
-        Panel(d.name, unit or d.unit or "no unit", both),
-        Panel(f"{d.name}, b − a", unit or d.unit or "no unit", [Trace("b − a", second - first, "error")]),
-    ]

@@ -26,7 +26,14 @@ Phase = tuple[NotNegative, NotNegative, Number]  # time [s], duty [%], tilt [deg
 
 
 class CellFile(Part):
-    """A load cell: the loads hung on it, or points as measured; `error` is a standard deviation, of full scale."""
+    """A load cell: the loads hung on it, or points as measured.
+
+    unit:       of full scale and loads
+    full_scale: what it measures at most
+    error:      standard deviation, a share of full scale
+    loads:      hung on it for its calibration, played
+    points:     load and voltage [V] each, as measured, in place of loads
+    """
 
     unit: str = "N"
     full_scale: Positive
@@ -36,7 +43,12 @@ class CellFile(Part):
 
 
 class Draws(Part):
-    """What differs from run to run on a bench that is played; standard deviations."""
+    """What differs from run to run on a bench that is played; standard deviations.
+
+    thrust: of the battery's state, a share
+    tare:   of each cell [V]
+    noise:  of each reading of each cell [V]
+    """
 
     thrust: NotNegative = 0.0
     tare: dict[str, NotNegative] = Field(default={})
@@ -44,19 +56,24 @@ class Draws(Part):
 
 
 class Test(Part):
-    """A test: played in `phases`, or read from `files`. `rest`: without thrust; `window`: what is looked at [s]."""
+    """A test: played in `phases`, or read from `files`."""
 
-    repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
-    files: list[str] = Field(default=[])
-    low_pass: NotNegative = 0.0
-    height: Positive = FREE_HEIGHT
-    phases: list[Phase] = Field(default=[])
-    rest: Window
-    window: Window
+    repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000, description="runs that are played")] = 1
+    files: list[str] = Field(default=[], description="runs that were measured, a CSV each, in place of phases")
+    low_pass: NotNegative = Field(default=0.0, description="time constant of the filter of readings [s]; 0: none")
+    height: Positive = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
+    phases: list[Phase] = Field(default=[], description="time [s], duty [%], tilt [deg] each, straight in between")
+    rest: Window = Field(description="from and to [s], without thrust: the tare")
+    window: Window = Field(description="from and to [s], what is looked at")
 
 
 class HeightTest(Test):
-    """Thrust at heights, in radii of the propeller, against that with nothing below."""
+    """Thrust at heights against that with nothing below.
+
+    heights:         radii of the propeller
+    free_height:     with nothing below [m]
+    validation_duty: duty of the set that is held against what is found [%]
+    """
 
     heights: list[Positive] = Field(default=[])
     free_height: Positive = FREE_HEIGHT
@@ -64,19 +81,34 @@ class HeightTest(Test):
 
 
 class HoldTest(Test):
-    """Forces over the tilt; `hold`: upright, under full thrust [s]."""
+    """Forces over the tilt.
+
+    hold: from and to [s], upright, under full thrust
+    """
 
     hold: Window
 
 
 class StepTest(Test):
-    """A step `at` a time [s]."""
+    """A step.
+
+    at: time [s]
+    """
 
     at: Positive
 
 
 class SineTest(Test):
-    """Sines of the tilt [rad/s, whole or part periods, deg] after `lead` [s]; the first `skip` [s] are left out."""
+    """Sines of the tilt.
+
+    frequencies: [rad/s]
+    periods:     of each, whole or in part
+    amplitude:   [deg]
+    duty:        [%]
+    lead:        before the sines [s]
+    skip:        first part of the sines that is left out [s]
+    thesis_skip: periods of each that the thesis leaves out
+    """
 
     frequencies: list[Positive]
     periods: list[Positive]
@@ -88,7 +120,16 @@ class SineTest(Test):
 
 
 class Tests(Part):
-    """Those that are there are done."""
+    """Those that are there are done.
+
+    thrust_line:   thrust over duty
+    ground_effect: thrust over height
+    projection:    forces over tilt
+    step:          lag of a step of the tilt
+    thrust_step:   lag of a step of the duty
+    frequency:     lag of sines of the tilt
+    moment:        moment of the weight over the tilt, motor off
+    """
 
     thrust_line: Test | None = None
     ground_effect: HeightTest | None = None
@@ -106,7 +147,19 @@ class Tests(Part):
 
 
 class ProtocolFile(Part):
-    """protocol.yaml."""
+    """A protocol of a testing bench: its cells, the tests that are played on it or were measured.
+
+    schema_version: 1
+    name:       of the results
+    bench:      `bench`, which is built here; or the FMU of another; without, tests have files
+    model:      whose parameters powertrain.yaml sets
+    seed:       of every random stream
+    step:       between rows [s]
+    parameters: of the bench, over its own
+    draws:      what differs from run to run
+    cells:      z, x, m: what measures the forces and the moment
+    tests:      those that are done
+    """
 
     schema_version: Literal[1] = 1
     name: str

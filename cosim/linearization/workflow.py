@@ -13,6 +13,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.folders import check_left
+from cosim.given import Given, texts
 from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
@@ -53,8 +54,8 @@ def linearize(
     model: FilePath,
     out: FilePath | None = None,
     *,
-    at: Sequence[str] = (),
-    set: Sequence[str] = (),
+    at: Given = (),
+    set: Given = (),
     states: Sequence[str] = (),
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
@@ -69,7 +70,7 @@ def linearize(
 
     model:       base or another known name, a model.yaml, file.py:Class, a refine's folder, an FMU for model exchange
     at:          NAME=VALUE of states and inputs, SCENARIO@TIME or SCENARIO@START:STOP:STEP; the start without
-    set:         NAME=VALUE of parameters
+    set:         NAME=VALUE of parameters; both may be mappings
     residualize: states that settle at once
     component:   of the scenario, where several would do
     step:        of central differences, for an FMU in place of its directional derivatives
@@ -79,10 +80,11 @@ def linearize(
     """
     if side is not None and side not in SIDES:
         raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])
-    where, folder = read_at(at), None if out is None else Path(out)
+    given_values = texts(set)
+    where, folder = read_at(texts(at, "at")), None if out is None else Path(out)
     asked = Asked(states, inputs, outputs, residualize)
     with ExitStack() as stack:
-        source = _source(stack, Path(model), set, step)
+        source = _source(stack, Path(model), given_values, step)
         asked = _checked(source, asked)
         if folder is not None:
             check_left(folder, "cosim linearize", str(model), force=force)
@@ -92,7 +94,7 @@ def linearize(
             points = [source.start()]
         else:
             along = Along(source, where.moment, component)
-            source = source.given(along.given, set)
+            source = source.given(along.given, given_values)
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked, side)

@@ -118,23 +118,31 @@ def read_log(
     *,
     table: bool = False,
     columns: Mapping[str, str] = MappingProxyType({}),
+    alone: bool = False,
 ) -> Log:
     """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault.
 
     columns: name in the file → name in the model, or `time`, where they differ
+    alone:   they are of this file alone, which must have each
     """
     known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    return _Reader(path, *known, not table, columns).log()
+    return _Reader(path, *known, not table, columns, alone).log()
 
 
 class _Reader:
     """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
     def __init__(
-        self, path: Path, inputs: dict[str, str], outputs: dict[str, str], timed: bool, columns: Mapping[str, str]
+        self,
+        path: Path,
+        inputs: dict[str, str],
+        outputs: dict[str, str],
+        timed: bool,
+        columns: Mapping[str, str],
+        alone: bool = False,
     ) -> None:
         self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
-        self.called = columns
+        self.called, self.alone = columns, alone
         self.units = dict(self.known)  # in which values are once they are read
         self.faults = Faults(path)
         self.timeless = 0  # cell of a time that a table does not need
@@ -238,7 +246,7 @@ class _Reader:
             if meant not in self.known:
                 message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
                 self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
-            elif name not in self.seen and meant not in columns:
+            elif name not in self.seen and (self.alone or meant not in columns):
                 message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
                 self.faults.note(line, 1, message)
         missing = [name for name in self.inputs if name not in columns]

@@ -66,7 +66,7 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     if (traits := traits_of(fmu)) is not None and traits.static:
         cure = "list the table in a study, `cosim refine` holds each row against the model"
         raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
-    return read_log(path, *signals, columns=columns)
+    return read_log(path, *signals, columns=columns, alone=True)
 
 
 class StoppedReplay(SimulationError):

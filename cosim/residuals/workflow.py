@@ -36,6 +36,7 @@ from cosim.results import Results
 from fmus.build import build as build_fmu
 from fmus.sampled import AUTHOR
 
+SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
 
 
@@ -56,13 +57,14 @@ def replay(
 
     start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
-    Leaves results.csv, residual.csv, replay.json and report.html. Raises InputError, FmuError, SimulationError.
+    Leaves results.csv, residual.csv, replay.json and report.html in `folder`.
+    Raises InputError, FmuError, SimulationError.
     force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
     check_files(Path(log), None if fmu is None else Path(fmu))
-    check_left(Path(folder), "cosim replay", force=force)
+    check_left(Path(folder), "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -125,7 +127,8 @@ def write_replay(
             left = residuals(comparison)
             left.write_csv(folder / "residual.csv")
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **left.units}
-            _record(folder, {"sentence": verdict(comparison), "units": units})
+            of = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
+            _record(folder, {**of, "sentence": verdict(comparison), "units": units})
             if report:
                 with atomic_write(folder / "report.html") as stream:
                     stream.write(render(TEMPLATE, context(comparison, passing=passing)))

@@ -21,7 +21,7 @@ from cosim.kinds import LOG, check_given
 from cosim.simulation.draft_text import BY, scenario_text
 from cosim.simulation.matching import Match, Matches, Port, matched, text
 from cosim.simulation.order import AlgebraicLoop, stages
-from cosim.simulation.parts import STEPS, STOP, Part, Times, parts_of, times_of
+from cosim.simulation.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.table import read_columns
@@ -67,14 +67,8 @@ def write_single(
         cure = "is a scenario of yours and would be written over; give another folder as --out"
         raise InputError([Fault(path, 0, 0, cure)])
     played = _played(recorded, part) if recorded is not None else None
-    ends = stop if stop is not None or played is None else played.end
-    fine = step if step is not None or played is None or experiment_of(part.description).get("step") else played.step
-    began = experiment_of(part.description).get("start", 0.0)
-    if ends is not None and ends <= began:
-        raise InputError(
-            [Fault(recorded or fmu, 0, 0, f"ends at {ends:g} s, the run begins at {began:g} s; give a later --stop")]
-        )
-    times = times_of([part], ends, fine, most=MOST_OF_ONE)
+    asked, notes = _asked(part, played, stop, step)
+    times = times_of([part], asked, most=MOST_OF_ONE)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
     lines = scenario_text(
         folder, [part], played.matches if played else Matches((), ()), times, "gauss-seidel", recorded, "simulate"
@@ -87,14 +81,41 @@ def write_single(
             build_system(ScenarioFile(made))
         except InputError as error:
             raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
-    return path, played.notes if played else ()
+    return path, (*notes, *times.notes)
+
+
+def _asked(part: Part, played: Played | None, stop: float | None, step: float | None) -> tuple[Asked, tuple[str, ...]]:
+    """Times of a run as they are asked for, of a recording from its first row to its last; what is to be known."""
+    declared = experiment_of(part.description).get("start")
+    start, source = declared, part.path
+    notes: tuple[str, ...] = ()
+    if played is not None:
+        source, notes = played.path, played.notes
+        start = played.start if declared is None else max(declared, played.start)
+        if start > played.start:
+            notes += (f"{source.name}: begins at {played.start:g} s, the run at {start:g} s as {part.name} says",)
+        elif start > (declared or 0.0):
+            notes += (f"the run begins at {start:g} s, where {source.name} does",)
+    end = stop if stop is not None or played is None else played.end
+    if end is not None and end <= (start or 0.0):
+        cure = f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop"
+        raise InputError([Fault(source, 0, 0, cure)])
+    if played is None:
+        return Asked(start, end, step), ()
+    if end is not None and end > played.end * (1 + SLACK):
+        notes += (f"{source.name}: ends at {played.end:g} s; its last row is held until {end:g} s",)
+    why_start = f"{source.name} begins" if start == played.start else ""
+    return Asked(
+        start, end, step, played.step, "given" if stop is not None else f"the end of {source.name}", why_start
+    ), notes
 
 
 @dataclass(frozen=True)
 class Played:
-    """A recording played to the inputs of an FMU: its end and step [s], what goes where, what goes nowhere."""
+    """A recording played to the inputs of an FMU: its start, end and step [s], what goes where, what goes nowhere."""
 
     path: Path
+    start: float
     end: float
     step: float
     matches: Matches
@@ -117,10 +138,14 @@ def _played(path: Path, part: Part) -> Played:
         unit, _ = computed_in(c.heading.unit)
         found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
     missed = [*(c.name for c in columns if c.name not in inputs), *sorted(log.spoiled)]
-    notes = (f"{path.name}: not inputs of {part.name}, so not played: {', '.join(missed)}",) if missed else ()
+    told = f"are recorded as {source}.NAME, and drive nothing: {part.name} has no such inputs"
+    notes = (f"{path.name}: {', '.join(missed)} {told}",) if missed else ()
+    if twice := [c.name for c in fed if c.name in part.start]:
+        cure = f"{path.name} plays it; leave out --set, or the column"
+        raise InputError([Fault(part.path, 0, 0, f"--set {name}={part.start[name]}: {cure}") for name in twice])
     time = log["time"]
     between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS
-    return Played(path, float(time[-1]), float(f"{between:.6g}"), Matches(tuple(found), ()), notes)
+    return Played(path, float(time[0]), float(time[-1]), float(f"{between:.6g}"), Matches(tuple(found), ()), notes)
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
@@ -133,6 +158,8 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     if path.exists():
         cure = "it is never written over; give another name as --out, or move it away"
         raise InputError([Fault(path, 0, 0, f"is there already; {cure}")])
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError([Fault(path, 0, 0, "a scenario is YAML; name a .yaml or .yml file as --out")])
     if not path.parent.is_dir():
         raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
     parts = parts_of(fmus)
@@ -144,7 +171,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     times = times_of(parts)
     with draft_of(path) as made:
         algorithm, system = _that_runs(made, path.parent, parts, matches, times)
-    return Draft(path, parts, matches, times, algorithm, (*_elsewhere(parts), *system.warnings))
+    return Draft(path, parts, matches, times, algorithm, (*_elsewhere(parts), *times.notes, *system.warnings))
 
 
 def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:

@@ -37,9 +37,9 @@ def scenario_text(
         *_to_choose(len(matches.choices)),
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
-        f"step: {times.step:.12g} # s: {times.why_step}",
+        f"step: {_whole(times.step)} # s: {times.why_step}",
     ]
-    lines += [f"start_time: {times.start:.12g} # s: of the default experiments"] if times.start else []
+    lines += [f"start_time: {times.start:.12g} # s: {times.why_start}"] if times.start else []
     if algorithm == "jacobi":
         lines.append("algorithm: jacobi # each FMU needs another's output of the same time; or state `order: [...]`")
     lines.append("components:")
@@ -53,6 +53,11 @@ def scenario_text(
         ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"
+
+
+def _whole(value: float) -> str:
+    """A number with as many digits as make it."""
+    return short if float(short := f"{value:.12g}") == value else repr(float(value))
 
 
 def _guessed(count: int) -> list[str]:

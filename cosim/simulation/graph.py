@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from cosim.errors import Fault, InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.report.system import Graph, graph_from
 from cosim.simulation.scenario import resolved
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+
+HEAD = 4096  # characters, which hold what a picture is of
+MERMAID = "flowchart LR\n  n1["
+DRAWN = re.compile(
+    r'<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
+)
 
 
 def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
@@ -20,6 +28,22 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
         return _graph(ScenarioFile(path, overrides))
     with tempfile.TemporaryDirectory(prefix="cosim-graph-") as made:
         return _graph(lay_out(path, Path(made), overrides)[0])
+
+
+def check_picture(path: Path, graph: Graph) -> None:
+    """InputError where a file is there that is no earlier picture of this scenario."""
+    if not path.exists():
+        return
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        head = stream.read(HEAD)
+    if path.suffix.lower() == ".mmd":
+        ours = head.startswith(MERMAID)
+    else:
+        found, drawn = (DRAWN.match(text) for text in (head, graph.svg()))
+        ours = found is not None and drawn is not None and found[1] == drawn[1]
+    if not ours:
+        cure = "name another file as --out, or write over it by --force"
+        raise InputError([Fault(path, 0, 0, f"is there, and no picture of {graph.name}; {cure}")])
 
 
 def _graph(file: ScenarioFile) -> Graph:

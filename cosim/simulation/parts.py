@@ -15,6 +15,7 @@ from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.interface import Signal
 from cosim.blocks.summary import experiment_of, read_fmus
+from cosim.errors import Fault, InputError
 from cosim.simulation.matching import Port
 from fmus.sampled import sampled_by
 
@@ -22,6 +23,7 @@ STOP, STEPS = 1.0, 500  # [s] where no FMU says how long; steps where none says 
 LONGEST = 24  # characters of a component's name, which is read in every signal
 SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"})
 MOST_STEPS = 20_000  # of a first run, which is to answer soon
+SLACK = 1e-9  # relative, by which a duration may miss a whole number of steps
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,26 @@ def _whole(signals: Sequence[Signal]) -> list[Signal]:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """Times [s] in place of those of the FMUs, None where theirs hold, and why; `because` says of whose end it is.
+
+    usual_step: where neither an FMU nor `step` says
+    """
+
+    start: float | None = None
+    stop: float | None = None
+    step: float | None = None
+    usual_step: float | None = None
+    because: str = "given"
+    why_start: str = ""
+
+
+@dataclass(frozen=True)
 class Times:
-    """When a run begins, how long it lasts and its step [s]; steps of components that need others, and why all that."""
+    """When a run begins, how long it lasts and its step [s]; steps of components that need others, and why all that.
+
+    notes: where that is not what was asked for
+    """
 
     start: float
     duration: float
@@ -73,6 +93,8 @@ class Times:
     own: Mapping[str, float]
     why_duration: str
     why_step: str
+    why_start: str = "of the default experiments"
+    notes: tuple[str, ...] = ()
 
 
 def component_name(stem: str, model: str = "") -> str:
@@ -103,36 +125,63 @@ def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> l
     return found
 
 
-def times_of(
-    parts: Sequence[Part], stop: float | None = None, step: float | None = None, most: int = MOST_STEPS
-) -> Times:
-    """Times of a run of these FMUs, by their default experiments where nothing else is given."""
+def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = MOST_STEPS) -> Times:
+    """Start, duration and step of a run, at most `most` steps where no stop is asked for; a guess where nothing says.
+
+    A step that is asked for, or that an FMU insists on, is kept, and the end moves to a whole number of them; else the
+    end is kept, and the step is the whole part of it at or below. Raises InputError where a step exceeds the run.
+    """
+    asked = asked or Asked()
     experiments = {p.name: experiment_of(p.description) for p in parts}
     start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
+    start = start if asked.start is None else asked.start
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
     longest = max(ends, key=lambda n: ends[n]) if ends else ""
     why_duration = f"the default experiment of {longest}" if longest else "no FMU says how long; a guess"
-    duration = (ends[longest] if longest else start + STOP) - start
-    duration, why_duration = (duration, why_duration) if stop is None else (stop - start, "given")
+    duration = ends[longest] - start if longest else STOP
+    duration, why_duration = (duration, why_duration) if asked.stop is None else (asked.stop - start, asked.because)
+    duration = float(f"{duration:.12g}")
     needed = {p.name: own for p in parts if (own := _own_step(p)) > 0}
-    wished = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **needed}
-    finest = min(wished, key=lambda n: wished[n]) if wished else ""
-    if step is not None:
-        h, why_step = step, "given"
-    elif finest:
-        h, why_step = wished[finest], f"the step of {finest}"
-    else:
-        h, why_step = _round(duration / STEPS), "no FMU says how fine; a guess"
-    steps = max(1, math.ceil(duration / h - 1e-9))
-    if stop is None and steps > most:
+    h, why_step = _step(asked, experiments, needed, duration)
+    if asked.step is not None and h > duration * (1 + SLACK):
+        cure = f"is longer than the run, {duration:g} s ({why_duration}); give a shorter one, or a later --stop"
+        raise InputError([Fault(parts[0].path, 0, 0, f"--step {h:g}: {cure}")])
+    steps = max(1, math.ceil(duration / h - SLACK))
+    notes: list[str] = []
+    if asked.stop is None and steps > most:
         why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
-        steps = most
-    if stop is not None and step is None and not needed:  # the end is what was asked for
-        h = duration / steps
+        steps, duration = most, most * h
+    if asked.stop is not None and asked.step is None and not needed:  # the end is what was asked for
+        whole = duration / steps
+        if abs(whole - h) > SLACK * h:
+            notes += [f"the step is {whole:g} s, not {h:g} s ({why_step}), to end at {start + duration:g} s"]
+            why_step = f"{steps} to the end; not {h:g} s, {why_step}"
+        h = whole
     else:
-        duration = float(f"{steps * h:.12g}")
-    coarser = {n: own for n, own in needed.items() if own > h * (1 + 1e-9)}
-    return Times(start, duration, float(f"{h:.12g}"), coarser, why_duration, why_step)
+        whole = float(f"{steps * h:.12g}")
+        if abs(whole - duration) > SLACK * duration:
+            last = f"the run ends at {start + whole:g} s, not at {start + duration:g} s ({why_duration})"
+            notes += [f"{last}: in whole steps of {h:g} s ({why_step})"]
+            why_duration = f"whole steps; {why_duration} is {duration:g} s"
+        duration = whole
+    coarser = {n: own for n, own in needed.items() if own > h * (1 + SLACK)}
+    why_start = asked.why_start or Times.why_start
+    return Times(start, duration, h, coarser, why_duration, why_step, why_start, tuple(notes))
+
+
+def _step(
+    asked: Asked, experiments: Mapping[str, Mapping[str, float]], needed: Mapping[str, float], duration: float
+) -> tuple[float, str]:
+    """The step that is wished for [s], and why; whether it goes into the run is not looked at."""
+    if asked.step is not None:
+        return asked.step, "given"
+    wished = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **needed}
+    if wished:
+        finest = min(wished, key=lambda n: wished[n])
+        return float(f"{wished[finest]:.12g}"), f"the step of {finest}"
+    if asked.usual_step is not None:
+        return min(asked.usual_step, duration), "the usual one of its rows"
+    return _round(duration / STEPS), "no FMU says how fine; a guess"
 
 
 def _own_step(part: Part) -> float:

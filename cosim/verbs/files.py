@@ -19,6 +19,7 @@ class Kind(StrEnum):
     STUDY = "study"
     MODEL = "model"
     SWEEP = "sweep"
+    PROTOCOL = "protocol"
 
 
 def register(app: typer.Typer) -> None:
@@ -31,18 +32,19 @@ def graph(
     scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or the manifest.json of a run.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; the scenario's name without."),
+        typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; NAME.svg of the file without."),
     ] = None,
     mermaid: Annotated[
         bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")
     ] = False,
     set_: Annotated[list[str] | None, typer.Option("--set", help="path=value, over the scenario's own.")] = None,
     open_: Open = False,
+    force: Annotated[bool, typer.Option("--force", help="Also over a file that is no picture of it.")] = False,
     as_json: Json = False,
 ) -> None:
     """Draw a scenario: components in the order in which they step, signals, units, noise and faults."""
     from cosim.files import atomic_write
-    from cosim.simulation.graph import graph_of
+    from cosim.simulation.graph import check_picture, graph_of
 
     found = graph_of(scenario, set_ or ())
     if mermaid:
@@ -54,6 +56,8 @@ def graph(
 
         why = "name an .svg or .mmd file" if path.parent.is_dir() else "its folder is not there; make it first"
         raise InputError([Fault(path, 0, 0, why)])
+    if not force:
+        check_picture(path, found)
     with atomic_write(path) as stream:
         stream.write(found.mermaid() if path.suffix.lower() == ".mmd" else found.svg())
     say(f"graph: {path}")
@@ -63,7 +67,7 @@ def graph(
         show(path)
 
 
-def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model or sweep.")]) -> None:
+def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model, sweep or protocol.")]) -> None:
     """Print the JSON schema of a file, for the completion of an editor."""
     from cosim.schemas import schema_of
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import CriterionMissed
-from cosim.verbs.terminal import judged, say, say_json, say_more, show, table, warn
+from cosim.verbs.terminal import MANNER, judged, say, say_json, say_more, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.workflow import Outcome
@@ -41,7 +41,10 @@ def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool =
     if page is not None and open_:
         show(page)
     if outcome.missed:
-        raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed")
+        which = "; ".join(sentence(c) for c in outcome.missed) if MANNER.quiet or as_json else ""
+        raise CriterionMissed(
+            f"{len(outcome.missed)} of {len(criteria)} criteria missed" + (f": {which}" if which else "")
+        )
 
 
 def told_left(folder: Path) -> None:

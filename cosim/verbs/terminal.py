@@ -84,6 +84,19 @@ def _stopped(error: SimulationError) -> dict[str, Any]:
     return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **left}
 
 
+def say_usage(error: BaseException | None) -> None:
+    """What is wrong with the words of a command as JSON too, where --json is among them; click has told the usage."""
+    message = getattr(error, "format_message", None)
+    if message is not None and "--json" in sys.argv[1:]:
+        say_json({"error": message(), "exit_code": getattr(error, "exit_code", 2), "faults": []})
+
+
+def say_note(text: str) -> None:
+    """What is good to know, on stderr."""
+    if not MANNER.quiet:
+        echo(f"note: {text}", err=True)
+
+
 def warn(text: str) -> None:
     """A warning, on stderr."""
     echo(f"warning: {text}", err=True)

@@ -452,8 +452,17 @@ document.addEventListener("rows", (event) => {
     image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(svg);
   }
 
+  const safe = (text) => text.replace(/\u00b0/g, "deg").replace(/%/g, "percent").replace(/[^\p{L}\p{N}\p{M}.-]+/gu, "_").slice(0, 80), taken = new Map();
+
+  function fileName(chart) {
+    const { title, unit } = chart.figure.dataset, alike = charts.filter((c) => safe(c.figure.dataset.title) === safe(title)).length > 1;
+    const name = (safe(title) || "chart") + (alike ? "_" + safe(unit) : ""), count = (taken.get(name) || 0) + 1;
+    taken.set(name, count);
+    return count > 1 ? `${name}-${count}` : name;
+  }
+
   function tools(chart) {
-    const row = make("span", { class: "tools" }), name = chart.figure.dataset.title.replace(/[^\w.-]+/g, "_").slice(0, 80) || "chart";
+    const row = make("span", { class: "tools" }), name = fileName(chart);
     const ways = {
       PNG: () => savePng(picture(chart), name + ".png"),
       SVG: () => save(new Blob([picture(chart)], { type: "image/svg+xml" }), name + ".svg"),

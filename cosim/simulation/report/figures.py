@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.arrays import Array
 from cosim.report.panels import Panel
 from cosim.results import Results
 from cosim.simulation.report.page import recorded, signal_panels
@@ -57,16 +58,17 @@ def _signals(folder: Path, run: Run) -> list[Path]:
 
 def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
     """Panels over time in one file, two beside each other."""
-    return save(_sheet(run, panels), path)
+    return save(sheet(run.time, panels), path)
 
 
 def figure_of(results: Results, names: Sequence[str]) -> Figure:
     """Signals over time, those of one unit over each other."""
     run = recorded(results, {})
-    return _sheet(run, signal_panels(run, frozenset(results.columns) - set(names)))
+    return sheet(run.time, signal_panels(run, frozenset(results.columns) - set(names)))
 
 
-def _sheet(run: Run, panels: Sequence[Panel]) -> Figure:
+def sheet(time: Array, panels: Sequence[Panel]) -> Figure:
+    """Panels over time [s] in one figure, two beside each other."""
     from matplotlib.figure import Figure
 
     columns = 1 if len(panels) == 1 else 2
@@ -74,21 +76,21 @@ def _sheet(run: Run, panels: Sequence[Panel]) -> Figure:
     figure = Figure(figsize=(5.6 * columns, 2.6 * rows + 0.3), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, panel in zip(axes, panels, strict=False):
-        _panel(ax, run, panel)
+        _panel(ax, time, panel)
     for ax in axes[len(panels) :]:
         ax.set_axis_off()
     return figure
 
 
-def _panel(ax: Axes, run: Run, panel: Panel) -> None:
+def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     if panel.band is not None:
         band = panel.band
-        ax.fill_between(run.time, band.lower, band.upper, color="#0072b2", alpha=0.16, linewidth=0, label=band.label)
+        ax.fill_between(time, band.lower, band.upper, color="#0072b2", alpha=0.16, linewidth=0, label=band.label)
     for trace in panel.traces:
         colour, dash, width = LINES[trace.style]
         shape = "steps-post" if trace.held else "default"
-        marker = "." if run.time.size == 1 else ""
-        ax.plot(run.time, trace.values, color=colour, linestyle=dash, linewidth=width, drawstyle=shape, marker=marker,
+        marker = "." if time.size == 1 else ""
+        ax.plot(time, trace.values, color=colour, linestyle=dash, linewidth=width, drawstyle=shape, marker=marker,
                 label=literal(trace.label))  # fmt: skip
     for i, limit in enumerate(panel.limits):
         ax.axhline(

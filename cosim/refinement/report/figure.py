@@ -1,0 +1,35 @@
+"""Errors before and after a refine as a picture for a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MODELS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}
+
+
+def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
+    """RMSE of each channel, an axis each as units differ, a bar for each model; ValueError where there is none."""
+    from matplotlib.figure import Figure
+
+    errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
+    channels = list(dict.fromkeys(name for of in errors.values() for name in of))
+    if not channels:
+        raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
+    columns = min(4, len(channels))
+    rows = -(-len(channels) // columns)
+    figure = Figure(figsize=(2.4 * columns + 0.4, 2.4 * rows + 0.3), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, channel in zip(axes, channels, strict=False):
+        there = [m for m in MODELS if errors[m].get(channel) is not None]
+        ax.bar(there, [errors[m][channel] for m in there], color=[MODELS[m] for m in there])
+        ax.set_title(channel.replace("$", r"\$"), loc="left", fontsize=10)
+        ax.tick_params(axis="x", labelsize=7.5)
+        ax.spines[["top", "right"]].set_visible(False)
+    for ax in axes[len(channels) :]:
+        ax.set_axis_off()
+    figure.suptitle(f"root mean square error, {part} logs", fontsize=10)
+    return figure
