@@ -146,9 +146,24 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
     if "time" not in numbers:
         raise InputError([Fault(path, 2, 1, "a time is no number")])
     time = numbers.pop("time") * scale
+    _check_time(path, time)
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     found = {n: u for n, u in named[1:] if u} | {n: u for n, u in (units or {}).items() if n in numbers or n in exact}
     return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))
+
+
+def _check_time(path: Path, time: Array) -> None:
+    """Times are known and in order; at an event other tools write several rows of one."""
+    unknown = np.flatnonzero(~np.isfinite(time))
+    back = np.flatnonzero(np.diff(time) < 0.0) + 1
+    if unknown.size:
+        raise InputError(
+            [Fault(path, int(unknown[0]) + 2, 1, "the row has no time; fill the cell or leave the row out")]
+        )
+    if back.size:
+        row = int(back[0])
+        why = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
+        raise InputError([Fault(path, row + 2, 1, why)])
 
 
 def _cells(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -388,6 +388,7 @@ def test_rows_before_a_failure_are_kept(tmp_path: Path) -> None:
         write_replay(tmp_path / "out", log, fmu)
     assert isinstance(stopped.value, SimulationError)
     assert stopped.value.exit_code == 4
+    assert stopped.value.left == tmp_path / "out"
     with (tmp_path / "out" / "results.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [float(r["plant.y"]) for r in rows] == [0.0, 1.0, 2.0, 3.0, 4.0]

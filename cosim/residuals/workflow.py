@@ -145,13 +145,16 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, folder: Path) -> Re
         free = free_run(drive, start)
     except StoppedReplay as failed:
         _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
+        failed.left = folder
         raise
     except (KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
         made = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(made, folder)
-        raise stopped(stop, made.time[-1] if made.time.size else drive.log.time[0], "the replay") from None
+        error = stopped(stop, made.time[-1] if made.time.size else drive.log.time[0], "the replay")
+        error.left = folder
+        raise error from None
     _write_rows(results(drive, free.outputs), folder)
     return free
 
