@@ -19,7 +19,8 @@ from cosim.identification.cells import cell_of
 from cosim.identification.coverage import coverage
 from cosim.identification.ground_effect import fit
 from cosim.identification.lag import by_hand
-from cosim.identification.protocol import StepTest, read_protocol
+from cosim.identification.prepared import read_protocol
+from cosim.identification.protocol import StepTest
 from cosim.identification.recordings import Recording, play_plain, runs_of
 from cosim.identification.response import tilt_response
 from cosim.identification.workflow import identify
