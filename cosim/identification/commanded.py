@@ -20,6 +20,7 @@ SAME_DUTY = 0.01  # [%] between means of what is one command: two decimals, roun
 UPRIGHT = np.radians(2.5)  # cos is off 1 by 0.1 %
 LEAST_ROWS = 10
 LEAST_BEFORE = 3  # rows before a step
+BEFORE = 0.3  # [s] before a step that a fit sees
 SETTLED = 3.0  # lags and low passes after which a duty has its thrust, to 5 % of what changed
 
 
@@ -89,6 +90,12 @@ def _windows(test: Test, r: Recording, place: str) -> Iterator[Lack]:
             yield Lack(key, r.time.size - 1, what, f"record it, or change {place}.{key}", "move it or add a phase")
 
 
+def moves(duty: Array) -> bool:
+    """Whether a duty that is to stand goes somewhere: all in all, or from its first quarter to its last."""
+    quarter = max(1, duty.size // 4)
+    return bool(np.ptp(duty) > LEAST_DUTY or abs(duty[:quarter].mean() - duty[-quarter:].mean()) > SAME_DUTY)
+
+
 class _Seen:
     """A run as its test looks at it: commands, and rows at rest and in the window."""
 
@@ -124,7 +131,7 @@ class _Seen:
         """The duty changes in a window, or so shortly before that its thrust is not there yet."""
         before = SETTLED * (self.known.lag + self.test.low_pass)
         rows = self.run.rows((window[0] - before, window[1]))
-        if np.ptp(self.duty[rows]) > LEAST_DUTY:
+        if moves(self.duty[rows]):
             low, high = self.duty[rows].min(), self.duty[rows].max()
             what = f"the duty goes from {low:.4g} to {high:.4g} % {where}, or in the {before:.2g} s before, in which "
             what += "thrust and low pass settle"
@@ -159,7 +166,8 @@ def _projection(see: _Seen, place: str) -> Iterator[Lack]:
     idle = list(see.without_thrust(see.seen, "window", "in `window`"))
     idle += see.without_thrust(hold, "hold", "in `hold`")
     yield from idle
-    yield from see.tilted(hold, "hold", "in `hold`")
+    settling = see.run.rows((see.test.hold[0] - SETTLED * (see.known.lag + see.test.low_pass), see.test.hold[1]))
+    yield from see.tilted(settling, "hold", "in `hold` or shortly before")
     if idle:
         return
     yield from see.unsteady(see.test.window, "window", "in `window`")
@@ -191,11 +199,14 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
         cure = f"{LEAST_ROWS} after it and {LEAST_BEFORE} before it are needed"
         yield Lack("window", row, f"{told}; {cure}", f"change {place}.window", "move its end, or the step")
         return
-    seen = r.rows((at, end))
-    yield from see.without_thrust(seen, "window", "after the step")
-    if np.ptp(other[seen]) > (LEAST_ANGLE if thrust else LEAST_DUTY):
-        told = f"{'servo_duty' if thrust else 'duty'} changes too while {what} steps, from {at:g} to {end:g} s"
-        yield Lack("window", row, told, "record the step alone", "end it before, or let the other stand")
+    yield from see.without_thrust(r.rows((at, end)), "window", "after the step")
+    begin = max(float(r.time[0]), at - BEFORE - SETTLED * (see.known.lag + see.test.low_pass))
+    seen = r.rows((begin, end))
+    if np.ptp(other[seen]) > LEAST_ANGLE if thrust else moves(other[seen]):
+        told = (
+            f"{'servo_duty' if thrust else 'duty'} changes too about the step of {what}, from {begin:.4g} to {end:g} s"
+        )
+        yield Lack("window", row, told, "record the step alone", "let the other stand from before the step on")
 
 
 def _steps(signal: Array, time: Array, thrust: bool) -> str:
@@ -213,7 +224,7 @@ def _sine(see: _Seen, place: str) -> Iterator[Lack]:
         return
     idle = list(see.without_thrust(see.seen, "duty", "under the sine"))
     yield from idle
-    if not idle and np.ptp(see.duty[see.seen]) > LEAST_DUTY:
+    if not idle and moves(see.duty[see.seen]):
         low, high = see.duty[see.seen].min(), see.duty[see.seen].max()
         what = f"the duty goes from {low:.4g} to {high:.4g} % under the sine"
         yield Lack("duty", see.first(see.seen), what, "record it at one duty", "keep it")
