@@ -262,6 +262,10 @@ class _Reader:
 
     def _header(self, header: list[str]) -> None:
         self.width = len(header)
+        if any("\0" in text for text in header):
+            cure = "save it as plain CSV, UTF-8"
+            self.faults.note(self.table.header, 1, f"is a binary file, or text of another encoding; {cure}")
+            return
         if self.width == 1 and (mark := next((m for m in SEPARATORS if m in header[0]), None)):
             cure = "separate them with commas, decimals with a point"
             self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")

@@ -19,8 +19,9 @@ from cosim.identification.cells import cell_of
 from cosim.identification.coverage import coverage
 from cosim.identification.ground_effect import fit
 from cosim.identification.lag import by_hand
-from cosim.identification.protocol import StepTest, read_protocol
-from cosim.identification.recordings import Recording, play_plain, runs_of
+from cosim.identification.prepared import read_protocol
+from cosim.identification.protocol import StepTest
+from cosim.identification.recordings import Recording, play_plain, read_recording, runs_of
 from cosim.identification.response import tilt_response
 from cosim.identification.workflow import identify
 from cosim.models.file import read_model
@@ -400,3 +401,66 @@ def test_runs_with_nothing_below_must_be_there(measured: Path, tmp_path: Path) -
 
     text = refused(changed(measured, tmp_path, drop), tmp_path / "out")
     assert "the runs with nothing below are missing; add runs at 10 m or more, or lower free_height" in text
+
+
+def test_a_recording_in_milliseconds_is_read_by_its_unit_and_asked_for_it_without(
+    measured: Path, tmp_path: Path
+) -> None:
+    def slow(unit: str) -> Any:
+        return lambda h, t: ([f"time{unit}", *h[1:]], np.column_stack((1000.0 * t[:, 0], t[:, 1:])))
+
+    text = refused(spoilt(measured, tmp_path, "step", slow("")), tmp_path / "out")
+    assert "spoilt.csv:3:1: rows are 20 s apart, so that `rest` from 0 to 1 s holds 1, 10 at least" in text
+    assert "if the time is in milliseconds, name its column time [ms]" in text
+    spoilt(measured, tmp_path, "step", slow(" [ms]"))
+    assert read_recording(tmp_path / "spoilt.csv").time[-1] == pytest.approx(9.0)
+    text = refused(spoilt(measured, tmp_path, "step", slow(" [kg]")), tmp_path / "out")
+    assert "spoilt.csv:1:1: kg is no unit of time; write time [s] or time [ms]" in text
+
+
+def test_a_binary_file_is_told_as_that(measured: Path, tmp_path: Path) -> None:
+    def use(content: dict[str, Any]) -> None:
+        content["tests"]["step"]["files"][0] = "binary.csv"
+
+    (tmp_path / "binary.csv").write_bytes(b"\x00\x01\t\x02\x00\n\x00")
+    text = refused(changed(measured, tmp_path, use), tmp_path / "out")
+    assert "binary.csv:1:1: is a binary file" in text
+    assert "tabs" not in text
+
+
+def test_check_refuses_recordings_that_identify_refuses(measured: Path, tmp_path: Path) -> None:
+    path = spoilt(measured, tmp_path, "step", lambda h, t: (h, t[:250]))
+    with pytest.raises(InputError, match=r"spoilt.csv:251:1: the phase `window` from 6 to 8 s is missing"):
+        check_files([path])
+
+
+def test_a_step_is_read_where_the_motor_runs(measured: Path, tmp_path: Path) -> None:
+    def stopped(h: list[str], t: Any) -> Any:  # the commands say that it runs, the cells that it does not
+        rng = np.random.default_rng(1)
+        t[:, 4:6] = np.minimum(3290.0, t[:40, 4:6].mean(axis=0) + 15.0 * rng.standard_normal((len(t), 2)))
+        return h, t
+
+    text = refused(spoilt(measured, tmp_path, "step", stopped), tmp_path / "out")
+    assert "neither volts_z nor volts_x has a force at 25°" in text
+    assert "did the motor run?" in text
+    assert "swapped" not in text
+
+
+def test_thrust_that_bends_is_warned_of_and_its_line_is_wide(measured: Path, tmp_path: Path) -> None:
+    def bend(content: dict[str, Any]) -> None:
+        files = content["tests"]["thrust_line"]["files"]
+        for k, name in enumerate(files):
+            header, table = table_of(Path(name))
+            table[:, 4] -= 500.0 * 6.0 * np.maximum(table[:, 1] - 6.15, 0.0) ** 2  # 6 N/%², by -0.5 V/N, in mV
+            files[k] = f"bent{k}.csv"
+            write_table(tmp_path / files[k], header, table.tolist())
+        content["tests"] = {"thrust_line": content["tests"]["thrust_line"]}
+
+    done = CliRunner().invoke(app, ["identify", str(changed(measured, tmp_path, bend)), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0
+    assert "warning: thrust_line: the thrust bends: degree 2 misses" in done.stderr
+    content = YAML(typ="safe").load((tmp_path / "out" / "powertrain.yaml").read_text(encoding="utf-8"))
+    slope = content["identified"]["thrust_slope"]
+    tangents = [260.0 + 2.0 * 6.0 * (d - 6.15) * 1000.0 / 9.81 for d in (6.2, 6.4)]  # [gf/%], ends of the window
+    assert slope["ci95"][0] < tangents[0] < tangents[1] < slope["ci95"][1]
+    assert "the thrust bends" in slope["origin"]

@@ -20,7 +20,7 @@ from controller.design_model import design_model
 from controller.gains import Settings
 from controller.variants import PredictiveSettings
 from cosim.identification.cells import calibrated
-from cosim.identification.protocol import read_protocol
+from cosim.identification.prepared import read_protocol
 from cosim.identification.recordings import load_runs, play_plain, runs_of
 from cosim.identification.workflow import analyse
 from cosim.linearization.structure import controllability

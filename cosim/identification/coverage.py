@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.identification.estimates import Estimate
-from cosim.identification.protocol import read_protocol
+from cosim.identification.prepared import read_protocol
 from cosim.identification.recordings import play_plain
 from cosim.identification.workflow import played
 

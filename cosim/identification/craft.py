@@ -97,6 +97,11 @@ class CraftOutcome:
         ]
         return [*lines, *(note for r in self.results for note in r.notes)]
 
+    @property
+    def warnings(self) -> list[str]:
+        """What its numbers are to be taken with care for."""
+        return [text for r in self.results for text in r.warnings]
+
     def closing(self, out: Path) -> str:
         """Where it is."""
         return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"

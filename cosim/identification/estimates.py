@@ -52,13 +52,14 @@ class Figure:
 
 @dataclass
 class Result:
-    """Of one test: numbers, what is to be said beside them, figures, and further numbers for identify.json."""
+    """Of one test: numbers, what is to be said beside them and warned of, figures, and more for identify.json."""
 
     test: str
     estimates: list[Estimate]
     notes: list[str] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)

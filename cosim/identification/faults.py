@@ -9,15 +9,15 @@ import numpy as np
 
 from cosim.errors import Fault
 from cosim.identification.cells import Cells, at_rail, force_of
-from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, StepTest, Test
+from cosim.identification.commanded import lacks
+from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from cosim.identification.recordings import Recording
-from plant.bench import REST_DUTY
+from cosim.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_thrust
 from plant.powertrain import servo_angle
 
-LEAST_DUTY, LEAST_ANGLE = 0.1, np.radians(5)  # [%, rad] that a line and a moment need
-LEAST_ROWS = 10
 SWAPPED = "are the channels swapped? Change their names"
 MOST_AT_RAIL = 0.5  # of the readings of a window
+LEAST_FORCE = 3.0  # standard deviations of one reading at rest
 
 
 def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells) -> list[Fault]:
@@ -25,10 +25,16 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
     test: Test = getattr(protocol.file.tests, name)
     faults: list[Fault] = []
     for r in recordings:
-        found = list(_missing(protocol, name, test, r))
+        found = (
+            [] if r.path is None else list(_missing(protocol, name, test, r))
+        )  # phases were asked before they played
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if not faults:
         faults += _of_all(protocol, name, test, recordings)
+        if name == "thrust_line" and not rows_with_thrust(recordings, cells, protocol.known, test).enough:
+            cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
+            where = ("tests", name, "window")
+            faults.append(protocol.yaml.fault(where, f"the ramp has too little thrust within the cell's range: {cure}"))
     return faults
 
 
@@ -40,55 +46,9 @@ def _at(protocol: Protocol, r: Recording, message: str, row: int | None = None) 
 
 
 def _missing(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterator[Fault]:
-    windows = {"rest": test.rest, "window": test.window}
-    if (hold := getattr(test, "hold", None)) is not None:
-        windows["hold"] = hold
     place = f"{protocol.yaml.path.name}: tests.{name}"
-    for key, window in windows.items():
-        if isinstance(test, SineTest) and key == "window":
-            continue
-        if r.rows(window).sum() < LEAST_ROWS:
-            ends = f"it lasts from {r.time[0]:g} to {r.time[-1]:g} s"
-            what = f"the phase `{key}` from {window[0]:g} to {window[1]:g} s is missing, {ends}"
-            yield _at(protocol, r, f"{what}; record it, or change {place}.{key}", r.time.size - 1)
-            return
-    rest, seen = r.rows(test.rest), r.rows(test.window)
-    duty = r.duty
-    if name != "moment" and duty.max() <= REST_DUTY:
-        yield _at(protocol, r, f"duty is {duty.max():g} % at most: the phase with thrust is missing; record it", 0)
-        return
-    if name != "moment" and duty[rest].max() >= duty[~rest].max():
-        row = int(np.flatnonzero(rest)[0])
-        cure = "begin each run with the motor off, for the tare"
-        yield _at(
-            protocol, r, f"the phase at rest is missing: duty is {duty[rest].max():g} % there already; {cure}", row
-        )
-        return
-    angle = servo_angle(r.servo_duty, protocol.known.servo_neutral, protocol.known.servo_slope)
-    if name == "thrust_line" and np.ptp(duty[seen]) < LEAST_DUTY:
-        yield _at(
-            protocol, r, f"the duty does not vary from {test.window[0]:g} to {test.window[1]:g} s: the ramp is missing"
-        )
-    if name in ("projection", "moment") and np.ptp(angle[seen]) < LEAST_ANGLE:
-        yield _at(protocol, r, "the tilt does not vary in the window: the sweep of servo_duty is missing")
-    if isinstance(test, StepTest):
-        signal = r.duty if name == "thrust_step" else angle
-        near = (r.time >= test.at - 2.5 * r.step) & (r.time <= test.at + 2.5 * r.step)
-        if np.abs(np.diff(signal[near])).max(initial=0.0) < (0.02 if name == "thrust_step" else LEAST_ANGLE):
-            what = "duty" if name == "thrust_step" else "servo_duty"
-            row = int(np.searchsorted(r.time, test.at))
-            yield _at(
-                protocol,
-                r,
-                f"{what} has no step at {test.at:g} s; say when it is in {place}.at",
-                min(row, r.time.size - 1),
-            )
-    if isinstance(test, SineTest):
-        sines = r.time >= test.lead + test.skip
-        if sines.sum() < LEAST_ROWS or np.ptp(angle[sines]) < np.radians(1):
-            yield _at(
-                protocol, r, f"there is no sine of servo_duty after {test.lead:g} s; record it, or change {place}.lead"
-            )
+    for lack in lacks(protocol.known, name, test, r, place, own=False):
+        yield _at(protocol, r, f"{lack.what}; {lack.record}", lack.row)
 
 
 def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
@@ -146,6 +106,13 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
         after = r.rows((test.window[1] - 0.3, test.window[1]))
         fz, fx = (float(force_of(r, cells, c, test.rest)[after].mean()) for c in "zx")
         angle = float(np.mean(servo_angle(r.servo_duty[after], known.servo_neutral, known.servo_slope)))
+        one = float(force_of(r, cells, "z", test.rest)[rest].std())
+        if max(abs(fz), abs(fx)) < LEAST_FORCE * one:  # noise against noise tells of no channel
+            told = (
+                f"neither volts_z nor volts_x has a force at {np.degrees(angle):.0f}°, beyond what a reading scatters"
+            )
+            yield _at(protocol, r, f"{told}; did the motor run? Record it under thrust", int(np.flatnonzero(after)[0]))
+            return
         if abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
             message = f"at {np.degrees(angle):.0f}° volts_x says more than volts_z: {SWAPPED}"
             yield _at(protocol, r, message, 0)

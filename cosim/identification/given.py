@@ -7,7 +7,7 @@ from pathlib import Path
 from cosim.errors import InputError
 from cosim.folders import folder_named
 from cosim.identification.craft import read_craft
-from cosim.identification.protocol import read_protocol
+from cosim.identification.prepared import prepare
 from cosim.kinds import PROTOCOL, check_given
 from cosim.yaml_file import YamlFile
 
@@ -31,6 +31,6 @@ def results_of(path: Path) -> Path:
 def check_protocol(path: Path) -> None:
     """InputError with every fault of a protocol of a bench, or of logs of a craft and what they are to tell."""
     if (yaml := craft_file(path)) is None:
-        read_protocol(path)
+        prepare(path)
         return
     read_craft(yaml)

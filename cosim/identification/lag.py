@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.arrays import Array, Flags
 from cosim.identification.cells import Cells, force_of
+from cosim.identification.commanded import BEFORE
 from cosim.identification.estimates import Figure, Result, least, made, shifts_of
 from cosim.identification.protocol import StepTest
 from cosim.identification.recordings import Recording
@@ -16,7 +17,6 @@ from plant.bench import Bench
 
 SETTLED = (0.68, 0.88)  # [s] after the step, over which App. D.3.4 takes the end value
 SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2).sum()
-BEFORE = 0.3  # [s] before the step that a fit sees
 
 
 def analyse(

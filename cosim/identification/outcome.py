@@ -38,6 +38,11 @@ class Outcome:
                 found.setdefault(e.name, e)
         return found
 
+    @property
+    def warnings(self) -> list[str]:
+        """What its numbers are to be taken with care for, by test."""
+        return [f"{r.test}: {text}" for r in self.results for text in r.warnings]
+
     def closing(self, out: Path) -> str:
         """Where the power-train is, and what builds it."""
         file = out / "powertrain.yaml"

@@ -192,8 +192,8 @@ class Protocol:
         return self.file.bench == BENCH
 
 
-def read_protocol(path: Path) -> Protocol:
-    """Read a protocol; InputError with every fault that can be known without a recording."""
+def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
+    """A protocol and the faults of its keys and values; InputError where it cannot be read at all."""
     check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     content, faults = yaml.partly(ProtocolFile, "tests")
@@ -209,8 +209,8 @@ def read_protocol(path: Path) -> Protocol:
         message = f"no such FMU: {content.bench}; write {BENCH} for the one that is built here, or the path of yours"
         faults.append(yaml.fault(("bench",), message))
     if faults:
-        raise InputError(faults)
-    return Protocol(yaml, content, bench.with_values(content.parameters))
+        return Protocol(yaml, content, bench), faults
+    return Protocol(yaml, content, bench.with_values(content.parameters)), []
 
 
 def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
@@ -239,6 +239,9 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
             yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
         elif cell.loads and content.bench is None:
             yield yaml.fault(("cells", name, "loads"), "no bench is played; give `points` [load, voltage] as measured")
+        elif twice := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
+            for k in twice:
+                yield yaml.fault(("cells", name, "loads", k), f"{cell.loads[k]:g} is hung twice; hang each load once")
         elif len(cell.loads or cell.points) < 4:
             key = "loads" if cell.loads else "points"
             yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")

@@ -281,7 +281,11 @@ def read_recording(path: Path) -> Recording:
 
     def choose(heading: Heading) -> Column | None:
         if heading.name == "time":
-            return Column(heading, known="the time")
+            if (scale := factor(heading.unit, "s")) is None:
+                faults.note(
+                    heading.line, heading.cell, f"{heading.unit} is no unit of time; write time [s] or time [ms]"
+                )
+            return Column(heading, scale or 1.0, known="the time")
         if heading.name not in COLUMNS:
             return None
         scale = factor(heading.unit, COLUMNS[heading.name])

@@ -54,7 +54,8 @@ def page(outcome: Outcome) -> str:
             "calibration": [plot_of(_calibration(outcome, c), charts) for c in CHANNELS],
             "cells": [_cell(outcome, c) for c in CHANNELS],
             "tests": [
-                {"name": r.test, "title": TITLES[r.test], "notes": r.notes,
+                {"name": r.test, "title": TITLES[r.test],
+                 "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
                  "plots": [(plot_of(f, charts), f.x_label, f.counterpart) for f in r.figures]}
                 for r in outcome.results
             ],

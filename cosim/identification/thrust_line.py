@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,59 +19,173 @@ from plant.namespaces import arrays
 from plant.powertrain import ground_effect
 
 DEGREES = (1, 2, 3)
-MARGIN = 0.02  # [%] of duty kept from where the cell leaves its range: a low pass remembers
-LEAST_ROWS = 50
+MARGIN = 0.02  # [%] of duty kept from where the cell leaves its range or thrust begins: a low pass remembers
+MEMORY = 5.0  # lags and low passes after which a reading no longer knows of a higher duty, to 1 %
+LEAST_ROWS, LEAST_DUTY = 50, 0.1  # of a repetition, [%] of its ramp: with thrust, for a line
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Readings that a line is fitted to: rows of each repetition, and the duty [%] whose thrust they have."""
+
+    end: float
+    dead_end: float
+    kept: Sequence[Flags]
+    delayed: Sequence[Array]
+    idle: int
+    whole: int
+
+    @property
+    def enough(self) -> bool:
+        """Every repetition has a ramp under thrust."""
+        return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
+
+
+def rows_with_thrust(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> Rows:
+    """Rows of the window within the cell's range where T = max(0, a + b·δ), eq 4.20, has thrust.
+
+    All by what was commanded: where the thrust begins is the kink of the equation that is nearest to all readings.
+    """
+    end = highest_duty(recordings, cells, known, test)
+    kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(recordings, known, test)]
+    gram = 1000.0 / known.gravity
+    thrust = [
+        gram * force_of(r, cells, "z", test.rest)[k] / _gain(r, k, known) for r, k in zip(recordings, kept, strict=True)
+    ]
+    delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(recordings, kept, strict=True)]
+    begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
+    following = [_delayed(r, known, test, begins) for r in recordings]
+    above = [k & (d > begins + MARGIN) for k, d in zip(kept, following, strict=True)]
+    whole = sum(int(k.sum()) for k in kept)
+    idle = whole - sum(int(k.sum()) for k in above)
+    return Rows(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
+
+
+def dead_end(duty: Array, thrust: Array) -> float:
+    """δ₀ [%] of T = b·max(0, δ − δ₀) by least squares; below all duties where a line alone is nearest."""
+    middle = float(duty.mean())
+    order = np.argsort(duty)
+    x, y = duty[order] - middle, thrust[order]
+    slope, offset = np.polyfit(x, y, 1)
+    edges = np.linspace(x[0], x[-1], 401)[:-1]
+
+    def above(values: Array) -> Array:
+        """Sums over what lies above each edge."""
+        sums = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+        return np.asarray(sums[np.searchsorted(x, edges, side="right")])
+
+    n, sx, sxx, sy, sxy = (above(v) for v in (np.ones_like(x), x, x * x, y, x * y))
+    square, product = sxx - 2.0 * edges * sx + edges**2 * n, sxy - edges * sy
+    gained = np.divide(product * np.maximum(product, 0.0), square, out=np.zeros_like(square), where=square > 1e-12)
+    best = int(np.argmax(gained))
+    crossing = -offset / slope if slope > 0 else -np.inf
+    if crossing <= x[0] and float(y @ y) - float(((y - offset - slope * x) ** 2).sum()) >= gained[best]:
+        return float(middle + crossing)
+    here = float(edges[best])
+    for _ in range(20):  # where the line through what is above it says none: least squares to the last digit
+        rows = x > here
+        if rows.sum() < 3:
+            break
+        slope, offset = np.polyfit(x[rows], y[rows], 1)
+        there = -offset / slope if slope > 0 else here
+        if not abs(there - here) > 1e-9 or not x[0] <= there < x[-1]:
+            break
+        here = float(there)
+    return middle + here
 
 
 def analyse(
     recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test, truth: Bench | None, *, draw: bool = True
 ) -> Result:
     """Line a + b·δ [gf, gf/%]; degrees one to three, the lowest within one standard error of the best."""
-    end = highest_duty(recordings, cells, known, test)
-    gram = 1000.0 / known.gravity
+    rows = rows_with_thrust(recordings, cells, known, test)
+    gram, delayed = 1000.0 / known.gravity, rows.delayed
+    own = list(zip(recordings, rows.kept, strict=True))
 
-    def kept(r: Recording) -> Flags:
-        result: Flags = r.rows(test.window) & (r.duty <= end)
-        return result
-
-    def free(r: Recording) -> Array:
-        gain: Array = ground_effect(arrays(), r.height[kept(r)], known.propeller_radius, known.ground_effect_exponent)
-        return gain
-
-    delayed = [low_pass(held_lag(r.duty, r.step, known.lag), r.step, test.low_pass)[kept(r)] for r in recordings]
+    def thrusts(using: Cells) -> list[Array]:
+        return [gram * force_of(r, using, "z", test.rest)[k] / _gain(r, k, known) for r, k in own]
 
     def lines(using: Cells) -> Array:
-        return np.array(
-            [
-                np.polyfit(d, gram * force_of(r, using, "z", test.rest)[kept(r)] / free(r), 1)[::-1]
-                for r, d in zip(recordings, delayed, strict=True)
-            ]
-        )
+        return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
 
     # the thesis: every sample alike against the duty as commanded, its cell as calibrated
-    duty = np.concatenate([r.duty[kept(r)] for r in recordings])
-    raw = np.concatenate([gram * force_of(r, cells, "z", None)[kept(r)] for r in recordings])
+    duty = np.concatenate([r.duty[k] for r, k in own])
+    raw = np.concatenate([gram * force_of(r, cells, "z", None)[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1)
     names = [
         ("thrust_offset", "gf", float(offset), truth.thrust_offset if truth else np.nan),
         ("thrust_slope", "gf/%", float(slope), truth.thrust_slope if truth else np.nan),
     ]
     each = lines(cells)
-    result = Result("thrust_line", made(names, each, shifts_of(lines, cells, "z", each), "Test 1, line by repetition"))
-    thrust = [gram * force_of(r, cells, "z", test.rest)[kept(r)] / free(r) for r in recordings]
+    shifts = shifts_of(lines, cells, "z", each)
+    result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
+    thrust = thrusts(cells)
     degree, errors = _degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
-    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": end}
+    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": rows.end,
+                   "readings_without_thrust": rows.idle}  # fmt: skip
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
-    top = max(float(r.duty[r.rows(test.window)].max()) for r in recordings)
-    if end < top - 1e-9:
-        result.notes.append(
-            f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are used, not "
-            f"up to {top:.2f} %: a cell of a larger range would show the rest."
-        )
+    _tell_what_is_left_out(result, rows, recordings, test)
+    if degree > 1:
+        _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
     if draw:
-        result.figures = _figures(result, duty, raw, known, each, shifts_of(lines, cells, "z", each))
+        result.figures = _figures(result, duty, raw, known, each, shifts)
     return result
+
+
+def _tell_what_is_left_out(result: Result, rows: Rows, recordings: Sequence[Recording], test: Test) -> None:
+    if rows.idle:
+        result.warnings.append(
+            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
+            "max(0, a + b·δ) is no line there, and they are left out"
+        )
+    top = max(float(r.duty[r.rows(test.window)].max()) for r in recordings)
+    if rows.end < top - 1e-9:
+        result.notes.append(
+            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
+            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
+        )
+
+
+def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
+    """Thrust that bends over the duty has no one line: intervals reach over its tangents at all duties seen."""
+    curve = np.poly1d(np.polyfit(duty - 6.0, thrust, degree))
+    grid = np.linspace(duty.min(), duty.max(), 101)
+    slopes = curve.deriv()(grid - 6.0)
+    spans = {"thrust_slope": slopes, "thrust_offset": curve(grid - 6.0) - slopes * grid}
+    told = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
+    told += f"{errors[1]:.3g} gf"
+    result.estimates = [
+        replace(e, low=min(e.low, float(spans[e.name].min())), high=max(e.high, float(spans[e.name].max())),
+                origin=f"{e.origin}; {told}, so the interval reaches over the tangents")
+        for e in result.estimates
+    ]  # fmt: skip
+    result.warnings.append(
+        f"{told}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
+        f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
+    )
+
+
+def _gain(r: Recording, rows: Flags, known: Bench) -> Array:
+    gain: Array = ground_effect(arrays(), r.height[rows], known.propeller_radius, known.ground_effect_exponent)
+    return gain
+
+
+def _delayed(r: Recording, known: Bench, test: Test, dead_end: float) -> Array:
+    """The duty whose thrust is read: behind lag and low pass, and none below where the thrust begins."""
+    return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, known.lag), r.step, test.low_pass)
+
+
+def _recent(recordings: Sequence[Recording], known: Bench, test: Test) -> Iterator[tuple[Recording, Array]]:
+    """Each recording and the highest duty that its readings still know of, behind lag and low pass."""
+    found: dict[bytes, Array] = {}
+    for r in recordings:
+        key = r.duty.tobytes()
+        if key not in found:
+            count = math.ceil(MEMORY * (known.lag + test.low_pass) / r.step)
+            before = np.pad(r.duty, (count, 0), mode="edge")
+            found[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
+        yield r, found[key]
 
 
 def highest_duty(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> float:
@@ -78,12 +194,12 @@ def highest_duty(recordings: Sequence[Recording], cells: Cells, known: Bench, te
     Chosen by what is commanded, alike for all: leaving out readings by their value would bend the line.
     """
     end, cell = np.inf, cells["z"]
-    for r in recordings:
+    for r, recent in _recent(recordings, known, test):
         rows = r.rows(test.window)
         v = r.volts["z"][rows]
         beyond = at_rail(known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         if beyond.any():
-            end = min(end, float(r.duty[rows][beyond].min()) - MARGIN)
+            end = min(end, float(recent[rows][beyond].min()) - MARGIN)
     return min(end, max(float(r.duty[r.rows(test.window)].max()) for r in recordings))
 
 
@@ -116,8 +232,9 @@ def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array,
     printed = -2076.0 + 359.9 * grid
     bins = np.linspace(duty.min(), duty.max(), 9)
     place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
-    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in range(8)])
-    middle = 0.5 * (bins[1:] + bins[:-1])
+    filled = [k for k in range(8) if (place == k).sum() > 1]
+    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
+    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
     return [
         Figure("Thrust over duty: data and lines", "duty [%]", "gf", [
             ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"),

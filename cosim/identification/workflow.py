@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import Fault, InputError
+from cosim.errors import InputError
 from cosim.files import FilePath, check_writable
 from cosim.folders import check_left
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
@@ -17,14 +17,14 @@ from cosim.identification.cells import Cells, calibrated
 from cosim.identification.craft import CraftOutcome
 from cosim.identification.craft_workflow import identify_craft
 from cosim.identification.estimates import Estimate, Result
-from cosim.identification.faults import recording_faults, repeated
+from cosim.identification.faults import recording_faults
 from cosim.identification.given import craft_file
 from cosim.identification.outcome import Outcome
-from cosim.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
-from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, read_recordings, runs_of
+from cosim.identification.prepared import cell_fault, prepare
+from cosim.identification.protocol import BENCH, CHANNELS, Protocol
+from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, runs_of
 from cosim.identification.write import RECORD, REPORT, model_text, write
 from cosim.kinds import PROTOCOL, check_given
-from cosim.models.file import load_model, named_model
 from cosim.registry import MODELS, resolve
 from plant.bench import Bench
 from plant.model import Model
@@ -54,10 +54,9 @@ def identify(
     check_left(out, "cosim identify", force=force)
     if (yaml := craft_file(path)) is not None:
         return identify_craft(yaml, out, report=report)
-    protocol = read_protocol(path)
-    model = _model_of(protocol)
+    ready = prepare(path)
+    protocol, measured = ready.protocol, ready.measured
     named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
-    measured = _measured(protocol)
     check_writable(out, FILES, named)
     outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
 
@@ -66,51 +65,10 @@ def identify(
 
         return page(outcome)
 
-    write(out, (FILES[0], powertrain(outcome, model)), _record(outcome), outcome.results, page if report else None)
+    write(
+        out, (FILES[0], powertrain(outcome, ready.model)), _record(outcome), outcome.results, page if report else None
+    )
     return outcome
-
-
-def _model_of(protocol: Protocol) -> Model:
-    """The model whose parameters the power-train sets."""
-    text = protocol.file.model
-    try:
-        return named_model(text) if text in MODELS else load_model(text, protocol.folder, protocol.yaml).model
-    except InputError as error:
-        where = protocol.yaml.place(("model",))
-        raise InputError(
-            [Fault(protocol.yaml.path, *where, str(f)) if f.file != protocol.yaml.path else f for f in error.faults]
-        ) from None
-
-
-def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
-    """What was measured, with all that can be wrong with it, before anything is played."""
-    faults: list[Fault] = []
-    found: dict[str, list[Recording]] = {}
-    cells: Cells | None = None
-    if all(protocol.file.cells[c].points for c in CHANNELS):
-        try:
-            cells = calibrated(protocol, {})
-        except ValueError as error:
-            faults.append(_cell_fault(protocol, error))
-    for name, test in protocol.file.tests.given():
-        if not test.files:
-            continue
-        try:
-            found[name] = read_recordings(protocol, name)
-        except InputError as error:
-            faults += error.faults
-            continue
-        faults += repeated(found[name])
-        if cells is not None:
-            faults += recording_faults(protocol, name, found[name], cells)
-    if faults:
-        raise InputError(faults)
-    return found
-
-
-def _cell_fault(protocol: Protocol, error: ValueError) -> Fault:
-    name = str(error).partition(":")[0].removeprefix("cells.")
-    return protocol.yaml.fault(("cells", name), str(error), key=True)
 
 
 def _outcome(
@@ -135,7 +93,7 @@ def _outcome(
     try:
         cells = calibrated(protocol, hung)
     except ValueError as error:
-        raise InputError([_cell_fault(protocol, error)]) from None
+        raise InputError([cell_fault(protocol, error)]) from None
     faults = [
         f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
     ]

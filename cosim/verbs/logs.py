@@ -187,13 +187,15 @@ def identify(
     place = results_of(protocol) if out is None else out
     with stages() as progress:
         outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
+    for text in outcome.warnings:
+        warn(text)
     for line in outcome.sentences:
         say(line)
     say(outcome.closing(place))
     if report:
         say(f"report: {place / 'report.html'}")
     if as_json:
-        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place)}
+        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**said, **_left(place, "identify.json", "powertrain.yaml", "model.yaml")})
     if report and open_:
         show(place / "report.html")
