@@ -147,3 +147,10 @@ def test_a_stable_pole_that_is_refused_is_not_called_unstable(folder: Path, pole
     assert ("not stable" in fault.message) == (float(pole) >= 0.0)
     path = scenario(folder, POLES, "poles: [-2, -4, -11, -0.001, -5]")  # the cure that is told
     assert designed_values(ScenarioFile(path))
+
+
+def test_a_bound_of_a_number_without_unit_is_told_without_one(folder: Path) -> None:
+    path = scenario(folder, PREDICTIVE, "Q: [1, 0.5, 0.1, 0.01, 0]")
+    path.write_text(path.read_text(encoding="utf-8").replace("tilt_max: 12 deg", "iterations_max: 0"), encoding="utf-8")
+    (fault,) = faults_of(path).faults
+    assert fault.message == "controller.iterations_max is 0; it lies in [1, 100000]"
