@@ -21,6 +21,7 @@ WEIGHTS = (
     "weight_psi",
     "weight_psi_dot",
 )  # the fifth state has no place in the predictive law
+DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # of `design_model`
 BY_WEIGHTS = ("", INTEGRAL, PREDICTIVE)
 Place = tuple[str | int, ...]
 
@@ -134,6 +135,11 @@ class LqrDesigner:
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Estimator, thrust and lag."""
         return {k: v for k in ("thrust_nominal", "lag", "estimator") if (v := options.get(k)) is not None}
+
+    def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
+        """What enters eqs 5.33/5.34; the predictive law designs as it starts, with the numbers that it then has."""
+        defaults = {} if law == PREDICTIVE else {name: getattr(Settings(), name) for name in DESIGN_NUMBERS}
+        return {**defaults, **{n: v for n, v in designed.items() if n in DESIGN_NUMBERS}}
 
 
 def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:

@@ -11,7 +11,9 @@ from controller.design_model import STATES, Matrix, ModelNumbers, design_model
 # 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56) with the slow ones drawn a little to the left;
 # turn: its pair (-4.26 ± 0.77j) made real. -4 stands in both axes, none twice in one.
 POLES = (-2.0, -4.0, -11.0, -4.0, -5.0)
-LEFT = 1e-3  # [rad/s] how far left of the imaginary axis a pole that is asked for must lie
+# [rad/s] how far left of the imaginary axis a pole that is asked for must lie: nearer, whether it grows as it flies is
+# within the rounding with which poles of the sampled loop are found (`GROWS` in `controller.stability`)
+LEFT = 1e-3
 FORWARD, TURN = (0, 1, 4), (2, 3)  # states (x, vx, a) and (psi, psi_dot)
 SIGNS = ((1.0, 1.0), (1.0, -1.0))  # of the tilts: both forward, or against each other
 ALIKE = 1e-9  # of its size: poles no further apart are equal
@@ -58,15 +60,23 @@ def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
 
 def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
     numbered = list(enumerate(poles))
-    faults = [
-        (k, f"{said(a)} rad/s is not stable; the real part of a pole is below 0") for k, a in numbered if a.real > -LEFT
-    ]
+    faults = [(k, _too_far_right(a)) for k, a in numbered if a.real > -LEFT]
     for k, a in numbered:
         if any(abs(a - b) <= ALIKE * abs(a) for b in poles[:k]):
             faults.append((k, f"{said(a)} stands twice in the {axis} axis; one input places a pole once"))
         if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles):
             faults.append((k, f"{said(a)} needs {said(a.conjugate())} in the same axis"))
     return faults
+
+
+def _too_far_right(pole: complex) -> str:
+    """Why it is none to ask for."""
+    if pole.real >= 0.0:
+        return f"{said(pole)} rad/s is not stable; the real part of a pole is below 0"
+    return (
+        f"{said(pole)} rad/s is too slow: what it moves takes {1.0 / -pole.real:.0f} s to fall to 37 %, and nearer to 0"
+        f" than {LEFT:g} rad/s it cannot be told from one that grows; take {-LEFT:g} rad/s or further left"
+    )
 
 
 def said(pole: complex) -> str:

@@ -101,7 +101,7 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.SWEEP:
             from cosim.sweeps.reading import read_sweep
 
-            read_sweep(path)
+            return [f"warning: {text}" for text in read_sweep(path).warnings]
         case kinds.STUDY:
             return [f"warning: {text}" for text in read_study(path).warnings]
         case None if root.keys() & {"model", "candidates"} and "step" not in root:

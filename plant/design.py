@@ -82,3 +82,6 @@ class Designer(Protocol):
 
     def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Start values that the options say themselves; they win."""
+
+    def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
+        """Numbers of the plant with which designed start values were made, those of them that are start values too."""

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from controller.monte_carlo import CASES, Case, squares_of
 from cosim.cli import app
+from cosim.errors import InputError
 from cosim.estimators.consistency import Consistency, consistency_of, independent_times
 from cosim.estimators.workflow import consistency
 
@@ -169,3 +170,36 @@ def test_too_few_runs_are_refused() -> None:
     assert CliRunner().invoke(app, ["consistency", "--runs", "1"]).exit_code == 2
     with pytest.raises(ValueError, match="at least 2 runs, 100 steps"):
         consistency(1, 50)
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (
+            ["--runs", "1000000000"],
+            "--runs: 1,000,000,000 runs of 500 steps are more than the 20,000,000 samples that fit",
+        ),
+        (["--steps", "1000000000"], "--steps: 50 runs of 1,000,000,000 steps are more than"),
+    ],
+)
+def test_more_runs_than_memory_holds_are_refused_before_a_folder_is_made(
+    asked: list[str], told: str, tmp_path: Path
+) -> None:
+    done = CliRunner().invoke(app, ["consistency", *asked, "--out", str(tmp_path / "new")])
+    assert isinstance(done.exception, InputError)
+    assert done.exception.exit_code == 2
+    assert str(done.exception).startswith(told)
+    assert "at most" in str(done.exception)
+    assert not (tmp_path / "new").exists()
+
+
+def test_runs_for_which_memory_does_not_last_are_told_with_what_to_give_less_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def too_large(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("controller.monte_carlo.squares_of", too_large)
+    with pytest.raises(InputError, match="--runs: there is not enough memory for 4 runs of 100 steps; give") as caught:
+        consistency(4, 100)
+    assert caught.value.exit_code == 4

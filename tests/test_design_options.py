@@ -119,3 +119,38 @@ def test_a_number_that_design_and_component_take_differently_is_a_warning(folder
         "lag is 0.1 in components.controller.start and 0.0884 in design: it runs with the first and is designed with"
         " the second"
     ]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [("mass: 3", "mass is 3"), ("friction: 5", "friction is 5"), ("friction: 5 N.s/m", "friction is 5"),
+     ("mass: 0.705", ""), ("fix_latency: 0.1", ""), ('lag: "100 ms"', "")],
+)  # fmt: skip
+@pytest.mark.parametrize("options", [("model: base",), ("R: [2, 2]",)])
+def test_every_number_of_the_design_model_that_the_component_takes_differently_is_a_warning(
+    folder: Path, options: tuple[str, ...], given: str, told: str
+) -> None:
+    path = scenario(folder, "", *options)
+    path.write_text(path.read_text(encoding="utf-8").replace("tilt_max: 12 deg", given), encoding="utf-8")
+    file = ScenarioFile(path)
+    designed_values(file)
+    said = [w for w in file.warnings if "designed with the second" in w]
+    assert [w.split(" in ")[0] for w in said] == [told] * bool(told)
+
+
+@pytest.mark.parametrize(
+    ("pole", "why"), [("0", "is not stable"), ("1.0e-4", "is not stable"), ("-0.0005", "too slow")]
+)
+def test_a_stable_pole_that_is_refused_is_not_called_unstable(folder: Path, pole: str, why: str) -> None:
+    (fault,) = faults_of(scenario(folder, POLES, f"poles: [-2, -4, -11, {pole}, -5]")).faults
+    assert why in fault.message
+    assert ("not stable" in fault.message) == (float(pole) >= 0.0)
+    path = scenario(folder, POLES, "poles: [-2, -4, -11, -0.001, -5]")  # the cure that is told
+    assert designed_values(ScenarioFile(path))
+
+
+def test_a_bound_of_a_number_without_unit_is_told_without_one(folder: Path) -> None:
+    path = scenario(folder, PREDICTIVE, "Q: [1, 0.5, 0.1, 0.01, 0]")
+    path.write_text(path.read_text(encoding="utf-8").replace("tilt_max: 12 deg", "iterations_max: 0"), encoding="utf-8")
+    (fault,) = faults_of(path).faults
+    assert fault.message == "controller.iterations_max is 0; it lies in [1, 100000]"

@@ -244,6 +244,17 @@ def test_a_jump_is_told_as_one_and_kinks_in_what_is_left_out_do_not_matter(servo
     assert [k.variable for k in left_out.first.kinks] == ["command"]
 
 
+def test_a_side_that_changes_nothing_is_said_as_at_a_dead_band_before_the_equations(servo: str) -> None:
+    inside = linearize("base", at=["tilt_right=0.02"], set=["servo_dead_band.width=0.02"], side="below")
+    plain = linearize("base", at=["tilt_right=0.02"])
+    assert any("servo_dead_band" in note and "is left out" in note for note in inside.notes)
+    assert np.array_equal(inside.first.B, plain.first.B)
+    for found in (inside, linearize(servo, at=["command=1,trim=2"], side="above")):
+        assert any("changes nothing: slopes of what is kept are the same on both sides" in note for note in found.notes)
+    at_edge = linearize(servo, at=["command=0.1,trim=1"], side="above")  # a dead band in the equations themselves
+    assert not any("changes nothing" in note for note in at_edge.notes)
+
+
 def test_a_curve_however_strong_is_no_kink(tmp_path: Path) -> None:
     (tmp_path / "servo.py").write_text(SERVO.replace("20.0 * beyond", "3e7 * speed * speed"), encoding="utf-8")
     assert linearize(f"{tmp_path / 'servo.py'}:Servo", at=["command=1,trim=2"]).first.A[1, 1] == -2.0

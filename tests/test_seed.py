@@ -23,6 +23,7 @@ from cosim.identification.cells import calibrated
 from cosim.identification.prepared import read_protocol
 from cosim.identification.recordings import load_runs, play_plain, runs_of
 from cosim.identification.workflow import analyse
+from cosim.linearization.linear import Linear
 from cosim.linearization.structure import controllability
 from cosim.linearization.workflow import linearize
 from plant.bench import Bench
@@ -87,7 +88,7 @@ def test_every_command_of_the_list_is_one_that_can_be_given() -> None:
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
     names = " ".join(re.findall(r"def (test_\w+)", "".join(p.read_text() for p in TESTS.glob("test_*.py"))))
-    for key, _, command in asked_for():
+    for key, command in ((row[0], each) for row in asked_for() for each in row[2].split("; ")):
         words = shlex.split(command.strip("`"))
         if words[:2] == ["pytest", "-k"]:
             assert all(word in names for word in words[2].split(" or ")), key
@@ -98,6 +99,43 @@ def test_every_command_of_the_list_is_one_that_can_be_given() -> None:
             assert all((ROOT / w.partition("@")[0]).is_file() for w in words[2:] if ".yaml" in w), key
         else:
             assert command in ("–", "`make seed`", "`python -m tests.controllers`"), key
+
+
+def test_a_command_that_runs_tests_runs_those_that_its_rows_name() -> None:
+    missed = []
+    for key, answers, commands in asked_for():
+        words = shlex.split(commands.strip("`"))
+        if words[0] != "pytest" or "; " in commands:
+            continue
+        shown = [row[2] for row in rows() for answer in answers.split("; ") if row[0].startswith(answer)]
+        for file, name in re.findall(r"`(\w+)::(test_\w+)`", " ".join(shown)):
+            there = [w in name for w in words[2].split(" or ")] if words[1] == "-k" else [f"/{file}.py" in words[1]]
+            missed += [] if any(there) else [(key, name)]
+    assert missed == []
+
+
+def test_commands_that_linearise_show_the_numbers_of_their_rows() -> None:
+    commands = {row[0]: shlex.split(row[2].strip("`")) for row in asked_for()}
+    bench = _linear(commands["4.1–4.8"])
+    gain = 1.0 / (1.0 - (0.127 / (4 * 0.095)) ** 1.902)  # eq 4.28
+    tilted = {"force_z": gain * math.cos(0.1), "force_x": gain * math.sin(0.1), "thrust_actual": gain}
+    for name, expected in tilted.items():
+        assert bench.C[bench.outputs.index(name), bench.states.index("thrust")] == pytest.approx(expected, rel=1e-4)
+    assert bench.C[bench.outputs.index("moment"), bench.states.index("tilt")] != 0.0  # eq 4.10
+    craft = _linear(commands["5.20–5.34"])
+    at = craft.states.index
+    assert craft.A[at("vx"), at("vx")] == pytest.approx(-0.3546, abs=5e-5)
+    assert craft.A[at("tilt_left"), at("tilt_left")] == pytest.approx(-11.31, abs=5e-3)
+    assert craft.A[at("psi_dot"), at("tilt_right")] == pytest.approx(41.85, abs=5e-3)
+
+
+def _linear(words: list[str]) -> Linear:
+    """What a command of the list linearises."""
+    options: dict[str, list[str]] = {}
+    for option, value in zip(words[3::2], words[4::2], strict=True):
+        options.setdefault(option.removeprefix("--"), []).append(value)
+    lists = {name: values[0].split(",") for name, values in options.items() if name not in {"at", "set"}}
+    return linearize(words[2], at=options.get("at", []), set=options.get("set", []), **lists).first
 
 
 def test_the_list_is_that_of_the_order() -> None:

@@ -24,6 +24,7 @@ from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps import twins
+from cosim.sweeps.batch import Batch
 from cosim.sweeps.design import Factor, columns_of, distribution
 from cosim.sweeps.reading import read_sweep
 from cosim.sweeps.runs import Made, made
@@ -82,6 +83,16 @@ def tanks(tmp_path: Path, tank_fmu: Path) -> Callable[..., Path]:
         return tmp_path / "sweep.yaml"
 
     return written
+
+
+@pytest.fixture
+def craft(tmp_path: Path, plant_fmu: Path, controller_fmu: Path) -> Path:
+    """The regulator beside its FMUs."""
+    (tmp_path / "plant.fmu").symlink_to(plant_fmu)
+    (tmp_path / "controller.fmu").symlink_to(controller_fmu)
+    text = (ROOT / "scenarios" / "regulate.yaml").read_text().replace("../build/", "")
+    (tmp_path / "craft.yaml").write_text(text)
+    return tmp_path / "craft.yaml"
 
 
 def apart(one: list[Made], other: list[Made]) -> float:
@@ -388,6 +399,88 @@ def test_a_list_of_the_scenario_varies_as_a_whole_or_by_one_of_its_entries(
     told = faults_of(tmp_path / "sweep.yaml")
     assert [fault.split(" ")[0] for fault in told] == ["4:31", "4:36", "5:25"]
     assert "it should have at least 2 entries, not 1" in told[0]
+
+
+def test_two_entries_that_lead_to_one_value_are_a_fault_that_names_both_lines(tanks: Callable[..., Path]) -> None:
+    told = faults_of(
+        tanks(
+            "scenario: tanks.yaml\n"
+            "set: {components.tank.start.area: 2, seed: 3, duration: 1}\n"
+            "vary:\n"
+            "  tank.area: {values: [1, 2]}\n"
+            "  components.tank.start.area: {values: [3]}\n"
+            "  connections.1.noise.variance: {uniform: [1.0e-6, 2.0e-6]}\n"
+            "  connections.1.noise: {values: [off]}\n"
+            "  connections.0.factor: {values: [1, 2]}\n"
+            "  next.area: {values: [1, 2]}\n"
+            "  seed: {count: 2}\n"
+        )
+    )
+    twice = [t for t in told if "both give" in t]
+    assert sorted((t.split(" ")[0], t.split(" line ")[1][0]) for t in twice) == [
+        ("2:7", "4"), ("2:7", "5"), ("5:3", "4"), ("7:3", "6")
+    ]  # fmt: skip
+    assert any('start.area and "tank.area" of line 4: both give components.tank.start.area' in t for t in twice)
+
+
+def test_the_whole_may_be_set_where_a_part_varies_and_not_the_part_before_the_whole(tanks: Callable[..., Path]) -> None:
+    whole = "components.tank.start: {area: 2, level_start: 1}"
+    vary = "vary: {tank.area: {values: [1, 2]}}\n"
+    study = read_sweep(tanks(f"scenario: tanks.yaml\nset: {{{whole}}}\n{vary}"))
+    blocks = {stage.component.name: stage.component for stage in study.system.stages}
+    assert blocks["tank"].start_values["level_start"] == 1.0  # type: ignore[attr-defined]
+    (told,) = faults_of(
+        tanks(
+            f"scenario: tanks.yaml\nset: {{components.next.start.area: 3, components.next.start: {{area: 2}}}}\n{vary}"
+        )
+    )
+    assert told.startswith("2:")
+    assert "the later is put over it; set the whole first" in told
+
+
+def test_a_start_value_that_contradicts_the_design_is_told_as_a_run_tells_it(craft: Path) -> None:
+    sweep_file = craft.parent / "sweep.yaml"
+    head = "scenario: craft.yaml\nset: {duration: 0.1, criteria: {}}\nruns: 2\nvary:\n"
+    sweep_file.write_text(
+        f"{head}  controller.lag: {{values: [0.0884, 0.1]}}\n  controller.mass: {{uniform: [2, 3]}}\n"
+    )
+    lag, mass = read_sweep(sweep_file).warnings
+    assert "sweep.yaml:5: lag is 0.1 in components.controller.start and 0.0884 in design" in lag
+    assert "sweep.yaml:6: mass is 2.01 in components.controller.start and 0.705 in design" in mass
+    estimators = "  design.estimator: {values: [lagged]}\n  controller.estimator: {values: [lagged]}\n"
+    sweep_file.write_text(head + estimators)
+    assert any(
+        t.startswith('6:3 controller.estimator and "design.estimator" of line 5: ') for t in faults_of(sweep_file)
+    )
+
+
+def test_runs_of_many_designs_are_made_at_once_and_are_those_of_their_scenarios(
+    craft: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (craft.parent / "sweep.yaml").write_text(
+        "scenario: craft.yaml\nruns: 3\nset: {duration: 0.1, criteria: {}}\nvary:\n"
+        "  design.R.0: {uniform: [1, 2]}\n"
+        "  design.estimator: {values: [appendix_f, lagged]}\n"
+        "  plant.mass: {uniform: [0.65, 0.75]}\n"
+        "  noise: {values: [off, on]}\n"
+    )
+    study = read_sweep(craft.parent / "sweep.yaml")
+    sizes = []
+    run_batch = Batch.run
+
+    def counted(self: Batch, starts: Any, *rest: Any) -> Any:
+        sizes.append(len(starts))
+        return run_batch(self, starts, *rest)
+
+    monkeypatch.setattr(Batch, "run", counted)
+    job, asked = replace(study.job, whole=True), [study.asked(k) for k in range(study.count)]
+    on_arrays = made(job, asked, "arrays")
+    assert sizes == [6, 6]  # with noise and without: two systems, whatever is designed
+    assert {m.through for m in on_arrays} == {"arrays"}
+    chosen = [0, 3, 6, 9]
+    alone = made(job, [asked[k] for k in chosen], "fmus")  # each by its own scenario
+    assert apart([on_arrays[k] for k in chosen], alone) < 1e-12
+    assert len({m.signals.tobytes() for m in on_arrays}) == study.count
 
 
 # -- what is refused ---------------------------------------------------------------------------------

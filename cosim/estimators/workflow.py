@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.errors import Fault, InputError
 from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.page import page
 from cosim.files import atomic_write, check_writable
@@ -15,25 +16,48 @@ from cosim.folders import check_left
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 SHORTEST = 100  # steps; errors count after the first second
+MOST_SAMPLES = 20_000_000  # of all runs of a case: each takes some 400 bytes while it is made, 8 GB in all
 RECORD, PAGE = "consistency.json", "report.html"
 
 
 def consistency(
     runs: int = 50, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> Sequence[Row]:
-    """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds."""
+    """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds.
+
+    Raises InputError where they are too many, or there is too little memory for them.
+    """
     if runs < 2 or steps < SHORTEST or seed < 0:
         raise ValueError(f"takes at least 2 runs, {SHORTEST} steps and a seed from 0 on: {runs}, {steps}, {seed}")
+    check_size(runs, steps)
     squares_of = resolve(MODELS[BASE_NAME].estimators)
     cases = resolve(MODELS[BASE_NAME].cases)
     found = []
     for k, case in enumerate(cases):
-        squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
+        try:
+            squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
+        except MemoryError:
+            said = f"there is not enough memory for {_asked(runs, steps)}; give fewer"
+            raise InputError([Fault(Path("--runs"), 0, 0, said, exit_code=4)]) from None
         for name, (values, degrees, at) in squares.items():
             found.append(Row(case.title, name, consistency_of(values, degrees, white=name != "NEES"), at))
         if progress is not None:
             progress(k + 1, len(cases))
     return found
+
+
+def check_size(runs: int, steps: int) -> None:
+    """InputError where runs, or steps of them, are more than memory holds."""
+    if runs * steps <= MOST_SAMPLES:
+        return
+    option, other = ("--runs", steps) if 2 * steps <= MOST_SAMPLES else ("--steps", 2)
+    most = f"{_asked(runs, steps)} are more than the {MOST_SAMPLES:,} samples that fit into memory"
+    cure = f"give {MOST_SAMPLES // other:,} at most" + (f" with {steps:,} steps" if option == "--runs" else "")
+    raise InputError([Fault(Path(option), 0, 0, f"{most}; {cure}")])
+
+
+def _asked(runs: int, steps: int) -> str:
+    return f"{runs:,} runs of {steps:,} steps"
 
 
 def check_folder(folder: Path, *, force: bool = False) -> None:

@@ -99,6 +99,8 @@ def linearize(
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked, side)
     notes += _notes(found, notes)
+    if side is not None and not any(each.kinks for each in found):
+        notes.append(f"--side {side} changes nothing: slopes of what is kept are the same on both sides here")
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
     if folder is not None:
         write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)

@@ -58,7 +58,7 @@ def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | 
     number = _number(value, unit_of(variable))
     low, high = (s * math.inf if v is None else float(v) for v, s in ((variable.min, -1), (variable.max, 1)))
     if not low <= number <= high:
-        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
+        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
     if variable.type in {"Real", "Float32", "Float64"}:
         return name, number
     if number != math.floor(number):

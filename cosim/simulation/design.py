@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Optional
 
 from pydantic import AfterValidator, ConfigDict, Field, create_model
 
-from cosim.errors import Fault, InputError
+from cosim.blocks.description import read_description
+from cosim.errors import Fault, FmuError, InputError
 from cosim.files import atomic_write
 from cosim.models.file import load_model
 from cosim.models.refined import NoNearest, refined_file
 from cosim.registry import BASE, BASE_NAME, MODELS, known, resolve
 from cosim.simulation.scenario import Design
 from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.start_values import typed
 from cosim.yaml_file import NotNegative, Positive, short
 from fmus.native.cache import cached
 from fmus.sampled import law_of
@@ -39,6 +41,7 @@ def _complex(value: Any) -> Any:
     return str(number).strip("()") if number.imag else number.real
 
 
+ALIKE = 1e-6  # of its size: numbers no further apart are the same, one typed and one calculated
 Complex = Annotated[Any, AfterValidator(_complex)]
 
 
@@ -76,7 +79,7 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     except InputError as error:
         file.faults += error.faults
         return {}
-    file.warnings += [*judged.warnings, *_two_numbers(design.component, designer.given(options), own)]
+    file.warnings += [*judged.warnings, *_two_numbers(file, design.component, designer.rests_on(designed, law))]
     return {design.component: designed}
 
 
@@ -164,14 +167,29 @@ def _kind(option: Option) -> Any:
     return Optional[several] if option.laws else several  # noqa: UP045
 
 
-def _two_numbers(component: str, given: Mapping[str, Any], own: Mapping[str, Any]) -> list[str]:
+def _two_numbers(file: ScenarioFile, component: str, designed_with: Mapping[str, float]) -> list[str]:
     """A number of which the design takes one value and the component, by its own start values, another."""
+    own = _numbers(file, component, designed_with)
     return [
         f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
         " it runs with the first and is designed with the second"
-        for name, value in given.items()
-        if not isinstance(value, str) and isinstance(own.get(name), (int, float)) and own[name] != value
+        for name, value in designed_with.items()
+        if name in own and not math.isclose(own[name], value, rel_tol=ALIKE)
     ]
+
+
+def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[str, float]:
+    """A component's own start values of these names, as numbers in the units of their variables."""
+    part = file.scenario.components.get(component)
+    found = {name: value for name, value in (getattr(part, "start", None) or {}).items() if name in names}
+    if any(isinstance(value, str) for value in found.values()):
+        try:
+            description = read_description(file.resolve(getattr(part, "fmu", "")))
+        except FmuError:  # which is told where the FMU is named
+            return {}
+        variables = {v.name: v for v in description.modelVariables}
+        found = {n: typed(description, variables[n], v) for n, v in found.items() if n in variables}
+    return {n: v for n, v in found.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
 
 
 @dataclass(frozen=True)

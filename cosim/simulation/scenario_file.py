@@ -195,7 +195,7 @@ def _override(path: Path, data: dict[str, Any], text: str) -> None:
     if not sign or not target.strip():
         raise refused("is not path=value; for example --set noise=off")
     node: Any = data
-    keys = _keys(target.strip())
+    keys = keys_of(target.strip())
     for depth, key in enumerate(keys[:-1]):
         if isinstance(node, list) and _place(key, node) is not None:
             node = node[_place(key, node) or 0]
@@ -222,7 +222,7 @@ def _override(path: Path, data: dict[str, Any], text: str) -> None:
 NAMED = {"components": (1,)}  # at which depth a path names what the scenario must have
 
 
-def _keys(target: str) -> list[str]:
+def keys_of(target: str) -> list[str]:
     """The keys of a path; a variable's name may hold dots: components.plant.start.coulomb_friction.force."""
     keys = target.split(".")
     if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":

@@ -108,7 +108,7 @@ def _typed(description: Any, variable: Any, given: Any) -> Any:
         return Misfit(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
     low, high = _bounds(variable, kind)
     if not low <= given <= high:
-        return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".rstrip())
+        return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
     return int(given) if kind.low is not None else float(given)
 
 

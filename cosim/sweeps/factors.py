@@ -43,6 +43,7 @@ class Factors:
         self.yaml, self.file, self.scenario, self.system, self.overrides = yaml, file, scenario, system, overrides
         self.components = {s.component.name: s.component for s in system.stages}
         self.faults: list[Fault] = []
+        self.warnings: list[str] = []
         self.counts: dict[str, int] = {}
         self._check_size()
 
@@ -132,7 +133,14 @@ class Factors:
                 return None
             return found
 
-        return self._made(name, varied, value, unit_of(variable) or "")
+        factor = self._made(name, varied, value, unit_of(variable) or "")
+        design = self.scenario.scenario.design
+        if factor is not None and design is not None and design.component == component:  # it may contradict the design
+            also = [f"components.{component}.start.{variable_name}"]
+            if isinstance(getattr(design, variable_name, None), str):  # a name, for which the design is judged then
+                also.append(f"design.{variable_name}")
+            self._try_some(factor, varied, *also)
+        return factor
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
@@ -153,20 +161,30 @@ class Factors:
 
         factor = self._made(name, varied, value, "")
         if factor is not None:
-            tried = factor.values
-            if tried is None:
-                tried = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
-            for k, v in enumerate(tried[:MOST_TRIED]):
-                where: Location = ("vary", name, "values", k) if varied.values is not None else ("vary", name)
-                self._try(where, f"{name}={json.dumps(v)}")
+            self._try_some(factor, varied, name)
         return factor
 
-    def _try(self, where: Location, override: str) -> None:
+    def _try_some(self, factor: Factor, varied: Varied, *paths: str) -> None:
+        """Scenarios with some of its values at these paths: their faults, and the first warning of a value."""
+        tried = factor.values
+        if tried is None:
+            tried = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
+        told: list[str] = []
+        for k, v in enumerate(tried[:MOST_TRIED]):
+            where: Location = ("vary", factor.name, "values", k) if varied.values is not None else ("vary", factor.name)
+            told += self._try(where, *(f"{path}={json.dumps(v)}" for path in paths))
+        if new := [t for t in told if t not in {*self.scenario.warnings, *self.system.warnings}]:
+            self.warnings.append(f"{self.yaml.path}:{self.yaml.place(('vary', factor.name), key=True)[0]}: {new[0]}")
+
+    def _try(self, where: Location, *overrides: str) -> list[str]:
+        """Faults of a scenario with one value are noted; its warnings."""
         try:
-            file = ScenarioFile(self.scenario.path, (*self.overrides, override))
-            build_system(file, designed_values(file))
+            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides))
+            system = build_system(file, designed_values(file))
         except InputError as error:
             self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in error.faults]
+            return []
+        return [*file.warnings, *system.warnings]
 
     def _made(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
         """The factor, its values by `value`, which notes what is wrong with one."""

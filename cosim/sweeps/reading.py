@@ -19,6 +19,7 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.design import Factor, columns_of
 from cosim.sweeps.factors import Factors, Location, beside
+from cosim.sweeps.overlaps import overlap_faults
 from cosim.sweeps.runs import Asked, Job, Watched
 from cosim.sweeps.study import SweepFile
 from cosim.version import __version__
@@ -40,6 +41,7 @@ class Sweep:
     columns: Mapping[str, list[Any]]
     job: Job
     resolved: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -93,7 +95,10 @@ def read_sweep(path: Path) -> Sweep:
         raise InputError([*faults, *_moved(yaml, ("set",), error, scenario_path)]) from None
     reading = Factors(yaml, file, scenario, system, overrides)
     factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
+    design = scenario.scenario.design
+    designed_for = None if design is None else design.component
     faults += [*reading.faults, *reading.signal_faults()]
+    faults += overlap_faults(yaml, file, scenario.scenario.components, designed_for)
     if faults:
         raise InputError(faults)
     columns = columns_of(factors, file.runs, file.sampling, file.seed)
@@ -104,7 +109,8 @@ def read_sweep(path: Path) -> Sweep:
     watched = Watched.of(system, scenario.scenario.step)
     job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
     made_of = resolved(resolve_scenario(scenario, designed, system))
-    return Sweep(yaml, file, scenario.scenario, system, tuple(factors), columns, job, made_of)
+    warnings = (*scenario.warnings, *system.warnings, *reading.warnings)
+    return Sweep(yaml, file, scenario.scenario, system, tuple(factors), columns, job, made_of, warnings)
 
 
 def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -> list[Fault]:

@@ -26,12 +26,14 @@ from cosim.simulation.design import designed_values
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario import Scenario
 from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.start_values import Misfit, typed
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.batch import Batch, Starts, kinds_of, most_at_once
 from cosim.sweeps.twins import unpacked
 
 Way = Literal["arrays", "fmus"]
 MOST_ROWS = 2000  # of a run that are compared with another's
+DESIGN = "design."
 SYSTEMS = 16  # that a worker keeps put together
 
 
@@ -128,6 +130,28 @@ class _Prepared:
     def _seed(self, asked: Asked) -> int:
         return self.system.seed if asked.seed is None else asked.seed
 
+    def designed(self, overrides: tuple[str, ...], path: Path) -> Starts | None:
+        """Start values of another design of this scenario, but those that it gives itself; None where it has a fault.
+
+        overrides: of the scenario, its design among them
+        """
+        file = ScenarioFile(path, overrides)
+        values = designed_values(file)
+        if file.faults:
+            return None
+        found: dict[str, dict[str, Any]] = {}
+        for block in (s.component for s in self.system.stages if s.component.name in values):
+            own = getattr(file.scenario.components[block.name], "start", None) or {}
+            if not isinstance(block, FmuBlock) or any("[" in name for name in own):
+                return None
+            variables = {v.name: v for v in block.description.modelVariables}
+            new = {n: v for n, v in values[block.name].items() if n not in own}
+            if not new.keys() <= variables.keys():
+                return None
+            found[block.name] = {n: typed(block.description, variables[n], v) for n, v in new.items()}
+        fits = not any(isinstance(v, Misfit) for start in found.values() for v in start.values())
+        return found if fits and found.keys() == values.keys() else None
+
     def starts(self, asked: Asked) -> Starts:
         """Every start value of a run, by component."""
         blocks = (s.component for s in self.system.stages)
@@ -152,7 +176,7 @@ def made(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
     """Make runs; one that fails says why, and no other is touched by it."""
     found: list[Made] = []
     groups: dict[tuple[str, ...], list[Asked]] = {}
-    for one in asked:
+    for one in _designed(job, asked) if way == "arrays" else asked:  # through the FMUs each by its own scenario
         groups.setdefault(one.overrides, []).append(one)
     for overrides, members in groups.items():
         try:
@@ -162,6 +186,28 @@ def made(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
             continue
         found += _at_once(job, system, members) if way == "arrays" else [_by_fmus(job, system, one) for one in members]
     return sorted(found, key=lambda m: m.run)
+
+
+def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
+    """Runs that differ in their `design:` as runs that differ in start values, so that they are made at once."""
+    found, known = [], dict[tuple[str, ...], Starts | None]()
+    for one in asked:
+        design = tuple(o for o in one.overrides if o.startswith(DESIGN))
+        rest = tuple(o for o in one.overrides if not o.startswith(DESIGN))
+        if design and not any(o.startswith(f"{DESIGN}component=") for o in design):
+            if one.overrides not in known:
+                try:
+                    base = prepared(job.scenario, (*job.overrides, *rest))
+                    known[one.overrides] = base.designed((*job.overrides, *one.overrides), job.scenario)
+                except CosimError:  # told of each run by itself
+                    known[one.overrides] = None
+            designed = known[one.overrides]
+            if designed is not None:
+                starts = {name: {**designed.get(name, {}), **one.starts.get(name, {})}
+                          for name in (*designed, *one.starts)}  # fmt: skip
+                one = replace(one, overrides=rest, starts=starts)
+        found.append(one)
+    return found
 
 
 def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made]:

@@ -207,6 +207,7 @@ class _Sweep:
             "through_fmus": through,
             "runs_a_second": float(f"{self.count / self.seconds:.3g}") if self.count else None,
             "check": self._checked(count, way, why),
+            "warnings": list(study.warnings),
             "times": [scenario.start_time + scenario.step * k for k in rows],
             "units": {name: study.system.units.get(name, "") for name in study.job.signals},
             "criteria": [

@@ -29,9 +29,10 @@ def consistency(
 ) -> None:
     """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
     from cosim.estimators.consistency import CONSISTENT
-    from cosim.estimators.workflow import check_folder, write
+    from cosim.estimators.workflow import check_folder, check_size, write
     from cosim.estimators.workflow import consistency as over_runs
 
+    check_size(runs, steps)
     check_folder(out, force=force)
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)

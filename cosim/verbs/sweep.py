@@ -39,6 +39,8 @@ def sweep(
 
     with _progress() as progress:
         swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
+    for warning in swept.sweep.warnings:
+        warn(warning)
     if "DO NOT" in swept.record["check"]["sentence"]:
         warn(swept.record["check"]["sentence"])
     if as_json:
