@@ -355,7 +355,7 @@ def test_a_run_begins_where_its_recording_begins_and_says_what_it_does_not_play(
     assert made.time[-1] == pytest.approx(6)
     assert made["typed.r_out"] == pytest.approx(made.time, abs=1e-6)
     assert "the run begins at 5 s, where log.csv does" in made.warnings
-    assert any("other are recorded as recorded.NAME, and drive nothing" in w for w in made.warnings)
+    assert any("typed has no inputs other: they drive nothing" in w for w in made.warnings)
     late = typed_fmu(tmp_path, name="late", **{EXPERIMENT: '<DefaultExperiment startTime="5.5" stopTime="7"/>'})
     made = simulate(late, input=log, in_process=True)
     assert (made.time[0], made.time[-1]) == pytest.approx((5.5, 6))

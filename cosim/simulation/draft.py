@@ -138,8 +138,7 @@ def _played(path: Path, part: Part) -> Played:
         unit, _ = computed_in(c.heading.unit)
         found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
     missed = [*(c.name for c in columns if c.name not in inputs), *sorted(log.spoiled)]
-    told = f"are recorded as {source}.NAME, and drive nothing: {part.name} has no such inputs"
-    notes = (f"{path.name}: {', '.join(missed)} {told}",) if missed else ()
+    notes = (f"{path.name}: {part.name} has no inputs {', '.join(missed)}: they drive nothing",) if missed else ()
     if twice := [c.name for c in fed if c.name in part.start]:
         cure = f"{path.name} plays it; leave out --set, or the column"
         raise InputError([Fault(part.path, 0, 0, f"--set {name}={part.start[name]}: {cure}") for name in twice])
