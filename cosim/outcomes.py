@@ -251,5 +251,5 @@ class Runs:
 
     def __repr__(self) -> str:
         return (
-            f"{self.record.get('sweep', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
+            f"{self.record.get('name', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
         )

@@ -145,6 +145,17 @@ def test_a_comparison_and_a_refine_are_drawn(tmp_path: Path) -> None:
         refined.plot("test")
 
 
+def test_the_runs_of_a_sweep_are_read_back(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    arrow = pytest.importorskip("pyarrow")
+    (tmp_path / "sweep.json").write_text('{"name": "sizes", "runs": 2}')
+    parquet.write_table(arrow.table({"run": [0, 1], "mass": [1.0, 2.0]}), tmp_path / "sweep.parquet")
+    read = cosim.read(tmp_path)
+    assert repr(read) == f"sizes: 2 runs in {tmp_path}"
+    if importlib.util.find_spec("pandas") is not None:
+        assert read.to_pandas()["mass"].tolist() == [1, 2]
+
+
 def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Path) -> None:
     made = cosim.run(turning(tmp_path), in_process=True)
     if importlib.util.find_spec("pandas") is None:
