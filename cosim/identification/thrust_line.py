@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Array, Flags
-from cosim.identification.cells import Cells, at_rail, force_of
+from cosim.identification.cells import Cell, Cells, at_rail, force_of
 from cosim.identification.estimates import Figure, Result, made, shifts_of
 from cosim.identification.protocol import Test
 from cosim.identification.recordings import Recording
@@ -102,8 +102,11 @@ def analyse(
     gram, delayed = 1000.0 / known.gravity, rows.delayed
     own = list(zip(recordings, rows.kept, strict=True))
 
+    bowed = [np.zeros_like(d) for d in delayed]  # [gf] by which a reading on a ramp misses its thrust
+
     def thrusts(using: Cells) -> list[Array]:
-        return [gram * force_of(r, using, "z", test.rest)[k] / _gain(r, k, known) for r, k in own]
+        forces = [gram * force_of(r, using, "z", test.rest)[k] / _gain(r, k, known) for r, k in own]
+        return [f - bow for f, bow in zip(forces, bowed, strict=True)]
 
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
@@ -116,6 +119,14 @@ def analyse(
         ("thrust_offset", "gf", float(offset), truth.thrust_offset if truth else np.nan),
         ("thrust_slope", "gf/%", float(slope), truth.thrust_slope if truth else np.nan),
     ]
+    line = lines(cells).mean(axis=0)
+    begins = rows.dead_end
+    bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
+    if rows.idle and line[1] > 0:  # where the thrust begins was read from ramps that were bowed
+        line = lines(cells).mean(axis=0)
+        begins = -line[0] / line[1]
+        delayed = [_delayed(r, known, test, begins)[k] for r, k in own]
+        bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
     each = lines(cells)
     shifts = shifts_of(lines, cells, "z", each)
     result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
@@ -174,6 +185,20 @@ def _gain(r: Recording, rows: Flags, known: Bench) -> Array:
 def _delayed(r: Recording, known: Bench, test: Test, dead_end: float) -> Array:
     """The duty whose thrust is read: behind lag and low pass, and none below where the thrust begins."""
     return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, known.lag), r.step, test.low_pass)
+
+
+def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_end: float) -> Array:
+    """By how much [gf] a line's thrust is misread where it moves: volts are low-passed, and the cell's curve bends."""
+    effective = held_lag(np.maximum(r.duty, dead_end), r.step, known.lag)
+    steady = line[0] + line[1] * effective
+    everywhere = np.ones(r.time.size, dtype=bool)
+    gain, gram = _gain(r, everywhere, known), 1000.0 / known.gravity
+    grid = np.linspace(0.0, known.converter_range, 4001)
+    forces = cell.force(grid)
+    order = np.argsort(forces)
+    volts = np.interp(steady * gain / gram, forces[order], grid[order])
+    read = gram * cell.force(low_pass(volts, r.step, test.low_pass)) / gain
+    return np.asarray(read - low_pass(steady, r.step, test.low_pass))
 
 
 def _recent(recordings: Sequence[Recording], known: Bench, test: Test) -> Iterator[tuple[Recording, Array]]:
