@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.comparison.differences import Compared, Difference, compared, criteria_of, sentence, shared, sized
+from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.panels import panels_of
 from cosim.comparison.ran import Ran
+from cosim.comparison.signals import Difference, shared, sized
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.folders import check_left, folder_named

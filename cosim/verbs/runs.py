@@ -37,9 +37,10 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
-    from cosim.comparison.differences import sentence, shared, sized
+    from cosim.comparison.differences import sentence
     from cosim.comparison.page import compare as compare_runs
     from cosim.comparison.ran import read_ran
+    from cosim.comparison.signals import shared, sized
 
     if absolute and tolerance is None:
         tolerance = 0.0

@@ -1,0 +1,139 @@
+"""How far one signal of two runs lies apart: numbers, text, rows at other times."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Array
+from cosim.comparison.between import Between
+from cosim.comparison.ran import Ran
+from cosim.text import amount, plain
+
+SAME_TIME = 1e-9  # of a step
+ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
+BETWEEN = "between rows of a"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One signal of both runs.
+
+    unit:    that of a, to which b is converted
+    largest: most that |b − a| comes to, in its unit, at a time [s]; infinite where one run alone has no number, or
+             where the dimensions of their units differ, so that numbers say nothing
+    rms:     of b − a
+    scale:   the range of a, its size where it is constant, or 1
+    share:   largest / scale
+    beyond:  the tolerance
+    note:    what is to be known of units or text
+    alike:   the dimensions of both units agree
+    """
+
+    name: str
+    unit: str
+    largest: float
+    at: float
+    rms: float
+    scale: float
+    share: float
+    beyond: bool
+    note: str = ""
+    alike: bool = True
+
+
+def rows_of(a: Ran, b: Ran) -> tuple[slice, bool]:
+    """Rows of a at whose times b has values, and whether they are the rows of b."""
+    first, second = a.results.time, b.results.time
+    count = min(first.size, second.size)
+    if not count:
+        return slice(0, 0), False
+    close = near(first)
+    if np.all(np.abs(first[:count] - second[:count]) <= close):
+        return slice(0, count), True
+    low, high = np.searchsorted(first, [second[0] - close, second[-1] + close])
+    return slice(int(low), int(high)), False
+
+
+def near(time: Array) -> float:
+    """How far apart two times are that are meant to be one [s]: far less than a step, more than rounding."""
+    steps = np.diff(time)
+    step = float(np.min(steps[steps > 0.0], initial=1.0))
+    return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
+
+
+def at_times(time: Array, times: Array, values: Array) -> Array:
+    """Values at other times, straight between rows."""
+    return np.interp(time, times, values)
+
+
+def of_numbers(
+    name: str, unit: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float,
+    *, rounded: bool,
+) -> Difference:  # fmt: skip
+    """How far numbers of one unit lie apart; `rounded`: one side was converted, to the last bit or two."""
+    same = (first == second) | (np.isnan(first) & np.isnan(second))
+    finite = np.isfinite(first) & np.isfinite(second)
+    gap = np.where(same, 0.0, np.inf)
+    gap[finite] = np.abs(second[finite] - first[finite])
+    if rounded:
+        gap[finite & (gap <= ROUNDING * np.abs(first))] = 0.0
+    row = int(np.argmax(gap))
+    good = first[np.isfinite(first)]
+    span = float(np.ptp(good)) if good.size else 0.0
+    scale = span or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
+    largest = float(gap[row])
+    beyond = tolerance is not None and not largest <= absolute + tolerance * scale
+    rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
+    return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
+
+
+def with_rows_between(d: Difference, outside: float, at: float, tolerance: float | None, absolute: float) -> Difference:
+    """With what b does between the rows of a, where that is more."""
+    if outside <= max(d.largest, ROUNDING * d.scale):
+        return d
+    beyond = tolerance is not None and not outside <= absolute + tolerance * d.scale
+    note = "; ".join(filter(None, [d.note, BETWEEN]))
+    return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=d.beyond or beyond, note=note)
+
+
+def of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:
+    """Numbers in units between which there is no conversion."""
+    note = f"in {unit} in one, in {other} in the other"
+    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, judged, note, alike=False)
+
+
+def of_units(unit: str, other: str, d: Difference) -> str:
+    """What is to be known of the units of both sides."""
+    if unit and other:
+        return f"{other} in b, converted" if unit != other else ""
+    return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
+
+
+def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None) -> Difference:
+    """Text: 1 where a row differs, 0 where none does; at other times that of b holds until its next row."""
+    aligned = between is None
+    first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
+    time = a.results.time[rows]
+    places = range(time.size) if aligned else np.searchsorted(b.results.time, time + SAME_TIME, side="right") - 1
+    pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
+    differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
+    if differs is None and between is not None:
+        differs = between.other_text(first, second)
+    if differs is None:
+        return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
+    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, True, "text differs")
+
+
+def sized(d: Difference, value: float) -> str:
+    """A difference in the unit of its signal, a dash where there is none."""
+    return amount(value if d.alike else math.nan, d.unit)
+
+
+def shared(d: Difference) -> str:
+    """A difference as a share of the range of its signal."""
+    if not d.alike:
+        return "not comparable"
+    return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"
