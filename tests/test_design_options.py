@@ -124,7 +124,7 @@ def test_a_number_that_design_and_component_take_differently_is_a_warning(folder
 @pytest.mark.parametrize(
     ("given", "told"),
     [("mass: 3", "mass is 3"), ("friction: 5", "friction is 5"), ("friction: 5 N.s/m", "friction is 5"),
-     ("mass: 0.705", ""), ("fix_latency: 0.1", ""), ('lag: "100 ms"', "")],
+     ("mass: 0.705", ""), ("fix_latency: 0.1", ""), ('lag: "100 ms"', "lag is 0.1")],
 )  # fmt: skip
 @pytest.mark.parametrize("options", [("model: base",), ("R: [2, 2]",)])
 def test_every_number_of_the_design_model_that_the_component_takes_differently_is_a_warning(
