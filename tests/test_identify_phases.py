@@ -24,6 +24,10 @@ CASES: dict[str, tuple[str, dict[str, Any], list[str]]] = {
         "step", {"at": 5},
         ["servo_duty has no step at 5 s; phases of two values at one time make a step; there is one at 6 s"],
     ),
+    "a step that is small": (
+        "step", {"phases": [[0, 5, 0], [1, 5, 0], [3, 6.4, 0], [6, 6.4, 0], [6, 6.4, 4.9], [9, 6.4, 4.9]]},
+        ["servo_duty steps by 4.9° at 6 s, less than 5°; let it step by 5° at least"],
+    ),
     "no step": ("step", {"phases": [[0, 5, 0], [1, 5, 0], [3, 6.4, 0], [9, 6.4, 0]]}, ["there is none"]),
     "a window before the step": ("step", {"window": [3.5, 5.5]}, ["`window` from 3.5 to 5.5 s does not hold the step"]),
     "a window before the thrust": ("step", {"window": [1, 2]}, ["does not hold the step `at` 6 s"]),
@@ -54,6 +58,10 @@ CASES: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     "little thrust": (
         "thrust_line", {"phases": [[0, 5, 0], [5, 5, 0], [65, 5.85, 0]], "window": [5, 65]},
         ["less than 0.1 % is above 5.77 %, where thrust begins"],
+    ),
+    "a jump before a short ramp": (
+        "thrust_line", {"phases": [[0, 5, 0], [2, 5, 0], [2, 6, 0], [5, 6.5, 0], [8, 5, 0]], "window": [2.3, 5]},
+        ["the duty jumps at 2 s, and `window` begins at 2.3 s, before thrust and low pass have settled"],
     ),
     "a ramp at a tilt": ("thrust_line", {"phases": [[t, d, 20] for t, d, _ in DOWN]}, ["the tilt is up to 20.0° in"]),
     "a motor that runs": ("moment", {"phases": [[0, 5, 0], [3, 5, 0], [13, 6, 80]]}, ["is read with the motor off"]),

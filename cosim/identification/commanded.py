@@ -21,6 +21,8 @@ UPRIGHT = np.radians(2.5)  # cos is off 1 by 0.1 %
 LEAST_ROWS = 10
 LEAST_BEFORE = 3  # rows before a step
 BEFORE = 0.3  # [s] before a step that a fit sees
+UNSETTLED = 0.1  # of a window, which may still carry what was before it
+JUMP = 3.0  # times the steps of a ramp from row to row, from which a step is none of it
 SETTLED = 3.0  # lags and low passes after which a duty has its thrust, to 5 % of what changed
 
 
@@ -148,6 +150,16 @@ def _ramp(see: _Seen, place: str) -> Iterator[Lack]:
         what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %, where "
         yield Lack("window", see.first(see.seen), f"{what}thrust begins", "record a ramp that goes higher",
                    "move the window, or let the ramp go higher")  # fmt: skip
+    before = see.run.rows((start - (long := SETTLED * (see.known.lag + see.test.low_pass)), start))
+    moved, ramp = (np.abs(np.diff(see.duty[rows])) for rows in (before, see.seen))
+    at = float(see.run.time[before][1 + int(np.argmax(moved))]) if moved.size else -np.inf
+    jumps = moved.max(initial=0.0) > max(LEAST_STEP, JUMP * ramp.max(initial=0.0))
+    if jumps and at + long - start > UNSETTLED * (end - start):
+        what = (
+            f"the duty jumps at {at:.4g} s, and `window` begins at {start:g} s, before thrust and low pass have settled"
+        )
+        cure = f"let it begin {long:.2g} s after the jump, at {at + long:.4g} s"
+        yield Lack("window", see.first(see.seen), what, f"{cure}: change {place}.window", cure)
     yield from see.tilted(see.seen, "window", "in `window`")
 
 
@@ -185,9 +197,14 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
     own, other, what = (see.duty, see.angle, "duty") if thrust else (see.angle, see.duty, "servo_duty")
     row = min(int(np.searchsorted(r.time, at)), r.time.size - 1)
     near = (r.time >= at - 2.5 * r.step) & (r.time <= at + 2.5 * r.step)
-    if np.abs(np.diff(own[near])).max(initial=0.0) < (LEAST_STEP if thrust else LEAST_ANGLE):
+    least, step = LEAST_STEP if thrust else LEAST_ANGLE, np.abs(np.diff(own[near])).max(initial=0.0)
+    if step < least:
         plan = f"phases of two values at one time make a step; {_steps(own, r.time, thrust)}"
-        yield Lack("at", row, f"{what} has no step at {at:g} s", f"say when it is in {place}.at", plan)
+        small = 10.0 * step > least  # slower motion is none
+        size, need = (f"{v:.3g} %" if thrust else f"{np.degrees(v):.3g}°" for v in (step, least))
+        told = f"{what} steps by {size} at {at:g} s, less than {need}" if small else f"{what} has no step at {at:g} s"
+        further = f"let it step by {need} at least"
+        yield Lack("at", row, told, further if small else f"say when it is in {place}.at", further if small else plan)
         return
     if not start - 0.5 * r.step <= at <= end:
         told = f"`window` from {start:g} to {end:g} s does not hold the step `at` {at:g} s"

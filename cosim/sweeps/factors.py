@@ -232,21 +232,38 @@ class Factors:
                 yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
 
     def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
-        """What is drawn lies in the bounds of its variable."""
+        """The least and the most that is drawn of each: it lies in the bounds of its variable, its scenario is one."""
         for factor in factors:
             component, _, name = factor.name.partition(".")
             block = self.components.get(component)
-            if factor.drawn is None or not isinstance(block, FmuBlock):
+            if factor.drawn is None:
+                continue
+            if not isinstance(block, FmuBlock):
+                yield from self._of_drawn_path(factor, columns[factor.name])
                 continue
             variable = next(v for v in block.description.modelVariables if v.name == name)
             for drawn in (min(columns[factor.name]), max(columns[factor.name])):
                 found = typed(block.description, variable, drawn)
                 if isinstance(found, Misfit):
                     way = self.file.vary[factor.name].way
-                    cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
-                    yield self.yaml.fault(
-                        ("vary", factor.name, way), f"{factor.name} would be {drawn:g}; {found.reason}; {cure}"
-                    )
+                    told = f"{factor.name} would be {drawn:g}; {found.reason}; {_cure(way)}"
+                    yield self.yaml.fault(("vary", factor.name, way), told)
+
+    def _of_drawn_path(self, factor: Factor, column: list[Any]) -> Iterator[Fault]:
+        way = self.file.vary[factor.name].way
+        for drawn in (min(column), max(column)):
+            try:
+                file = ScenarioFile(self.scenario.path, (*self.overrides, f"{factor.name}={json.dumps(drawn)}"))
+                build_system(file, designed_values(file))
+            except InputError as error:
+                for f in error.faults:
+                    told = f"{factor.name} would be {drawn:g}: {f.message}; {_cure(way)}"
+                    yield self.yaml.fault(("vary", factor.name, way), told, exit_code=f.exit_code)
+
+
+def _cure(way: str) -> str:
+    """What keeps draws from going too far."""
+    return "cut it by within: [low, high]" if way == "normal" else "move its ends"
 
 
 def _size(varied: Varied) -> int | None:
