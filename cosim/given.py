@@ -37,4 +37,4 @@ def as_yaml(value: Any) -> str:
     """A value of Python as --set takes it."""
     if isinstance(value, os.PathLike):
         return json.dumps(os.fspath(value))
-    return json.dumps(value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value)
+    return json.dumps(value.tolist() if hasattr(value, "tolist") else value)  # numbers and arrays of numpy

@@ -299,3 +299,21 @@ def test_a_comparison_is_written_over_by_one_of_the_same_runs_alone(tmp_path: Pa
         told("compare", a, b, *out)
     assert "holds what `cosim compare` left of" in told("compare", a, c, *out, code=2)
     told("compare", a, c, *out, "--force")
+
+
+def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -> None:
+    assert held(TIME, TIME).same
+    other = held(TIME, 2.0 * TIME)
+    assert (other.same, other.beyond, other.reasons) == (False, [], ["1 signal differs"])
+    assert other.as_json()["within"] is None
+
+    def said(word: str) -> Ran:
+        return Ran(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
+
+    found = compared(said("x"), said("y"))
+    assert (found.same, found.beyond) == (False, [])
+
+
+def test_units_that_cannot_be_converted_are_the_reason_and_no_tolerance() -> None:
+    found = compared(ran(w=TIME, units={"w": "rad/s"}), ran("b", w=TIME, units={"w": "bananas"}), 1e9)
+    assert found.reasons == ["w is in rad/s in one, in bananas in the other"]

@@ -71,13 +71,17 @@ class Compared:
 
     @property
     def same(self) -> bool:
-        """Every signal of a is in b and within the tolerance, over the whole of both runs; b may have more."""
+        """Every signal of a is in b, within the tolerance (without one equal), over the whole of both; b may have more."""
         return not self.reasons
 
     @property
     def reasons(self) -> list[str]:
         """Why they are not the same, in words; none where they are."""
-        found = [f"{counted(len(self.beyond), 'signal')} beyond the tolerance"] if self.beyond else []
+        apart = self.beyond if self.judged else [d for d in self.differences if d.largest]
+        far = sum(d.alike for d in apart)
+        verb = "beyond the tolerance" if self.judged else "differs" if far == 1 else "differ"
+        found = [f"{counted(far, 'signal')} {verb}"] if far else []
+        found += [f"{d.name} is {d.note}" for d in apart if not d.alike]
         if self.only_a:
             more = ", …" if len(self.only_a) > SHOWN else ""
             verb = "is" if len(self.only_a) == 1 else "are"
@@ -174,7 +178,7 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
     differences, values = [], {}
     for name in shared:
         if name in a.results.exact or name in b.results.exact:
-            differences.append(of_text(a, b, name, rows, between))
+            differences.append(of_text(a, b, name, rows, between, judged=tolerance is not None))
             continue
         first = a.results[name][rows]
         second = b.results[name][: time.size] if aligned else at_times(time, b.results.time, b.results[name])

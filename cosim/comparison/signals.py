@@ -112,7 +112,7 @@ def of_units(unit: str, other: str, d: Difference) -> str:
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
-def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None) -> Difference:
+def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, judged: bool) -> Difference:
     """Text: 1 where a row differs, 0 where none does; at other times that of b holds until its next row."""
     aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
@@ -124,7 +124,7 @@ def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None) -> 
         differs = between.other_text(first, second)
     if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
-    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, True, "text differs")
+    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, judged, "text differs")
 
 
 def sized(d: Difference, value: float) -> str:
