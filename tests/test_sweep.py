@@ -454,6 +454,14 @@ def test_a_start_value_that_contradicts_the_design_is_told_as_a_run_tells_it(cra
     )
 
 
+def test_the_least_that_is_drawn_of_a_path_is_tried_before_anything_runs(craft: Path) -> None:
+    sweep_file = craft.parent / "sweep.yaml"
+    sweep_file.write_text("scenario: craft.yaml\nruns: 100\nvary:\n  design.R.0: {normal: [1, 0.4]}\n")
+    (told,) = faults_of(sweep_file)
+    assert told.startswith("4:24 design.R.0 would be -")
+    assert told.endswith("cut it by within: [low, high]")
+
+
 def test_runs_of_many_designs_are_made_at_once_and_are_those_of_their_scenarios(
     craft: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

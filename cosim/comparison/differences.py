@@ -71,7 +71,7 @@ class Compared:
 
     @property
     def same(self) -> bool:
-        """Every signal of a is in b, within the tolerance (without one equal), over the whole of both; b may have more."""
+        """Every signal of a is in b, within the tolerance (without one, equal), over the whole of both."""
         return not self.reasons
 
     @property
