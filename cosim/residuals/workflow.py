@@ -186,7 +186,7 @@ def _write_rows(made: Results, folder: Path) -> None:
 def _record(folder: Path, content: Mapping[str, Any]) -> None:
     """replay.json: what rows do not say of themselves."""
     with atomic_write(folder / REPLAY) as stream:
-        stream.write(json.dumps({"schema_version": 1, **content}, ensure_ascii=False, indent=1) + "\n")
+        stream.write(json.dumps({"schema_version": SCHEMA_VERSION, **content}, ensure_ascii=False, indent=1) + "\n")
 
 
 def _older(drive: Drive) -> Iterator[Finding]:
