@@ -23,6 +23,7 @@ from cosim.verbs.terminal import (
     InProcess,
     Json,
     Open,
+    Report,
     progress_bar,
     say,
     say_failure,
@@ -73,7 +74,7 @@ def run(
     nearest: Annotated[
         bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
     ] = False,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Force, Json, Open, judged, progress_bar, say, say_json, show, table
+from cosim.verbs.terminal import Force, Json, Open, Report, judged, progress_bar, say, say_json, show, table
 
 
 def register(app: typer.Typer) -> None:
@@ -22,7 +22,7 @@ def consistency(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
     ] = Path("results/consistency"),
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

@@ -9,7 +9,7 @@ import typer
 
 from cosim.kinds import as_typed
 from cosim.verbs.outcome import told
-from cosim.verbs.terminal import Force, Json, Open, progress_bar, say, say_json, table, warn
+from cosim.verbs.terminal import Force, Json, Open, Report, progress_bar, say, say_json, table, warn
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -178,7 +178,7 @@ def simulate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the FMU without.")
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.folders import folder_named, name_of
-from cosim.verbs.terminal import Force, Json, Open, say, say_json, show, table, warn
+from cosim.verbs.terminal import Force, Json, Open, Report, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.linearization.outcome import Outcome
@@ -48,7 +48,7 @@ def linearize(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-linear without.")
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

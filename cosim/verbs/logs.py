@@ -11,7 +11,7 @@ import typer
 
 from cosim.folders import folder_named, folder_of_file, name_of
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Force, InProcess, Json, Open, progress_bar, say, say_json, show, stages, warn
+from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, progress_bar, say, say_json, show, stages, warn
 
 
 def register(app: typer.Typer) -> None:
@@ -36,7 +36,7 @@ def replay(
         list[str] | None,
         typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; speed=motor.w, stamp=time."),
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     in_process: InProcess = False,
     limits: Annotated[
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
@@ -79,7 +79,7 @@ def refine(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     in_process: InProcess = False,
     open_: Open = False,
     force: Force = False,
@@ -175,7 +175,7 @@ def identify(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.errors import CriterionMissed
-from cosim.verbs.terminal import Force, Json, Open, judged, say, say_json, show, table
+from cosim.verbs.terminal import Force, Json, Open, Report, judged, say, say_json, show, table
 
 SHOWN = 12  # signals told on the terminal
 
@@ -31,7 +31,7 @@ def compare(
         Path | None,
         typer.Option("--out", "-o", help="Folder for comparison.json and report.html; results/A-and-B without."),
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

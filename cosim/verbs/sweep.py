@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import MANNER, Json, Open, progress_bar, say, say_json, say_more, show, warn
+from cosim.verbs.terminal import MANNER, Json, Open, Report, progress_bar, say, say_json, say_more, show, warn
 
 EVERY = 10.0  # [s] between lines of those who asked for more
 
@@ -29,7 +29,7 @@ def sweep(
     dask: Annotated[
         str | None, typer.Option("--dask", help="Address of a dask scheduler, such as tcp://host:8786.")
     ] = None,
-    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    report: Report = True,
     open_: Open = False,
     force: Annotated[bool, typer.Option("--force", help="Begin anew, whatever an earlier sweep left there.")] = False,
     as_json: Json = False,
