@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +15,7 @@ from cosim.folders import content_of
 from cosim.given import Given, given, texts
 from cosim.outcomes import Refined, Replay, Run, Runs, Signals
 from cosim.results import Results
+from fmus.scratch import temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -241,8 +241,8 @@ def _folder(out: FilePath | None) -> Iterator[Path]:
     if out is not None:
         yield Path(out)
         return
-    with tempfile.TemporaryDirectory(prefix="cosim-run-", ignore_cleanup_errors=True) as scratch:
-        yield Path(scratch)
+    with temporary_folder("run") as scratch:
+        yield scratch
 
 
 @contextmanager
@@ -254,8 +254,8 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
     from cosim.simulation.scenario_file import from_here
 
     told = Path("scenario")
-    with tempfile.TemporaryDirectory(prefix="cosim-scenario-") as scratch:
-        path = Path(scratch) / "scenario.json"
+    with temporary_folder("scenario") as scratch:
+        path = scratch / "scenario.json"
         try:
             path.write_text(json.dumps(from_here(scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:

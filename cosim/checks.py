@@ -32,6 +32,7 @@ from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.yaml_file import YamlFile
+from fmus.scratch import temporary_folder
 from plant.model import Model
 from plant.traits import Traits
 
@@ -179,8 +180,8 @@ def check_scenario(path: Path, worker: Worker | None = None) -> list[str]:
 
 def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:
     """Read an SSP as a run would, step it once with a worker; what is to be known of it. InputError with its faults."""
-    with tempfile.TemporaryDirectory(prefix="cosim-check-") as folder:
-        file, warnings = lay_out(path, Path(folder))
+    with temporary_folder("check") as folder:
+        file, warnings = lay_out(path, folder)
         if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
             shown = (replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
             raise InputError(list(shown))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import tempfile
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from typing import TextIO
 
 from cosim.errors import Fault, InputError
 from fmus.files import draft_of, is_full
+from fmus.scratch import Held, scratch
 
 __all__ = [
     "FilePath",
@@ -73,16 +72,16 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
-    """A folder within `beside` that is gone at the end, however that comes."""
-    made: Path | None = None
+    """Make a folder within `beside` that is removed at the end, or by the next command after a kill."""
+    made: Held | None = None
     try:
         with uninterrupted():
-            made = Path(tempfile.mkdtemp(prefix=prefix, dir=beside))
-        yield made
+            made = scratch(prefix, beside)
+        yield made.path
     finally:
         with uninterrupted():
             if made is not None:
-                shutil.rmtree(made, ignore_errors=True)
+                made.remove()
 
 
 def check_folder(folder: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from fmus import __version__
 from fmus.description import Description, complete
 from fmus.documentation import GUID_PLACEHOLDER, model_text, write_documentation
 from fmus.files import draft_of
+from fmus.scratch import temporary_folder
 from plant.model import Model
 from plant.traits import Traits
 
@@ -81,8 +81,8 @@ def about_model(model: Model, text: str) -> Description:
 
 def build(recipe: Recipe, path: Path) -> Path:
     """Write one FMU to `path`, whole or not at all; the same sources give the same bytes."""
-    with tempfile.TemporaryDirectory(prefix="cosim-build-") as folder:
-        draft = _pack(recipe, Path(folder))
+    with temporary_folder("build") as folder:
+        draft = _pack(recipe, folder)
         members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
         xml = members.pop("modelDescription.xml")
         # the page names the GUID, which is made of everything else: a placeholder stands there until it is known

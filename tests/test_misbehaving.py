@@ -23,7 +23,6 @@ from cosim.errors import Crashed, DiskFull, FmuError, InputError, SimulationErro
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import BesideFile, read_beside
-from cosim.isolation.scratch import LOCK, scratch, sweep
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.apart import DriveApart
 from cosim.residuals.drive import StoppedReplay, log_of_fmu
@@ -31,6 +30,7 @@ from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.table import read_columns
+from fmus.scratch import LOCK, scratch, sweep
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log

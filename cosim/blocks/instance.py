@@ -21,6 +21,7 @@ from fmus.archive import unpack
 from fmus.files import is_full
 from fmus.lifetime import let_go_at_exit
 from fmus.sampled import sampled_by
+from fmus.scratch import process_folder
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
@@ -84,7 +85,7 @@ class Instance:
             self._folder = self.place
             return self.place
         try:
-            self._folder = folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+            self._folder = folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
             if is_full(error):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from cosim.identification.recordings import FmuPlayer, Play, Recording, load_run
 from cosim.identification.write import RECORD, REPORT, model_text, write
 from cosim.kinds import PROTOCOL, check_given
 from cosim.registry import MODELS, resolve
+from fmus.scratch import temporary_folder
 from plant.bench import Bench
 from plant.model import Model
 
@@ -78,8 +78,8 @@ def _outcome(
     recordings = dict(measured)
     hung: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
-        with tempfile.TemporaryDirectory(prefix="cosim-identify-") as folder:
-            fmu = _fmu(protocol, Path(folder))
+        with temporary_folder("identify") as folder:
+            fmu = _fmu(protocol, folder)
             runs = {n: runs_of(protocol, n, seed) for n, t in protocol.file.tests.given() if n not in measured}
             loads = load_runs(protocol, seed)
             total = sum(r.time.size for group in (*runs.values(), *loads.values()) for r in group) or 1

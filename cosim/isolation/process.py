@@ -17,9 +17,10 @@ from typing import Any, BinaryIO, Self
 from cosim.errors import Crashed, SimulationError
 from cosim.files import uninterrupted
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
-from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Clock, Watch, how_ended
 from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send
+from fmus.native.cache import cache_environment
+from fmus.scratch import Held, scratch
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # [s] between looks at a process
@@ -221,7 +222,7 @@ def _show(text: bytes) -> None:
 def _spawn() -> subprocess.Popen[bytes]:
     """A Python of its own group: Ctrl-C reaches the caller alone."""
     path = os.environ.get("PYTHONPATH")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
+    environment = {**os.environ, **cache_environment(), "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
     windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
     return subprocess.Popen(

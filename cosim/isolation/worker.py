@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 from cosim.errors import CosimError
 from cosim.garbage import collect_seldom
 from cosim.isolation.rows import Progress, mapped_progress
-from cosim.isolation.scratch import remove
+from fmus.scratch import remove
 
 HEAD = struct.Struct("!Q")
 PROGRESS, ALONG = "progress", "along"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from cosim.results import Results
 from cosim.simulation.packaged import is_ssp
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from fmus.scratch import temporary_folder
 from plant.integrate import Stepper
 
 SLACK = 1e-9  # [s]
@@ -37,8 +37,8 @@ class Along:
         self._source, self._moment = source, moment
         record = [] if isinstance(source, EquationSource) else list(source.states)
         _check(moment, component)
-        with tempfile.TemporaryDirectory(prefix="cosim-linearize-") as folder:
-            self._results, self._manifest = _run(moment.scenario, Path(folder))
+        with temporary_folder("linearize") as folder:
+            self._results, self._manifest = _run(moment.scenario, folder)
             self._name = self._component(component)
             if record:
                 patterns = [f"{self._name}.{state}" for state in record]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from cosim.models.source import Source
 from cosim.registry import MODELS, resolve
 from cosim.yaml_file import did_you_mean
 from fmus.files import draft_of
+from fmus.scratch import temporary_folder
 from plant.model import Model
 
 if TYPE_CHECKING:
@@ -141,9 +141,9 @@ def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Pa
     """Every archive, or none where one fails."""
     from fmus.native.compiler import CompilerFailed
 
-    with tempfile.TemporaryDirectory(prefix="cosim-build-") as drafts:
+    with temporary_folder("build") as drafts:
         try:
-            built = {file: make(name, Path(drafts) / file) for name, file in files.items()}
+            built = {file: make(name, drafts / file) for name, file in files.items()}
         except CompilerFailed as error:
             raise InputError([_failed(error)]) from None
         return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]

@@ -16,10 +16,10 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER, Rows, allocate, mapped_table, read_table
-from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay
+from fmus.scratch import Held, scratch
 from fmus.state import Memory, Own
 
 MODULES = ("cosim.residuals.apart", "fmpy.fmi2", "fmpy.logging")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -35,6 +34,7 @@ from cosim.residuals.words import verdict
 from cosim.results import Results
 from fmus.build import build as build_fmu
 from fmus.sampled import AUTHOR
+from fmus.scratch import temporary_folder
 
 SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
@@ -69,8 +69,8 @@ def replay(
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # it gets ready while files are read
-        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-replay-"))
-        driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), Path(scratch) / "plant.fmu")
+        scratch = stack.enter_context(temporary_folder("replay"))
+        driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
         return write_replay(
             Path(folder),

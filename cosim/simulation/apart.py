@@ -16,7 +16,6 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
-from cosim.isolation.scratch import Held, scratch
 from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.results import Results
 from cosim.simulation.compiled import compile_beforehand
@@ -24,6 +23,7 @@ from cosim.simulation.halving import Halved
 from cosim.simulation.master import StoppedRun, results_of, simulate
 from cosim.simulation.own_process import in_own_processes
 from cosim.simulation.system import System
+from fmus.scratch import Held, scratch
 
 MODULES = ("cosim.simulation.apart", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"

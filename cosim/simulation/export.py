@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from cosim.ssp.structure import Units
 from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
 from cosim.table import read_columns
 from fmus.native.source import Change, CompilerFailed, NoCompiler, TimeSignal, build_source
+from fmus.scratch import temporary_folder
 from fmus.units import computed_in, parse
 
 TYPES = ("Real", "Integer", "Boolean")  # that all importers connect
@@ -57,9 +57,9 @@ def export_ssp(
     if faults:
         raise InputError(faults)
     target = _target(file, Path() if path is None else Path(path))
-    with tempfile.TemporaryDirectory(prefix="cosim-export-") as made:
+    with temporary_folder("export") as made:
         models = [
-            _source(file, name, component, Path(made))
+            _source(file, name, component, made)
             if isinstance(component, ReferenceComponent | PlaybackComponent)
             else _model(file, name, _block(system, name))
             for name, component in file.scenario.components.items()

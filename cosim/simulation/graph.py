@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from cosim.simulation.report.system import Graph, graph_from
 from cosim.simulation.scenario import resolved
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
+from fmus.scratch import temporary_folder
 
 HEAD = 4096  # characters, which hold what a picture is of
 MERMAID = "flowchart LR\n  n1["
@@ -26,8 +26,8 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
     """The picture of a scenario, of a manifest's or an SSP's; InputError and FmuError as a run raises them."""
     if not is_ssp(path):
         return _graph(ScenarioFile(path, overrides))
-    with tempfile.TemporaryDirectory(prefix="cosim-graph-") as made:
-        return _graph(lay_out(path, Path(made), overrides)[0])
+    with temporary_folder("graph") as made:
+        return _graph(lay_out(path, made, overrides)[0])
 
 
 def check_picture(path: Path, graph: Graph) -> None:

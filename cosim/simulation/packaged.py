@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from cosim.ssp.package import Package, opened
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Structure
 from cosim.yaml_nodes import Location
+from fmus.scratch import temporary_folder
 
 FOLDER, SCENARIO = "system", "scenario.json"  # within that of the results
 STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say
@@ -64,7 +64,7 @@ class Unpacked:
 @contextmanager
 def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
     """An SSP as a scenario that has been checked, as long as the block lasts; InputError with all of its faults."""
-    with opened(path) as package, tempfile.TemporaryDirectory(prefix="cosim-ssp-") as made:
+    with opened(path) as package, temporary_folder("ssp") as made:
         reader = Reader(package)
         structure, flat = read(reader)
         files = _files(flat)
@@ -72,7 +72,7 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
         warnings = [*map(str, slips), *reader.warnings]
         given = frozenset(override.partition("=")[0].strip() for override in overrides)
         scenario, places = _scenario(package, structure, flat, files, (warnings, given))
-        trial = Path(made) / SCENARIO
+        trial = made / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(reader.faults)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlsplit
 
 from cosim.errors import Fault, InputError
@@ -15,6 +14,7 @@ from cosim.kinds import check_form
 from cosim.ssp.elements import Element, parse
 from cosim.ssp.schema import slips
 from fmus.archive import SSP, STRUCTURE, BadArchive, unpack
+from fmus.scratch import temporary_folder
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def opened(path: Path) -> Iterator[Package]:
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)
         return
-    with TemporaryDirectory(prefix="cosim-ssp-", ignore_cleanup_errors=True) as made:
-        folder = Path(made).resolve()
+    with temporary_folder("ssp") as made:
+        folder = made.resolve()
         try:
             unpack(path, folder, SSP)
         except BadArchive as error:

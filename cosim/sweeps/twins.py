@@ -24,6 +24,7 @@ from cosim.blocks.sources import Source
 from cosim.registry import MODELS, TWINS, resolve
 from cosim.sweeps.compiled import stepping
 from fmus.archive import unpack
+from fmus.scratch import process_folder
 from plant.quantities import parameters_of
 
 Given = Mapping[str, Any]  # variable → value, or an array with one for each run
@@ -134,13 +135,9 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
 @cache
 def unpacked(path: Path) -> Path:
     """Where an FMU is unpacked as long as this process lives."""
-    kept = tempfile.TemporaryDirectory(prefix="cosim-fmu-", ignore_cleanup_errors=True)
-    _KEPT.append(kept)
-    unpack(path, Path(kept.name))
-    return Path(kept.name)
-
-
-_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+    folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
+    unpack(path, folder)
+    return folder
 
 
 def _known_model(name: str) -> tuple[Any, Any, Any] | None:

@@ -8,11 +8,12 @@ import os
 import shlex
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fmus.native.cache import cached
+from fmus.files import draft_of
+from fmus.native.cache import cached, discard_untrusted
+from fmus.scratch import temporary_folder
 
 OPTIONS = ("-O3", "-fno-math-errno", "-shared", "-fPIC", "-std=c99")  # errno of sin and pow is not looked at
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # Linux, Windows; macOS
@@ -44,12 +45,11 @@ def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str], ex
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command))).encode()).hexdigest()
     stem = cached(content, "")
-    for kept in stem.parent.glob(f"{stem.name}-*.so"):
+    for kept in _kept(stem):
         if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
             return kept.read_bytes()
         kept.unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory(dir=stem.parent) as name:
-        folder = Path(name)
+    with temporary_folder("compile") as folder:
         for file, data in files.items():
             (folder / file).write_bytes(data)
         library = folder / "library"
@@ -67,7 +67,7 @@ def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str], ex
         if missing := _missing(library.read_bytes(), exports):
             told = f"it ended without an error, but what it made is no library that has {missing[0]}"
             raise CompilerFailed(f"{shlex.join(full[:1])} failed: {told}")
-        return library.replace(_named(stem, library)).read_bytes()
+        return _keep(library, stem).read_bytes()
 
 
 def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
@@ -93,19 +93,33 @@ def _compiled(source: str) -> Path:
     Its name ends with the hash of its content: to load one that is damaged can end the process.
     """
     stem = cached(source, "")
-    for kept in stem.parent.glob(f"{stem.name}-*.so"):
+    for kept in _kept(stem):
         if kept.name == _named(stem, kept).name:
             return kept
         kept.unlink(missing_ok=True)
     command = compiler()
     if command is None:
         raise FileNotFoundError("no C compiler")
-    with tempfile.TemporaryDirectory(dir=stem.parent) as folder:
-        file, library = Path(folder) / "model.c", Path(folder) / "model.so"
+    with temporary_folder("compile") as folder:
+        file, library = folder / "model.c", folder / "model.so"
         file.write_text(source, encoding="utf-8")
         full = [*command, *OPTIONS, "-o", str(library), str(file), "-lm"]
         subprocess.run(full, check=True, capture_output=True, timeout=120)
-        return library.replace(_named(stem, library))
+        return _keep(library, stem)
+
+
+def _kept(stem: Path) -> list[Path]:
+    """Return the libraries of a source in the cache that this user alone can have written."""
+    found = list(stem.parent.glob(f"{stem.name}-*.so"))
+    return [path for path in found if discard_untrusted([path]) and path.exists()]
+
+
+def _keep(library: Path, stem: Path) -> Path:
+    """Copy a library into the cache, whole or not at all."""
+    path = _named(stem, library)
+    with draft_of(path) as draft:
+        shutil.copyfile(library, draft)
+    return path
 
 
 def _named(stem: Path, library: Path) -> Path:

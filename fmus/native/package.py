@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -18,6 +17,7 @@ from fmus.native.description import description2, description3
 from fmus.native.layout import Layout, model_layout
 from fmus.native.platforms import PLATFORMS, Platform, commands, glibc_floor
 from fmus.native.printing import Printer, Sources
+from fmus.scratch import temporary_folder
 from plant.model import Model
 
 HERE = Path(__file__).resolve().parent
@@ -144,8 +144,7 @@ def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform
         )
         + f".</p>{native.text}"
     )
-    with tempfile.TemporaryDirectory(prefix="cosim-build-") as name:
-        folder = Path(name)
+    with temporary_folder("build") as folder:
         licence = ASSETS / "license.txt"
         write_documentation(folder, native.layout.about, text, __version__, licence, f"{WAYS[fmi]} {ways}")
         pages = {f"documentation/{file.name}": file.read_bytes() for file in sorted(folder.iterdir())}

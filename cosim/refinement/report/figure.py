@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from cosim.report.figure import new_figure
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -13,15 +15,13 @@ MODELS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}
 
 def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
     """RMSE of each channel, an axis each as units differ, a bar for each model; ValueError where there is none."""
-    from matplotlib.figure import Figure
-
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:
         raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
     columns = min(4, len(channels))
     rows = -(-len(channels) // columns)
-    figure = Figure(figsize=(2.4 * columns + 0.4, 2.4 * rows + 0.3), layout="constrained")
+    figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, channel in zip(axes, channels, strict=False):
         there = [m for m in MODELS if errors[m].get(channel) is not None]

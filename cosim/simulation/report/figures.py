@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.arrays import Array
+from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
 from cosim.results import Results
 from cosim.simulation.report.page import recorded, signal_panels
@@ -69,11 +70,9 @@ def figure_of(results: Results, names: Sequence[str]) -> Figure:
 
 def sheet(time: Array, panels: Sequence[Panel]) -> Figure:
     """Panels over time [s] in one figure, two beside each other."""
-    from matplotlib.figure import Figure
-
     columns = 1 if len(panels) == 1 else 2
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(5.6 * columns, 2.6 * rows + 0.3), layout="constrained")
+    figure = new_figure(5.6 * columns, 2.6 * rows + 0.3)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, panel in zip(axes, panels, strict=False):
         _panel(ax, time, panel)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from cosim.report.figure import new_figure
 from cosim.simulation.report.craft.lines import error_panels, state_panels, tilt_panels
 from cosim.simulation.report.craft.roles import Craft, find_crafts
 from cosim.simulation.report.craft.topview import Track, estimated_track, reference_track, true_track
@@ -26,9 +27,7 @@ def figures(run: Run, folder: Path) -> list[Path]:
 
 def _path(path: Path, craft: Craft) -> Path:
     """The path from above, X forward up and Y left to the left, to scale."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 5.0), layout="constrained")
+    figure = new_figure(7.2, 5.0)
     ax = figure.subplots()
     tracks: list[tuple[str, Track | None, str]] = [("reference", reference_track(craft), "reference")]
     tracks += [("estimate", estimated_track(craft), "estimate"), ("craft", true_track(craft), "true")]

@@ -1,0 +1,31 @@
+"""Figures of matplotlib, for users with a home folder and without one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmus.scratch import process_folder
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+VARIABLE = "MPLCONFIGDIR"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of this size [inch]."""
+    if "matplotlib" not in sys.modules and VARIABLE not in os.environ and not _has_place():
+        os.environ[VARIABLE] = str(process_folder() / "matplotlib")  # or it makes one itself, and warns of that
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _has_place() -> bool:
+    """Whether matplotlib can keep its list of fonts in the folder of this user."""
+    folder = Path(os.path.expanduser("~")) / ".config" / "matplotlib"
+    there = next((p for p in (folder, *folder.parents) if p.exists()), folder)
+    return folder.is_absolute() and there.is_dir() and os.access(there, os.W_OK)
