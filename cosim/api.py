@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath
+from cosim.files import FilePath, named_path
 from cosim.folders import content_of
 from cosim.given import Given, given, texts
 from cosim.outcomes import Refined, Replay, Run, Runs, Signals
@@ -239,7 +239,7 @@ def _replay(folder: Path, left: Path | None) -> Replay:
 def _folder(out: FilePath | None) -> Iterator[Path]:
     """The folder that was asked for, or one that is gone at the end."""
     if out is not None:
-        yield Path(out)
+        yield named_path(out)
         return
     with temporary_folder("run") as scratch:
         yield scratch

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
+from types import FrameType
+from typing import Any, TextIO
 
 from cosim.errors import Fault, InputError
-from fmus.files import draft_of, is_full
+from cosim.folder_lock import take_folder
+from fmus.files import draft_of, is_full, remove_drafts
 from fmus.scratch import Held, scratch
 
 __all__ = [
@@ -20,13 +23,18 @@ __all__ = [
     "check_folder",
     "check_text",
     "check_writable",
+    "hold_stops",
     "is_full",
+    "named_path",
+    "one_stop",
+    "release_stops",
     "scratch_folder",
     "uninterrupted",
 ]
 
 FilePath = str | os.PathLike[str]
-STOPPING = (signal.SIGINT, signal.SIGTERM)
+NOT_BLANK = "give a name, or . for the current folder"
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 @contextmanager
@@ -70,6 +78,69 @@ def uninterrupted() -> Iterator[None]:
             signal.raise_signal(came[0])
 
 
+@dataclass
+class _Stops:
+    """What a verb does with a signal that is to stop it: raise it, or hold it back."""
+
+    before: dict[int, Callable[[int, FrameType | None], Any]]
+    holding: bool = False
+    stopped: bool = False
+    came: list[int] = field(default_factory=list)
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.holding:
+            self.came.append(number)
+        else:
+            self.holding = self.stopped = True
+            self.before[number](number, frame)
+
+
+_stops: list[_Stops] = []  # of the verbs that run, the inner ones last
+
+
+@contextmanager
+def one_stop() -> Iterator[None]:
+    """Let the first signal stop a verb, and hold back later ones while the verb writes what it has.
+
+    Signals whose default is to ignore them, or to end the process, are left alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in STOPPING}
+    stops = _Stops({number: handler for number, handler in handlers.items() if callable(handler)})
+    for number in stops.before:
+        signal.signal(number, stops)
+    _stops.append(stops)
+    try:
+        yield
+    finally:
+        _stops.remove(stops)
+        for number, handler in stops.before.items():
+            signal.signal(number, handler)
+        _raise_held(stops)
+
+
+def hold_stops() -> None:
+    """From now on hold back the first signal, too: there are results to be written."""
+    if _stops and threading.current_thread() is threading.main_thread():
+        _stops[-1].holding = True
+
+
+def release_stops() -> None:
+    """The results are written: raise the signal that was held back, and from now on every one."""
+    if _stops and threading.current_thread() is threading.main_thread():
+        _stops[-1].holding = False
+        _raise_held(_stops[-1])
+
+
+def _raise_held(stops: _Stops) -> None:
+    """Raise the first signal that was held back, unless an earlier one has stopped the verb."""
+    came, stops.came = stops.came, []
+    if came and not stops.stopped:
+        signal.raise_signal(came[0])
+
+
 @contextmanager
 def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
     """Make a folder within `beside` that is removed at the end, or by the next command after a kill."""
@@ -84,8 +155,16 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
                 made.remove()
 
 
+def named_path(out: FilePath) -> Path:
+    """Return the path that is named as --out; raise InputError if it is blank, which would be the current folder."""
+    if not os.fspath(out).strip():
+        raise InputError([Fault(Path("--out"), 0, 0, f"is blank; {NOT_BLANK}")])
+    return Path(out)
+
+
 def check_folder(folder: Path) -> None:
-    """InputError where a file stands where a folder is to be made; nothing is made."""
+    """InputError where a file stands where a folder is to be made, or another command writes into the folder."""
+    take_folder(folder)
     try:
         taken = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
     except OSError:  # a name too long, which who makes it is told
@@ -96,10 +175,14 @@ def check_folder(folder: Path) -> None:
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Make the folder and see that files of these names can be written there; InputError before any work is done.
+    """Make and lock the folder and see that files of these names can be written there; InputError before any work.
+
+    Drafts of these files that a killed command did not remove are removed.
 
     read: files that the work reads, which must not be what it writes.
     """
+    if take_folder(folder):
+        remove_drafts(folder, names)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

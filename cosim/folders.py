@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import Fault, InputError
+from cosim.folder_lock import take_folder
 
 RESULTS = Path("results")
 MARKS = {  # a file that only one command leaves
@@ -70,7 +71,8 @@ def left_by_replay(folder: Path) -> dict[str, Any]:
 
 
 def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
-    """InputError where a folder holds what the run of another scenario or SSP, or another command, left."""
+    """Lock a folder; InputError if it holds what the run of another scenario or SSP, or another command, left."""
+    take_folder(folder)
     if force or not folder.is_dir():
         return
     manifest = manifest_in(folder)
@@ -84,7 +86,8 @@ def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: 
 
 
 def check_left(folder: Path, by: str, *sources: str, force: bool = False) -> None:
-    """InputError where a folder holds what another command left, or the same one of other sources."""
+    """Lock a folder; InputError if it holds what another command left, or the same one of other sources."""
+    take_folder(folder)
     if force or not folder.is_dir():
         return
     other = next((verb for file, verb in MARKS.items() if verb != by and (folder / file).is_file()), None)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, a quota, a limit of the shell
@@ -26,3 +27,12 @@ def draft_of(path: Path) -> Iterator[Path]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def remove_drafts(folder: Path, names: Sequence[str]) -> None:
+    """Remove drafts of files that killed processes did not remove; only for who has locked the folder."""
+    drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if drafts.fullmatch(path.name) and path.is_file():
+                path.unlink()

@@ -523,3 +523,92 @@ def test_a_worker_answers_fails_as_the_function_does_and_is_there_again_after_a_
         folder = worker.folder
         assert folder.exists()
     assert not folder.exists()
+
+
+# -- stopped again while the rows are written -----------------------------------------------------
+
+STOPPED_AGAIN = """
+import os, signal, sys, time
+import cosim.results, cosim.table
+from cosim.cli import entry
+from cosim.results import Results
+from cosim.sweeps.store import Database
+from cosim.program import as_program
+
+def stopping(what):
+    def again(*arguments, **more):
+        for _ in range(3):
+            os.kill(os.getpid(), signal.{number})
+            time.sleep(0.01)
+        return what(*arguments, **more)
+    return again
+
+Results.write_csv, Database.add = stopping(Results.write_csv), stopping(Database.add)
+sys.argv[0] = "cosim"
+as_program(entry)
+"""
+
+
+def stopped_again(*words: object, number: str = "SIGINT", first: int = 0) -> tuple[int, str]:
+    """Run a command that gets three signals whenever it writes rows, and three of `first` once it has begun."""
+    command = [sys.executable, "-c", STOPPED_AGAIN.format(number=number), *map(str, words)]
+    process = subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
+    if first:
+        waited_for(lambda: rows_made(process.pid) >= 3)
+        for _ in range(3):
+            process.send_signal(first)
+            time.sleep(0.05)
+    _, told = process.communicate(timeout=60)
+    return process.returncode, told
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("report", ["--report", "--no-report"])
+def test_rows_of_a_run_outlast_being_stopped_again_and_again(
+    tmp_path: Path, number: signal.Signals, report: str
+) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=1000.0)
+    words = ["run", path, "--out", tmp_path / "out", report]
+    code, told = stopped_again(*words, number=number.name, first=number)
+    assert code == {signal.SIGINT: 130, signal.SIGTERM: 4}[number]
+    assert told.startswith("error: the run at t = ")
+    assert rows_in(tmp_path / "out") >= 3
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"].startswith("failed: the run at t = ")
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+@pytest.mark.parametrize("in_process", [False, True])
+@pytest.mark.parametrize("verb", ["run", "simulate"])
+def test_all_rows_of_a_run_are_kept_that_is_stopped_after_its_last(tmp_path: Path, verb: str, in_process: bool) -> None:
+    path = deeds_scenario(tmp_path, "none", "none")
+    file = path if verb == "run" else deeds_fmu(tmp_path / "one.fmu")
+    words = [verb, file, "--out", tmp_path / "out", *(["--in-process"] if in_process else [])]
+    code, told = stopped_again(*words)
+    assert code == 130
+    assert "interrupted from the keyboard" in told
+    assert rows_in(tmp_path / "out") >= 11
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "ok"
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+def test_all_rows_of_a_replay_are_kept_that_is_stopped_after_its_last(tmp_path: Path) -> None:
+    log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "good.fmu")
+    code, told = stopped_again("replay", log, "--plant", fmu, "--out", tmp_path / "out")
+    assert code == 130
+    assert told.splitlines()[-1] == "error: the comparison at t = 19.9 s: interrupted from the keyboard"
+    assert rows_in(tmp_path / "out") == 200
+
+
+@pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+def test_a_sweep_that_is_stopped_again_and_again_keeps_its_runs_and_says_so(tmp_path: Path) -> None:
+    deeds_scenario(tmp_path, "none", "none").rename(tmp_path / "scenario.yaml")
+    sweep_file = tmp_path / "sweep.yaml"
+    sweep_file.write_text("scenario: scenario.yaml\nvary: {seed: {values: [1, 2, 3]}}\n")
+    code, told = stopped_again("sweep", sweep_file, "--out", tmp_path / "out")
+    assert code == 130
+    assert re.search(r"error: stopped: 3 of 3 runs are kept in \S+runs.sqlite; the same command goes on with", told)
+    done = subprocess.run([*COMMAND[:-1], "sweep", str(sweep_file), "--out", str(tmp_path / "out"), "--no-report"],
+                          env=ENVIRONMENT, capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.returncode == 0
+    assert "there before: 3" in done.stdout

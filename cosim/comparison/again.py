@@ -7,9 +7,11 @@ from pathlib import Path
 from cosim.comparison.ran import read_ran
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, check_writable
+from cosim.folder_lock import folder_locks
 from cosim.kinds import check_given
 
 
+@folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False) -> Path:
     """Write report.html of a run into its folder again; InputError where it holds no run, or one without rows."""
     path = Path(folder)

@@ -14,7 +14,8 @@ from cosim.comparison.panels import panels_of
 from cosim.comparison.ran import Ran
 from cosim.comparison.signals import Difference, shared, sized
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, named_path
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left, folder_named
 from cosim.report.data import to_json
 from cosim.report.drawing import Drawing
@@ -27,6 +28,7 @@ DRAWN = 24  # signals, the most different first
 MADE = ("comparison.json", "report.html")
 
 
+@folder_locks()
 def compare(
     a: Ran,
     b: Ran,
@@ -48,7 +50,7 @@ def compare(
         if value is not None and not (math.isfinite(value) and value >= 0):
             raise InputError([Fault(a.path, 0, 0, f"{name} {value:g}: give a number that is not negative")])
     made = compared(a, b, tolerance, absolute)
-    place = folder_named(f"{a.name} and {b.name}") if folder is None else Path(folder)
+    place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]

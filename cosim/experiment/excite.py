@@ -20,7 +20,8 @@ from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, named_path
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
 from cosim.logs.log import slowness
 from cosim.table import write_columns
@@ -122,6 +123,7 @@ def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float
     return len(separated), min(separated, default=max(distances))
 
 
+@folder_locks()
 def excite(
     text: str,
     folder: FilePath,
@@ -142,7 +144,8 @@ def excite(
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
-    question, folder = ask(text, against, limits, measured, ranges), Path(folder)
+    folder = named_path(folder)
+    question = ask(text, against, limits, measured, ranges)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import InputError
-from cosim.files import FilePath, check_writable
+from cosim.files import FilePath, check_writable, named_path
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
@@ -35,6 +36,7 @@ ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "pr
 Progress = Callable[[str, float], None]
 
 
+@folder_locks()
 def identify(
     path: FilePath,
     out: FilePath,
@@ -49,7 +51,7 @@ def identify(
     Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
     command left in `out`.
     """
-    path, out = Path(path), Path(out)
+    path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)
     check_left(out, "cosim identify", force=force)
     if (yaml := craft_file(path)) is not None:

@@ -11,7 +11,8 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, named_path
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
 from cosim.given import Given, texts
 from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
@@ -50,6 +51,7 @@ class Asked:
     fast: Sequence[str] = ()
 
 
+@folder_locks()
 def linearize(
     model: FilePath,
     out: FilePath | None = None,
@@ -81,7 +83,7 @@ def linearize(
     if side is not None and side not in SIDES:
         raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])
     given_values = texts(set)
-    where, folder = read_at(texts(at, "at")), None if out is None else Path(out)
+    where, folder = read_at(texts(at, "at")), None if out is None else named_path(out)
     asked = Asked(states, inputs, outputs, residualize)
     with ExitStack() as stack:
         source = _source(stack, Path(model), given_values, step)

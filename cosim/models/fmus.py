@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.files import FilePath, check_folder
+from cosim.files import FilePath, check_folder, named_path
+from cosim.folder_lock import folder_locks
 from cosim.models.file import meant_model
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 
+@folder_locks()
 def build(
     folder: FilePath,
     model: str | None = None,
@@ -26,7 +28,8 @@ def build(
     """
     from fmus.build import build as build_fmu
 
-    check_folder(Path(folder))
+    folder = named_path(folder)
+    check_folder(folder)
     if native:
         from cosim.models.native import build_native
 
@@ -39,4 +42,4 @@ def build(
         recipes = {"plant.fmu": loaded.recipe()}
         if loaded.source in MODELS:
             recipes |= {name: resolve(recipe)() for name, recipe in MODELS[loaded.source].beside.items()}
-    return [build_fmu(recipe, Path(folder) / name) for name, recipe in recipes.items()]
+    return [build_fmu(recipe, folder / name) for name, recipe in recipes.items()]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath, check_folder
+from cosim.files import FilePath, check_folder, named_path
+from cosim.folder_lock import folder_locks
 from cosim.models.file import LoadedModel, meant_model
 from cosim.models.source import Source
 from cosim.registry import MODELS, resolve
@@ -38,6 +39,7 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
+@folder_locks()
 def build_native(
     folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
 ) -> list[NativeFmu]:
@@ -47,7 +49,8 @@ def build_native(
     """
     from fmus.native.package import build_native as build_fmu
 
-    check_folder(Path(folder))
+    folder = named_path(folder)
+    check_folder(folder)
     _check_platforms(platforms)
     if fmi not in SUFFIX:
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
@@ -57,7 +60,7 @@ def build_native(
     def make(name: str, draft: Path) -> Built:
         return build_fmu(made[name], draft, fmi, platforms)
 
-    return _all_or_none(Path(folder), {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
+    return _all_or_none(folder, {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:

@@ -23,7 +23,18 @@ from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
-from cosim.files import FilePath, atomic_write, check_writable, scratch_folder, uninterrupted
+from cosim.files import (
+    FilePath,
+    atomic_write,
+    check_writable,
+    hold_stops,
+    named_path,
+    one_stop,
+    release_stops,
+    scratch_folder,
+    uninterrupted,
+)
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
 from cosim.isolation.process import Worker
 from cosim.models.file import LoadedModel, write_model
@@ -56,6 +67,8 @@ RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved t
 Progress = Callable[[str, float], None]
 
 
+@one_stop()
+@folder_locks()
 def refine(
     path: FilePath,
     folder: FilePath,
@@ -74,7 +87,8 @@ def refine(
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
-    study, folder = read_study(Path(path)), Path(folder)
+    folder = named_path(folder)
+    study = read_study(Path(path))
     check_left(folder, "cosim refine", str(path), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
@@ -103,11 +117,13 @@ def refine(
         )
         verdict = _opened(verdict, played, study)
         ends = followed(variants["after"], problem, sets.get("validation", ()))
+        hold_stops()  # there is an answer to be kept
         took = time.perf_counter() - began
         written = record(study, attribution, verdict, near, problem, between, played, floors, left_out, took, ends, way)
         _write(scratch / "refine.json", written)
         with uninterrupted():
             variants = _publish(scratch, folder, variants)
+        release_stops()
     own = study.loaded.model.horizon
     evidence = {name: {part: found[own] for part, found in parts.items()} for name, parts in played.items()}
     content = written.model_dump(mode="json")

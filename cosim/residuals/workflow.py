@@ -13,7 +13,8 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.errors import DiskFull, Terminated, stopped
-from cosim.files import FilePath, atomic_write, check_writable, is_full
+from cosim.files import FilePath, atomic_write, check_writable, hold_stops, is_full, named_path, one_stop, release_stops
+from cosim.folder_lock import folder_locks
 from cosim.folders import REPLAY, check_left
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
@@ -40,6 +41,8 @@ SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
 
 
+@one_stop()
+@folder_locks()
 def replay(
     log: FilePath,
     folder: FilePath,
@@ -64,7 +67,8 @@ def replay(
     """
     most = read_limits(limits)
     check_files(Path(log), None if fmu is None else Path(fmu))
-    check_left(Path(folder), "cosim replay", str(log), str(fmu or ""), force=force)
+    place = named_path(folder)
+    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -73,7 +77,7 @@ def replay(
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
         return write_replay(
-            Path(folder),
+            place,
             read,
             driven,
             given=start_values(driven, start),
@@ -122,8 +126,10 @@ def write_replay(
         check_writable(folder, ("results.csv", "residual.csv", REPLAY, "report.html"), (log.path, fmu))
         for name in ("report.html", "residual.csv", REPLAY):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
-        comparison = compare(drive, _free_run(drive, start, folder), findings)
+        free = _free_run(drive, start, folder)
         try:
+            release_stops()
+            comparison = compare(drive, free, findings)
             left = residuals(comparison)
             left.write_csv(folder / "residual.csv")
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **left.units}
@@ -136,6 +142,10 @@ def write_replay(
             if not is_full(error):
                 raise
             raise _full(folder, log) from None
+        except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
+            ended = stopped(stop, float(log.time[-1]), "the comparison")
+            ended.left = folder
+            raise ended from None
     return comparison
 
 
@@ -143,6 +153,7 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, folder: Path) -> Re
     """The whole log in one run, its rows in results.csv; those so far where it stops, and the error."""
     try:
         free = free_run(drive, start)
+        hold_stops()  # there are rows to be kept
     except StoppedReplay as failed:
         _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
         failed.left = folder

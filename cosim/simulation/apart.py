@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
-from cosim.files import is_full
+from cosim.files import hold_stops, is_full
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -140,6 +140,7 @@ def simulate_apart(
         table = held.path / ROWS
         try:
             ended = worker.call(simulate_rows, system, count - 1, h, table, limits, watch=watch)
+            hold_stops()  # there are rows to be kept
         except SimulationError as error:
             ended = Ended(failure=error)
         except (KeyboardInterrupt, Terminated) as stop:

@@ -13,7 +13,7 @@ from cosim.blocks.description import unit_definition, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath
+from cosim.files import FilePath, named_path
 from cosim.simulation.design import designed_values
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.nearest import take_nearest
@@ -56,7 +56,7 @@ def export_ssp(
     faults = list(_refused(file, system))
     if faults:
         raise InputError(faults)
-    target = _target(file, Path() if path is None else Path(path))
+    target = _target(file, Path() if path is None else named_path(path))
     with temporary_folder("export") as made:
         models = [
             _source(file, name, component, made)

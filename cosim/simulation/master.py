@@ -20,6 +20,7 @@ from cosim.arrays import Array
 from cosim.blocks.interface import EndedEarly
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.errors import SimulationError, Terminated, stopped
+from cosim.files import hold_stops
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.results import Results
 from cosim.simulation.compiled import CompiledSteps, Run, compiled
@@ -103,6 +104,7 @@ class Master:
             self._initialize()
             self._record_first()
             self._step_on()
+            hold_stops()  # there are rows to be kept
         except EndedEarly as end:
             if not self.done:
                 raise StoppedRun(end, self._so_far()) from None  # before it began

@@ -9,7 +9,8 @@ from typing import Any
 
 from cosim.blocks.summary import read_fmus
 from cosim.errors import Fault, InputError
-from cosim.files import FilePath
+from cosim.files import FilePath, named_path
+from cosim.folder_lock import folder_locks
 from cosim.folders import folder_named
 from cosim.simulation.draft import write_single
 from cosim.simulation.parts import parts_of
@@ -18,6 +19,7 @@ from cosim.yaml_file import short
 from cosim.yaml_nodes import Document, NotYaml
 
 
+@folder_locks()
 def simulate(
     fmu: FilePath,
     folder: FilePath | None = None,
@@ -44,7 +46,7 @@ def simulate(
     _check_times(path, stop, step)
     (description,) = read_fmus([path])
     given = start if isinstance(start, Mapping) else start_pairs(path, start, description)
-    place = folder_named(parts_of([path])[0].name) if folder is None else Path(folder)
+    place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
     scenario, notes = write_single(place, path, given, csv, stop=stop, step=step, record=record, force=force)
     return run(scenario, place, report=report, force=True, in_process=in_process, progress=progress), notes

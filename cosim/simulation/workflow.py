@@ -13,8 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from cosim import kinds
-from cosim.errors import DiskFull, SimulationError
-from cosim.files import FilePath, check_writable, is_full, uninterrupted
+from cosim.errors import DiskFull, SimulationError, Terminated, stopped
+from cosim.files import (
+    FilePath,
+    check_writable,
+    hold_stops,
+    is_full,
+    named_path,
+    one_stop,
+    release_stops,
+    uninterrupted,
+)
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_ours, folder_named
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
@@ -49,6 +59,8 @@ class Outcome:
         return [c for c in self.manifest["criteria"] if not c["met"]]
 
 
+@one_stop()
+@folder_locks()
 def run(
     scenario: FilePath,
     folder: FilePath | None = None,
@@ -108,8 +120,8 @@ def _read(
     """A scenario, or that of an SSP, laid out; the folder for what is left, and warnings."""
     if not is_ssp(path):
         file = ScenarioFile(path, overrides)
-        return file, folder_named(file.scenario.name) if folder is None else Path(folder), []
-    place = folder_named(path.stem) if folder is None else Path(folder)
+        return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
+    place = folder_named(path.stem) if folder is None else named_path(folder)
     check_ours(place, ssp=path, force=force)
     file, warnings = lay_out(path, place, overrides)
     return file, place, warnings
@@ -121,12 +133,19 @@ def _left(
     """Leave everything in the folder, or what fits of it; the failure of the run, or of the disk."""
     written: list[str] = []
     try:
-        _write(place, stepped.results, record, written, report=report, figures=figures)
+        _write(place, stepped.results, record, written)
+        release_stops()
+        _draw(place, stepped.results, record, report=report, figures=figures)
     except OSError as error:
         if not is_full(error):
             raise
         rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
         return _write_what_fits(place, stepped.results, record, written, rows, stepped.failure)
+    except (KeyboardInterrupt, Terminated) as stop:  # all but the report is written
+        end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
+        return stepped.failure or stopped(stop, end, "the report of the run")
+    finally:
+        hold_stops()  # the end is still to be told
     return stepped.failure
 
 
@@ -165,16 +184,18 @@ def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
     progress(min(done, steps), steps)
 
 
-def _write(
-    folder: Path, results: Results, record: dict[str, Any], written: list[str], *, report: bool, figures: bool
-) -> None:
-    """What a run leaves, whether or not it came to its end; `written` gets the names of what is."""
+def _write(folder: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
+    """Write the rows and the manifest of a run, whether or not it came to its end; `written` gets their names."""
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
     with uninterrupted():  # or what was stopped once could be lost by stopping it again
         results.write_csv(folder / RESULTS)
         written.append(RESULTS)
         write_manifest(folder / MANIFEST, record)
         written.append(MANIFEST)
+
+
+def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
+    """Draw the report and the figures of a run that is written."""
     if report:
         from cosim.simulation.report import write_report
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
-from cosim.files import FilePath, atomic_write, check_writable
+from cosim.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
+from cosim.folder_lock import folder_locks
 from cosim.folders import check_left, folder_named
 from cosim.simulation.scenario import Criterion
 from cosim.sweeps.batch import kinds_of
@@ -36,6 +37,8 @@ SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
 
 
+@one_stop()
+@folder_locks()
 def sweep(
     path: FilePath, out: FilePath | None = None, *, workers: int | None = None, dask: str | None = None,
     report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
@@ -47,7 +50,7 @@ def sweep(
     Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
     """
     study = read_sweep(Path(path))
-    folder = folder_named(study.name) if out is None else Path(out)
+    folder = folder_named(study.name) if out is None else named_path(out)
     read = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
     check_left(folder, "cosim sweep", force=force)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
@@ -102,6 +105,7 @@ class _Sweep:
             with makers(workers, client, in_process=in_process) as who:
                 way, why = self._way(who)
                 self._make(who, range(self.study.count), way, MADE)
+                hold_stops()  # there is a table to be written
         except (KeyboardInterrupt, Terminated) as stop:
             there = len(self.base.there())
             message = f"{there} of {counted(self.study.count, 'run')} are kept in {self.base.path}"
@@ -169,7 +173,8 @@ class _Sweep:
             finished, pending = who.done(pending)
             for future in finished:
                 found: list[Made] = future.result()
-                self.base.add(found, table)
+                with uninterrupted():
+                    self.base.add(found, table)
                 done += len(found)
                 if table == MADE:
                     self.count += len(found)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cosim.folder_lock import folder_locks
 from cosim.verbs.terminal import Force, Json, Open, Report, judged, progress_bar, say, say_json, show, table
 
 
@@ -15,6 +16,7 @@ def register(app: typer.Typer) -> None:
     app.command()(consistency)
 
 
+@folder_locks()
 def consistency(
     runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,

@@ -1,0 +1,198 @@
+"""One command at a time writes into a folder, and every command says which folder that is."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import cosim
+from cosim import folder_lock
+from cosim.cli import app
+from cosim.comparison.again import report_of
+from cosim.errors import InputError
+from cosim.files import check_writable
+from cosim.folder_lock import folder_locks, take_folder
+from cosim.models.native import build_native
+from fmus.scratch import lock_descriptor
+from tests.conftest import ROOT
+from tests.deeds import deeds_fmu, deeds_scenario
+from tests.logs import write_log
+from tests.users import command
+
+Verb = Callable[[Path, Path], Any]  # of the folder with its inputs and of --out
+VERBS: dict[str, Verb] = {
+    "run": lambda given, out: cosim.run(given / "scenario.yaml", out),
+    "simulate": lambda given, out: cosim.simulate(given / "good.fmu", out),
+    "replay": lambda given, out: cosim.replay(given / "log.csv", out, given / "good.fmu"),
+    "refine": lambda given, out: cosim.refine(ROOT / "examples" / "hovercraft" / "study.yaml", out),
+    "compare": lambda given, out: cosim.compare(given / "log.csv", given / "log.csv", out),
+    "excite": lambda given, out: cosim.excite("base", out, ["friction"]),
+    "identify": lambda given, out: cosim.identify(ROOT / "examples" / "bench" / "protocol.yaml", out),
+    "linearize": lambda given, out: cosim.linearize("base", out),
+    "sweep": lambda given, out: cosim.sweep(given / "sweep.yaml", out),
+    "build": lambda given, out: cosim.build(out),
+    "consistency": lambda given, out: CliRunner().invoke(
+        app, ["consistency", "--out", str(out)], catch_exceptions=False, standalone_mode=False
+    ),
+}
+FILES = {"export-ssp", "graph", "init"}  # whose --out is one file, which is replaced as a whole
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> Path:
+    time_ = 0.1 * np.arange(200)
+    write_log(tmp_path / "log.csv", {"time": time_, "u0": 0.0 * time_, "u1": np.sin(time_), "y1": np.cos(time_)})
+    deeds_fmu(tmp_path / "good.fmu")
+    deeds_scenario(tmp_path, "none", "none").rename(tmp_path / "scenario.yaml")
+    (tmp_path / "sweep.yaml").write_text("scenario: scenario.yaml\nvary: {seed: {values: [1, 2]}}\n")
+    return tmp_path
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Iterator[Path]:
+    """A folder into which another command writes."""
+    (folder := tmp_path / "held").mkdir()
+    lock = os.open(folder, os.O_RDONLY)
+    lock_descriptor(lock)
+    yield folder
+    os.close(lock)
+
+
+def commands_with_out() -> set[str]:
+    group = typer.main.get_command(app)
+    return {n for n, c in group.commands.items() if any(p.name == "out" for p in c.params)}  # type: ignore[attr-defined]
+
+
+def test_every_command_that_writes_a_folder_is_among_those_tried_here() -> None:
+    assert commands_with_out() == {*VERBS} | FILES
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_folder_into_which_another_command_writes_is_refused(verb: str, given: Path, held: Path) -> None:
+    with pytest.raises(InputError, match="held: another command writes into this folder now; wait for its end, or give "
+                                         "another folder as --out") as refused:  # fmt: skip
+        VERBS[verb](given, held)
+    assert refused.value.exit_code == 2
+    assert list(held.iterdir()) == []
+
+
+def test_the_page_of_a_run_is_not_made_again_while_another_command_writes_it(given: Path, held: Path) -> None:
+    cosim.run(given / "scenario.yaml", given / "out", report=False)
+    for file in (given / "out").iterdir():
+        file.rename(held / file.name)
+    with pytest.raises(InputError, match="another command writes into this folder now"):
+        report_of(held)
+
+
+def test_native_fmus_are_not_built_where_another_command_writes(held: Path) -> None:
+    with pytest.raises(InputError, match="another command writes into this folder now"):
+        build_native(held)
+
+
+@pytest.mark.fresh
+def test_of_two_commands_one_writes_and_one_is_refused_and_a_kill_leaves_no_lock(tmp_path: Path) -> None:
+    slow = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=1000.0)
+    (tmp_path / "quick").mkdir()
+    quick, out = deeds_scenario(tmp_path / "quick", "none", "none"), tmp_path / "out"
+    given = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "stderr": subprocess.PIPE, "text": True}
+    first = subprocess.Popen(command("run", slow, "--out", out, "--no-report"), **given)
+    for _ in range(600):
+        if list(out.glob(".rows-*")):
+            break
+        time.sleep(0.05)
+    words = command("run", quick, "--out", out, "--no-report", "--force")
+    second = subprocess.run(words, check=False, timeout=60, **given)
+    assert (second.returncode, first.poll()) == (2, None)
+    assert second.stderr.startswith(f"{out}: another command writes into this folder now;")
+    first.send_signal(signal.SIGKILL)
+    first.communicate()
+    assert subprocess.run(words, check=False, timeout=60, **given).returncode == 0
+
+
+def test_the_lock_ends_with_the_verb_and_is_shared_by_the_verbs_in_it(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    with folder_locks():
+        assert take_folder(out)
+        with folder_locks():
+            assert take_folder(out)
+        lock = os.open(out, os.O_RDONLY)
+        with pytest.raises(BlockingIOError):
+            lock_descriptor(lock)
+    assert not out.parent.exists()  # made for the lock, and nothing was written
+    os.close(lock)
+    with folder_locks():
+        assert take_folder(out)
+        (out / "results.csv").touch()
+    assert [p.name for p in out.iterdir()] == ["results.csv"]
+
+
+def test_a_disk_that_locks_no_folders_is_locked_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = folder_lock.lock_descriptor
+
+    def only_files(descriptor: int) -> None:
+        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        real(descriptor)
+
+    monkeypatch.setattr(folder_lock, "lock_descriptor", only_files)
+    with folder_locks():
+        assert take_folder(tmp_path)
+        lock = os.open(tmp_path / folder_lock.LOCK_FILE, os.O_RDWR)
+        with pytest.raises(BlockingIOError):
+            lock_descriptor(lock)
+        os.close(lock)
+    with folder_locks():
+        assert take_folder(tmp_path)
+
+
+def test_a_disk_without_locks_is_written_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(descriptor: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(folder_lock, "lock_descriptor", without)
+    with folder_locks():
+        assert not take_folder(tmp_path)
+        check_writable(tmp_path, ["results.csv"])
+
+
+def test_drafts_of_a_killed_command_are_removed_by_the_next_one_and_nothing_else(tmp_path: Path) -> None:
+    kept = [".results.csv.bak", ".other.csv.12", "results.csv.12", ".results.csv.12.old"]
+    for name in (".results.csv.12345", *kept):
+        (tmp_path / name).touch()
+    with folder_locks():
+        check_writable(tmp_path, ["results.csv", "manifest.json"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(kept)
+
+
+# -- no name at all -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("blank", ["", "  "])
+@pytest.mark.parametrize("name", sorted(commands_with_out()))
+def test_a_blank_out_is_refused_by_every_command(name: str, blank: str, tmp_path: Path) -> None:
+    for option in (["--out", blank], [f"--out={blank}"], ["-o", blank]):
+        done = CliRunner().invoke(app, [name, *option])
+        assert done.exit_code == 2
+        assert "is blank; give a name, or . for the current folder" in done.output
+
+
+@pytest.mark.parametrize("verb", sorted({*VERBS} - {"consistency"}))
+def test_a_blank_out_is_refused_in_python(
+    verb: str, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here := tmp_path / "here").mkdir()
+    monkeypatch.chdir(here)
+    with pytest.raises(InputError, match="--out: is blank"):
+        VERBS[verb](given, "")  # type: ignore[arg-type]
+    assert list(here.iterdir()) == []
