@@ -15,18 +15,18 @@ from typing import Any, NoReturn
 from cosim import kinds
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.errors import Crashed, DiskFull, Fault, FmuError, InputError, Interrupted, Signalled, TimedOut
+from cosim.errors import Crashed, DiskFull, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, TimedOut
 from cosim.files import FilePath
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kinds import kind_by_form, kind_by_keys, refuse_unreadable
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
-from cosim.models.file import load_model, only_model, read_model
+from cosim.models.file import load_model, only_model, read_model, without_execution
 from cosim.refinement.study import read_study
 from cosim.registry import BASE
 from cosim.simulation.apart import MODULES, simulate_apart
-from cosim.simulation.design import designed_values
+from cosim.simulation.design import designed_apart, designed_values, ended
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
@@ -50,7 +50,8 @@ def check_files(
 ) -> list[str]:
     """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
 
-    load:    FMUs and scenarios are loaded and stepped once, in a worker process
+    load:    FMUs and scenarios are loaded and stepped once, and Python that a file names is executed, in a worker
+             process; without, nothing that a file names is executed
     columns: name in the logs → name in their model, or `time`, where they differ
     What is to be known and no fault, a line each; InputError with all faults of all files.
     """
@@ -59,12 +60,27 @@ def check_files(
     with Worker(*MODULES) if load else nullcontext() as worker:
         for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
             try:
-                said += [f"{path}: {line}" for line in _check(path, model, worker, columns)]
+                said += [f"{path}: {line}" for line in _checked(path, model, worker, columns)]
             except InputError as error:
                 faults += error.faults
     if faults:
         raise InputError(faults)
     return said
+
+
+def _checked(path: Path, model: str, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
+    """Check a file; Python that it names is executed in the worker, without one not at all."""
+    try:
+        with without_execution():
+            return _check(path, model, worker, columns)
+    except NotExecuted as code:
+        if worker is None:
+            return [f"warning: {code} (--no-load); neither it nor what depends on it is checked"]
+        try:
+            lines: list[str] = worker.call(_check, path, model, None, dict(columns))
+        except Crashed as crash:
+            raise InputError([ended(code.file, crash)]) from None
+        return lines
 
 
 def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
@@ -172,10 +188,15 @@ def check_scenario(path: Path, worker: Worker | None = None) -> list[str]:
     """
     file = ScenarioFile(path)
     check_pinned(file)
-    system = build_system(file, designed_values(file))
+    not_executed = ""
+    try:
+        designed = designed_apart(file, worker) if worker is not None else designed_values(file)
+    except NotExecuted as code:
+        designed, not_executed = {}, f"{code} (--no-load); the design is not checked"
+    system = build_system(file, designed)
     if worker is not None and (faults := _run_once(file, system, path, worker)):
         raise InputError(faults)
-    return [f"warning: {text}" for text in file.warnings]
+    return [f"warning: {text}" for text in (*file.warnings, *filter(None, [not_executed]))]
 
 
 def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:

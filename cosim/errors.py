@@ -45,6 +45,19 @@ class InputError(CosimError):
         return min(fault.exit_code for fault in self.faults)
 
 
+class NotExecuted(CosimError):
+    """A file of Python was named where none is executed."""
+
+    exit_code = 2
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        super().__init__(file)
+
+    def __str__(self) -> str:
+        return f"{self.file} is Python, which is not executed here"
+
+
 class FmuError(CosimError):
     """An FMU cannot be read, is not valid or does not load."""
 

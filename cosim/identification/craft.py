@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cosim.errors import Fault, InputError
+from cosim.errors import Fault, InputError, NotExecuted
 from cosim.identification.distance import matching_faults
 from cosim.identification.estimates import Estimate, Result
 from cosim.identification.noise import rest_faults
@@ -118,6 +118,10 @@ def read_craft(yaml: YamlFile) -> Craft:
         loaded = load_model(content.model, yaml.path.parent, yaml)
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
+    except NotExecuted:
+        if faults:
+            raise InputError(faults) from None
+        raise
     if content.distance is not None:
         faults += _names(yaml, content.distance, loaded)
     model, rest, runs = loaded.model, list[Log](), list[Log]()

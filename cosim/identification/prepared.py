@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.errors import Fault, InputError
+from cosim.errors import Fault, InputError, NotExecuted
 from cosim.identification.cells import Cells, calibrated
 from cosim.identification.faults import recording_faults, repeated
 from cosim.identification.planned import planned_faults
@@ -41,16 +41,20 @@ def prepare(path: Path) -> Prepared:
     protocol, faults = partly_read(path)
     if not faults:
         faults += planned_faults(protocol.yaml, protocol.file, protocol.known)
-    model = None
+    model, unknown = None, None
     try:
         model = _model_of(protocol)
     except InputError as error:
         faults += error.faults
+    except NotExecuted as error:
+        unknown = error
     measured: dict[str, list[Recording]] = {}
     try:
         measured = _measured(protocol)
     except InputError as error:
         faults += error.faults
+    if unknown is not None and not faults:
+        raise unknown
     if faults or model is None:
         raise InputError(faults)
     return Prepared(protocol, model, measured)

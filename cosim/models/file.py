@@ -7,6 +7,8 @@ import os.path
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
-from cosim.errors import Fault, InputError
+from cosim.errors import Fault, InputError, NotExecuted
 from cosim.files import atomic_write
 from cosim.kinds import CODE, MODEL, check_form, kind_by_keys, refuse_other
 from cosim.models.declared import checked
@@ -151,6 +153,10 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
         model = _named_model(yaml, content)
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
+    except NotExecuted:
+        if faults:
+            raise InputError(faults) from None
+        raise
     faults += _value_faults(yaml, content, model)
     taken: dict[str, float | bool] = {}
     if content.parameters_from:
@@ -275,8 +281,30 @@ class _AsItIs(SourceFileLoader):
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
+_executes: ContextVar[bool] = ContextVar("Python that a file names is executed", default=True)
+
+
+@contextmanager
+def without_execution() -> Iterator[None]:
+    """Execute no Python that a file names: a model in such a file raises NotExecuted."""
+    before = _executes.set(False)
+    try:
+        yield
+    finally:
+        _executes.reset(before)
+
+
 def _module(path: Path, source: Source) -> ModuleType:
-    """The file, executed; InputError where it raises."""
+    """Execute a file and return its module; InputError if it raises. The only place where a model's Python is executed.
+
+    Raises NotExecuted within `without_execution`, unless the file is no Python at all.
+    """
+    if not _executes.get():
+        try:
+            compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise InputError([source.raised(error, "does not load")]) from None
+        raise NotExecuted(path)
     name = f"own_model_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
     assert spec is not None

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
-from cosim.errors import Fault, InputError
+from cosim.errors import Fault, InputError, NotExecuted
 from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
@@ -177,6 +177,10 @@ def read_study(path: Path) -> Study:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
         raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
+    except NotExecuted:
+        if faults := [*faults, *_listed_twice(yaml, content.logs, {})]:
+            raise InputError(faults) from None
+        raise
     model = loaded.model
     faults += _unknown_names(yaml, content, loaded)
     lists, on_trial = content.logs, content.candidates or ()

@@ -15,9 +15,10 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import AfterValidator, ConfigDict, Field, create_model
 
 from cosim.blocks.description import read_description
-from cosim.errors import Fault, FmuError, InputError
+from cosim.errors import Crashed, Fault, FmuError, InputError, NotExecuted
 from cosim.files import atomic_write
-from cosim.models.file import load_model
+from cosim.isolation.process import Worker
+from cosim.models.file import load_model, without_execution
 from cosim.models.refined import NoNearest, refined_file
 from cosim.registry import BASE, BASE_NAME, MODELS, known, resolve
 from cosim.simulation.scenario import Design
@@ -81,6 +82,38 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         return {}
     file.warnings += [*judged.warnings, *_two_numbers(file, design.component, designer.rests_on(designed, law))]
     return {design.component: designed}
+
+
+def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[str, Any]]:
+    """Return `designed_values`; Python that the model of the design names is executed in the worker.
+
+    Without a worker it is executed here. InputError if it ends the worker.
+    """
+    if worker is None:
+        return designed_values(file)
+    try:
+        with without_execution():
+            return designed_values(file)
+    except NotExecuted as code:
+        try:
+            designed, design, file.faults, file.warnings = worker.call(_design_of, file)
+        except Crashed as crash:
+            raise InputError([ended(code.file, crash)]) from None
+        whole = file.scenario.design if design is None else Design.model_validate(design)
+        file.scenario = file.scenario.model_copy(update={"design": whole})
+        return dict(designed)
+
+
+def ended(file: Path, crash: Crashed) -> Fault:
+    """Return the fault of a Python file that ended the worker in which it was executed."""
+    return Fault(file, 0, 0, f"does not load: {crash.reason.replace('the worker', 'its Python', 1)}")
+
+
+def _design_of(file: ScenarioFile) -> tuple[Any, Any, list[Fault], list[str]]:
+    """In a worker: return the designed values, the design with its defaults, faults and warnings."""
+    designed = designed_values(file)
+    design = file.scenario.design
+    return designed, None if design is None else design.model_dump(), file.faults, file.warnings
 
 
 def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], component: str) -> Fault:

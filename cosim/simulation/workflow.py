@@ -32,7 +32,7 @@ from cosim.kinds import check_form
 from cosim.results import Results
 from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.simulation.criteria import evaluate
-from cosim.simulation.design import designed_values
+from cosim.simulation.design import designed_apart
 from cosim.simulation.manifest import check_pinned, made_with, manifest, write_manifest
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -93,7 +93,7 @@ def run(
         if nearest:
             take_nearest(file)
         check_pinned(file)
-        designed = designed_values(file)
+        designed = designed_apart(file, worker)
         system = build_system(file, designed)
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force)

@@ -39,26 +39,12 @@ def cached(source: str, suffix: str) -> Path:
 
 def cache_folder() -> Path:
     """Return the folder `cosim` of the user's cache, or a temporary one if that cannot be used."""
-    home = _home()
-    if home is None:
-        return _temporary()
-    folder = home / "cosim"
-    try:
-        _make(folder)
-        reason = _distrust(folder.resolve())
-        if not reason and os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        reason = ""
-    if reason:
-        _say_once(f"note: the cache {folder} is not used, a temporary one takes its place: {reason}")
-    return _temporary()
+    return _user_folder() or _temporary()
 
 
 def cache_environment() -> Mapping[str, str]:
     """Return the variables by which another process uses the same cache as this one."""
-    folder = cache_folder()
-    return {VARIABLE: str(folder.parent)} if folder == _temporary() else {}
+    return {} if _user_folder() else {VARIABLE: str(_temporary().parent)}
 
 
 def discard_untrusted(paths: Iterable[Path]) -> bool:
@@ -108,6 +94,23 @@ def _hash(text: str) -> str:
 
 
 # -- which folder ---------------------------------------------------------------------------------
+
+
+def _user_folder() -> Path | None:
+    """Return the folder `cosim` of the user's cache; None if it cannot be used, and one note if others can write it."""
+    home = _home()
+    if home is None:
+        return None
+    folder = home / "cosim"
+    try:
+        _make(folder)
+        reason = _distrust(folder.resolve())
+        if not reason:
+            return folder if os.access(folder, os.W_OK) else None
+    except OSError:
+        return None
+    _say_once(f"note: the cache {folder} is not used, a temporary one takes its place: {reason}")
+    return None
 
 
 def _home() -> Path | None:
