@@ -20,7 +20,7 @@ from cosim.files import FilePath
 from cosim.isolation.process import Worker
 from cosim.results import Results
 from cosim.simulation.apart import MODULES, simulate_apart, simulate_here
-from cosim.simulation.design import designed_values
+from cosim.simulation.design import designed_apart
 from cosim.simulation.halving import why_not
 from cosim.simulation.nearest import take_nearest
 from cosim.simulation.scenario_file import ScenarioFile
@@ -108,7 +108,7 @@ def _results(
         if nearest:
             take_nearest(one)
     try:
-        system = build_system(file, designed_values(given))
+        system = build_system(file, designed_apart(given, worker))
     except InputError as error:
         if parts == 1:
             raise

@@ -41,6 +41,12 @@ def kinds_of(system: System) -> dict[str, Kind] | str:
     return {name: kind for name, kind in found.items() if kind is not None}
 
 
+def why_not_on_arrays(system: System) -> str:
+    """Say why the runs are made through FMUs; "" if they are made on arrays."""
+    kinds = kinds_of(system)
+    return kinds if isinstance(kinds, str) else ""
+
+
 def most_at_once(system: System, steps: int, kept: int) -> int:
     """How many runs fit into memory at once, a multiple of the width of compiled code."""
     noisy = sum(t.noise is not None for t in _transfers(system))

@@ -37,16 +37,32 @@ class Makers(Protocol):
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
         """Wait for one or more; those that are done, and the others."""
 
+    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the answer of a function that may execute the Python in an FMU."""
+
 
 def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
     """Make runs in a worker process, which is kept for the next; a run that ends it has failed."""
+    with _borrowed() as worker:
+        return _called(worker, job, chunk, way, limits, goals)
+
+
+def ask_apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the answer of a function in a worker process: it may execute the Python in an FMU."""
+    with _borrowed() as worker:
+        return worker.call(function, *arguments)
+
+
+@contextmanager
+def _borrowed() -> Iterator[Worker]:
+    """A worker process that nobody else uses meanwhile."""
     with _lock:
         worker = _idle.pop() if _idle else None
         if worker is None:
             worker = Worker(*MODULES)
             _all.append(worker)
     try:
-        return _called(worker, job, chunk, way, limits, goals)
+        yield worker
     finally:
         with _lock:
             _idle.append(worker)
@@ -95,6 +111,10 @@ class Local:
         finished, others = wait(pending, return_when=FIRST_COMPLETED)
         return set(finished), set(others)
 
+    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the answer of a function, asked of a process."""
+        return ask_apart(function, *arguments)
+
     def end(self, *, kill: bool) -> None:
         """End the processes."""
         if kill:
@@ -118,6 +138,10 @@ class Here:
         """All of them."""
         return pending, set()
 
+    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the answer of a function."""
+        return function(*arguments)
+
 
 class Dask:
     """Workers of a dask scheduler; they see the files of this machine under the same names."""
@@ -136,6 +160,10 @@ class Dask:
 
         finished, others = wait_for(pending, return_when="FIRST_COMPLETED")
         return set(finished), set(others)
+
+    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the answer of a function, asked of a process of this machine."""
+        return ask_apart(function, *arguments)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from cosim.files import FilePath, atomic_write, check_writable, hold_stops, name
 from cosim.folder_lock import folder_locks
 from cosim.folders import check_left, folder_named
 from cosim.simulation.scenario import Criterion
-from cosim.sweeps.batch import kinds_of
+from cosim.sweeps.batch import why_not_on_arrays
 from cosim.sweeps.outcome import Swept, criterion_names
 from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
@@ -132,10 +132,10 @@ class _Sweep:
         """How runs are made, and why not on arrays: those repeated through the FMUs must agree."""
         known = self.base.get("way")
         if known is not None:
-            way, why = json.loads(known)
-            return way, why
-        kinds = kinds_of(self.study.system)
-        way, why = ("fmus", kinds) if isinstance(kinds, str) else ("arrays", "")
+            kept: tuple[Way, str] = tuple(json.loads(known))
+            return kept
+        why = str(who.ask(why_not_on_arrays, self.study.system))
+        way: Way = "fmus" if why else "arrays"
         if way == "arrays":
             repeated = self._repeated()
             self._make(who, repeated, "fmus", CHECKED)
@@ -146,7 +146,7 @@ class _Sweep:
             if not apart <= EQUAL:
                 way, why = "fmus", f"on arrays runs are {plain(apart, 2)} apart from those through the FMUs"
         self.base.put("way", json.dumps([way, why]))
-        return way, why  # type: ignore[return-value]
+        return way, why
 
     def _repeated(self) -> list[int]:
         """Random runs that are made through the FMUs too."""
