@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from cosim.files import atomic_write
 from fmus.native.cache import cached
 from fmus.native.compiler import compiler
 from fmus.scratch import LOCK, PREFIX, process_folder, scratch, sweep
@@ -128,6 +129,15 @@ def test_a_fork_does_not_remove_the_folder_of_its_parent(tmp_path: Path) -> None
     assert held.path.is_dir()
     held.remove()
     assert not held.path.exists()
+
+
+def test_a_link_in_the_place_of_a_draft_is_not_followed(tmp_path: Path) -> None:
+    target = tmp_path / "mine"
+    target.write_text("mine")
+    (tmp_path / f".results.csv.{os.getpid()}").symlink_to(target)
+    with atomic_write(tmp_path / "results.csv") as stream:
+        stream.write("rows")
+    assert (target.read_text(), (tmp_path / "results.csv").read_text()) == ("mine", "rows")
 
 
 # -- the cache ------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from cosim.ssp.package import Package, opened
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Structure
 from cosim.yaml_nodes import Location
+from fmus.files import draft_of
 from fmus.scratch import temporary_folder
 
 FOLDER, SCENARIO = "system", "scenario.json"  # within that of the results
@@ -95,9 +96,8 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         within = folder / FOLDER
         check_writable(within, (SCENARIO, *found.files), [path, *found.files.values()])
         for name, source in found.files.items():
-            draft = within / f".{name}.part"
-            shutil.copyfile(source, draft)
-            draft.replace(within / name)
+            with draft_of(within / name) as draft:
+                shutil.copyfile(source, draft)
         with atomic_write(within / SCENARIO) as stream:
             json.dump(found.scenario, stream, indent=2, ensure_ascii=False)
             stream.write("\n")
