@@ -18,6 +18,7 @@ from cosim.errors import InputError
 from cosim.models.file import load_model, without_execution
 from cosim.simulation.graph import graph_of
 from cosim.simulation.workflow import run
+from cosim.sweeps.workflow import sweep as run_sweep
 from tests.conftest import ROOT
 from tests.logs import write_log
 from tests.users import cosim
@@ -233,3 +234,25 @@ def test_nothing_is_executed_within_the_guard(folder: Path) -> None:
     assert not (folder / "executed").exists()
     load_model(str(model_file(folder)), Path())
     assert (folder / "executed").exists()
+
+
+@pytest.mark.fresh
+def test_a_sweep_executes_the_python_of_an_fmu_in_workers_alone(tmp_path: Path, plant_fmu: Path) -> None:
+    marker = tmp_path / "executed"
+    with zipfile.ZipFile(plant_fmu) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    script = f"resources/{members['resources/slavemodule.txt'].decode().strip()}.py"
+    head, future, rest = members[script].decode().rpartition("from __future__ import annotations\n")
+    note = f"import os\nwith open({str(marker)!r}, 'a') as stream:\n    stream.write(f'{{os.getpid()}}\\n')\n"
+    members[script] = f"{head}{future}{note}{rest}".encode()
+    with zipfile.ZipFile(tmp_path / "plant.fmu", "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    scenario = {"name": "one", "duration": 0.2, "step": 0.02, "components": {"plant": {"fmu": "plant.fmu"}}}
+    (tmp_path / "scenario.json").write_text(json.dumps(scenario))
+    (tmp_path / "sweep.yaml").write_text("scenario: scenario.json\nvary: {plant.mass: {values: [1, 2]}}\n")
+    made = run_sweep(tmp_path / "sweep.yaml", tmp_path / "out", workers=1, report=False)
+    assert (made.record["way"], made.record["failed"]) == ("arrays", 0)
+    pids = set(marker.read_text().split())
+    assert pids
+    assert str(os.getpid()) not in pids
