@@ -486,3 +486,31 @@ def test_a_folder_that_cannot_hold_results_is_told_before_the_replay(tmp_path: P
     log = log_of(tmp_path / "a.csv", measured(fly(times(2.0))))
     with pytest.raises(InputError, match="cannot be the folder for results"):
         write_replay(tmp_path / "out", log, plant_fmu)
+
+
+def test_a_slow_log_is_replayed_in_few_runs_of_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """79 rows a minute apart: too short for windows, so that the floor is that of free runs, drawn forty times."""
+    (tmp_path / "oven.py").write_text(OVEN)
+    (fmu,) = build_fmus(tmp_path, f"{tmp_path / 'oven.py'}:Oven", native=True)
+    k = np.arange(79)
+    power = 40.0 + 60.0 * (k // 10 % 2)
+    probe, rng = np.full(79, 293.0), np.random.default_rng(1)
+    for row in k[1:]:
+        settled = 293.0 + power[row - 1] / 0.8
+        probe[row] = settled + (probe[row - 1] - settled) * math.exp(-60.0 * 0.8 / 200.0)
+    rows = zip(k, power, probe + 0.05 * rng.standard_normal(79), strict=True)
+    lines = ["time [min],power,probe", *(f"{t},{u},{y:.5f}" for t, u, y in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    driven = []
+    run = Drive.run
+
+    def counted(self: Drive, first: int, last: int, *arguments: Any, **more: Any) -> Any:
+        driven.append(last - first)
+        return run(self, first, last, *arguments, **more)
+
+    monkeypatch.setattr(Drive, "run", counted)
+    log = read_log(tmp_path / "a.csv", *model_signals(fmu))
+    assert log.step == 60.0
+    comparison = write_replay(tmp_path / "out", log, fmu, report=False)
+    assert sum(driven) < 5 * log.rows  # 85 times the rows before
+    assert comparison.channels[0].floor.rmse == pytest.approx(0.05, rel=0.3)  # the noise, and little of the start
