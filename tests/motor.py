@@ -75,7 +75,9 @@ class Motor(Model):
 '''
 
 
-def motor_log(path: Path, seed: int, step: float = 0.02, seconds: float = 8.0, dry: float = 0.01) -> Path:
+def motor_log(
+    path: Path, seed: int, step: float = 0.02, seconds: float = 8.0, dry: float = 0.01, inertia: float = 2e-4
+) -> Path:
     """Voltage steps every second, solved by LSODA between the rows; noise of 10 mA and 0.1 rad/s."""
     from scipy.integrate import solve_ivp
 
@@ -87,7 +89,7 @@ def motor_log(path: Path, seed: int, step: float = 0.02, seconds: float = 8.0, d
         def rates(t: float, x: np.ndarray, u: float = voltage[k]) -> list[float]:
             current, speed = x
             torque = 0.05 * current - 1e-4 * speed - dry * np.tanh(speed / 2.0)
-            return [(u - 1.2 * current - 0.05 * speed) / 2.04e-3, torque / 2e-4]
+            return [(u - 1.2 * current - 0.05 * speed) / 2.04e-3, torque / inertia]
 
         state[k + 1] = solve_ivp(rates, (0.0, step), state[k], method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
     read = state + rng.standard_normal(state.shape) * [0.01, 0.1]

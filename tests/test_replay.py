@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from cosim.cli import app
 from cosim.errors import InputError, SimulationError
 from cosim.logs.log import Log, read_log
+from cosim.models.fmus import build as build_fmus
 from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
 from cosim.residuals.drive import Drive, StoppedReplay, log_of_fmu, model_signals
@@ -30,6 +32,7 @@ from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
 from tests.misbehaving import misbehaving_fmu
 from tests.seen import faults
+from tests.test_hidden_state import OVEN
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
