@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -21,8 +22,11 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kinds import kind_by_form, kind_by_keys, refuse_unreadable
 from cosim.logs.gate import gate, refuse_faults
-from cosim.logs.log import read_log
-from cosim.models.file import load_model, only_model, read_model, without_execution
+from cosim.logs.log import Log, read_log
+from cosim.logs.spikes import find_spikes, without
+from cosim.models.file import LoadedModel, load_model, only_model, read_model, without_execution
+from cosim.models.own_run import predicted_outputs
+from cosim.models.substep import with_substep
 from cosim.refinement.study import read_study
 from cosim.registry import BASE
 from cosim.simulation.apart import MODULES, simulate_apart
@@ -33,7 +37,6 @@ from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
 from cosim.yaml_file import YamlFile
 from fmus.scratch import temporary_folder
-from plant.model import Model
 from plant.traits import Traits
 
 WANTED = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
@@ -95,22 +98,24 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.SSP:
             return check_ssp(path, worker)
         case kinds.LOG:
-            return log_findings(path, load_model(model, Path()).model, columns)
+            return log_findings(path, load_model(model, Path()), columns)
         case kinds.CODE:
-            only_model(path)
-            return []
+            kind = type(only_model(path)).__name__
+            return _substep_of(load_model(f"{path}:{kind}", Path()))
         case kinds.MODEL | kinds.PROTOCOL | kinds.SWEEP | kinds.STUDY | kinds.SCENARIO | kinds.MANIFEST:
             pass  # by its keys below
         case str() as other:
             _refuse_unchecked(path, other)
     if path.suffix.startswith(".py:"):  # FILE.py:Class
         text = str(path)
-        only_model(Path(text.removesuffix(":"))) if text.endswith(":") else load_model(text, Path())
-        return []
+        if text.endswith(":"):
+            only_model(Path(text.removesuffix(":")))
+            return []
+        return _substep_of(load_model(text, Path()))
     root = YamlFile(path).root
     match kind_by_keys(root):
         case kinds.MODEL:
-            read_model(path)
+            return _substep_of(read_model(path))
         case kinds.PROTOCOL:
             from cosim.identification.given import check_protocol  # of the craft's bench: others do without
 
@@ -135,12 +140,20 @@ def _refuse_unchecked(path: Path, kind: str) -> NoReturn:
     raise InputError([Fault(path, 0, 0, f"is {kind}, in which there is nothing to check: {cure}")])
 
 
-def log_findings(path: Path, model: Model, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """What the gate says of a log, a line each; InputError with its faults."""
+    model = loaded.model
     log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
-    findings = gate(log, model.rate, traits=Traits.of(model))
+    stepping = with_substep(loaded)[0].model
+    spikes = {} if log.table else find_spikes(log, partial(predicted_outputs, stepping, log))
+    findings = gate(log, model.rate, traits=Traits.of(model), spikes=spikes)
     refuse_faults(log, findings)
-    return [f.line for f in findings]
+    return [*(f.line for f in findings), *_substep_of(loaded, [without(log, spikes)])]
+
+
+def _substep_of(loaded: LoadedModel, logs: Sequence[Log] = ()) -> list[str]:
+    """What substep is chosen for a model, where it is not its own; InputError where none suits it."""
+    return [f"note: {text}" for text in with_substep(loaded, logs)[1]]
 
 
 def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:

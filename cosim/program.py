@@ -5,11 +5,13 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+import socket
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-STOPPED = 130
+STOPPED, TERMINATED = 130, 4  # exit codes: stopped from the keyboard, asked to end by a signal
 
 
 @contextmanager
@@ -34,6 +36,40 @@ def as_program(entry: Callable[[], None]) -> None:
     finally:
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, _end)  # all is done that was to be
+
+
+@contextmanager
+def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
+    """End the process if this block is not left within `patience` seconds of SIGINT, SIGTERM or SIGHUP.
+
+    Python calls a handler between two of its own instructions. A library that does not return, as LAPACK may not,
+    keeps it waiting for ever. Only for commands, and only in the main thread: no cleaning up follows.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+    before, left = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False), threading.Event()
+    ends = {int(getattr(signal, name)): TERMINATED for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)}
+    ends[int(signal.SIGINT)] = STOPPED
+
+    def watch() -> None:
+        while numbers := reader.recv(1):
+            code = ends.get(numbers[0])
+            if code is not None and not left.wait(patience):
+                os._exit(code)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        left.set()
+        signal.set_wakeup_fd(before)
+        writer.close()
+        watcher.join()
+        reader.close()
 
 
 def _end(number: int, frame: object) -> None:

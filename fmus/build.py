@@ -45,6 +45,7 @@ class Recipe:
     own: tuple[Path, str] | None = None  # file and class of a model of one's own
     without: tuple[str, ...] = ()  # of the packages, what is not needed when it runs
     printed: tuple[tuple[str, str], ...] = ()  # modules that are made when it is built: path, text
+    substep: float | None = None  # [s], where it is not that of the model's class
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -54,7 +55,8 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
     """
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
-    return Recipe(("model_fmu", "ModelSlave"), ("plant",), about, model_text(model), ordered(values), own=own)
+    slave, text = ("model_fmu", "ModelSlave"), model_text(model)
+    return Recipe(slave, ("plant",), about, text, ordered(values), own=own, substep=model.chosen_substep)
 
 
 def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
@@ -110,6 +112,8 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
         identity += (class_name,)
+    if recipe.substep is not None:
+        identity += (recipe.substep,)
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{_snake(class_name)}_{tag}"
     for name, text in sources.items():
@@ -138,14 +142,15 @@ def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
         f"from {package}.fmus.lifetime import keep",
         f"from {package}.fmus.{module} import {recipe.slave[1]} as Base",
     ]
-    if recipe.values or recipe.own:
+    if recipe.values or recipe.own or recipe.substep is not None:
         lines.append(f"from {package}.fmus.ports import model_ports")
     if recipe.own:
         lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
-    if recipe.values or recipe.own:
+    if recipe.values or recipe.own or recipe.substep is not None:
         model = "Own()" if recipe.own else "Base.model"
         changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
+        changed += f".with_substep({recipe.substep!r})" if recipe.substep is not None else ""
         lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
     return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
 

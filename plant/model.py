@@ -144,6 +144,7 @@ class Model(Parametric):
     horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log
 
     effects: tuple[Any, ...] = field(default=())
+    chosen_substep: float | None = field(default=None)  # [s]; replaces `substep` where the class states none
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """A model without a title goes by the name of its class."""
@@ -158,6 +159,8 @@ class Model(Parametric):
             raise ValueError(f"not in the catalogue of {type(self).__name__}: {', '.join(strangers)}")
         in_order = sorted(self.effects, key=lambda e: self.catalogue.index(type(e)))
         object.__setattr__(self, "effects", tuple(in_order))
+        if self.chosen_substep is not None:
+            object.__setattr__(self, "substep", self.chosen_substep)
 
     def equations(self, m: Namespace) -> Equations:
         """Bind the one body of equations to a namespace."""
@@ -255,6 +258,10 @@ class Model(Parametric):
                 raise KeyError(f"{name}.{sorted(unknown)[0]}")
             model = model.with_effect(replace(term, **changes))
         return model
+
+    def with_substep(self, substep: float | None) -> Self:
+        """Return the model with another longest substep [s]; None is that of its class."""
+        return replace(self, chosen_substep=substep)
 
     def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
         """Initial state from start values by state name (`position`, `effect.state`)."""

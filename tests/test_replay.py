@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from typer.testing import CliRunner
 from cosim.cli import app
 from cosim.errors import InputError, SimulationError
 from cosim.logs.log import Log, read_log
+from cosim.models.file import load_model
+from cosim.models.fmus import build as build_fmus
 from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
 from cosim.residuals.drive import Drive, StoppedReplay, log_of_fmu, model_signals
@@ -26,10 +29,12 @@ from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
 from cosim.table import Column, Faults, read_columns, read_table
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
+from plant.integrate import Stepper
 from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
 from tests.misbehaving import misbehaving_fmu
 from tests.seen import faults
+from tests.test_hidden_state import OVEN
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
@@ -486,3 +491,32 @@ def test_a_folder_that_cannot_hold_results_is_told_before_the_replay(tmp_path: P
     log = log_of(tmp_path / "a.csv", measured(fly(times(2.0))))
     with pytest.raises(InputError, match="cannot be the folder for results"):
         write_replay(tmp_path / "out", log, plant_fmu)
+
+
+def test_a_slow_log_is_replayed_in_few_runs_of_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """79 rows a minute apart: too short for windows, so that the floor is that of free runs, drawn forty times."""
+    (tmp_path / "oven.py").write_text(OVEN)
+    (fmu,) = build_fmus(tmp_path, f"{tmp_path / 'oven.py'}:Oven", native=True)
+    k = np.arange(79)
+    power = 40.0 + 60.0 * (k // 10 % 2)
+    stepper = Stepper(load_model(f"{tmp_path / 'oven.py'}:Oven", Path()).model)
+    moment, probe, rng = stepper.start(), np.full(79, 293.0), np.random.default_rng(1)
+    for row in k[1:]:
+        moment = stepper.step(moment, (power[row - 1],), 60.0)
+        probe[row] = moment.state[1]
+    rows = zip(k, power, probe + 0.05 * rng.standard_normal(79), strict=True)
+    lines = ["time [min],power,probe", *(f"{t},{u},{y:.5f}" for t, u, y in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    driven = []
+    run = Drive.run
+
+    def counted(self: Drive, first: int, last: int, *arguments: Any, **more: Any) -> Any:
+        driven.append(last - first)
+        return run(self, first, last, *arguments, **more)
+
+    monkeypatch.setattr(Drive, "run", counted)
+    log = read_log(tmp_path / "a.csv", *model_signals(fmu))
+    assert log.step == 60.0
+    comparison = write_replay(tmp_path / "out", log, fmu, report=False)
+    assert sum(driven) < 5 * log.rows  # 85 times the rows before
+    assert comparison.channels[0].floor.rmse == pytest.approx(0.05, rel=0.3)  # the noise, and little of the start

@@ -17,6 +17,7 @@ from cosim.estimation.candidates import Free
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
+from cosim.linear_algebra import least_squares, pseudo_inverse
 
 ITERATIONS = 30
 CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks
@@ -71,7 +72,7 @@ def inverse(information: Array) -> Array:
     """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
-    unscaled: Array = np.linalg.pinv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    unscaled: Array = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
     return unscaled
 
 
@@ -145,9 +146,12 @@ class _Scoring:
         if not np.isfinite(self.scored.nll):
             limit = 0  # the filter diverges where the fit would start
         while done < limit and not converged:
-            gradient, information = self.derivatives(*self.sensitivities())
+            gradient, found = self.derivatives(*self.sensitivities())
+            if not (np.isfinite(gradient).all() and np.isfinite(found).all()):
+                break  # the model runs away beside this point: it gives no direction to move in
+            information = found
             before = self._objective(self.theta, self.scored)
-            hope = PROMISE * 0.5 * float(gradient @ np.linalg.lstsq(information, gradient, rcond=None)[0])
+            hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
             limit = iterations * (LONGER if before > reached else 1)  # it is far from where it will end
             if before > reached:
                 hope = max(hope, pace * (limit - done))
@@ -247,7 +251,7 @@ class _Scoring:
             rest = np.flatnonzero(~pinned)
             F = information[np.ix_(rest, rest)]
             step = np.zeros_like(self.theta)
-            step[rest] = -np.linalg.lstsq(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest], rcond=None)[0]
+            step[rest] = -least_squares(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest])
             there = self._within(self.theta + step * self.size)
             scored = self._evaluate(there)
             after = self._objective(there, scored)

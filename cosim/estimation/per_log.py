@@ -16,6 +16,7 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.estimation.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.kernel.interface import Data, Kernel
+from cosim.linear_algebra import pseudo_inverse
 from plant.model import Model
 
 STEP = 1e-4  # of a value, or of 1 where it is less, for differences; readings are nearly straight lines
@@ -85,7 +86,7 @@ def started(
             return np.asarray(kernel.simulate(first, p, state, memory).outputs[0, outputs])
 
         here, states = read(x), list(shown)
-        inside = np.linalg.pinv(_slopes(read, x, states, here))
+        inside = pseudo_inverse(_slopes(read, x, states, here))
         moved[states] = -inside @ _slopes(read, x, places, here) * spreads
         x[states] += inside @ (x0[states] - here)
     return x, moved[list(layout.stochastic)]

@@ -18,8 +18,8 @@ from cosim.kernel.backend import kernel
 from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.logs.log import Log, slowness
+from cosim.models.own_run import shown_states
 from plant.model import Model
-from plant.namespaces import SCALAR
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
@@ -148,21 +148,13 @@ def own_run(problem: Problem, index: int) -> Simulated:
 
 def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """State → its first measurement, of the states that an output shows and that are measured near the start."""
-    shown, first = _shown(model), {}
+    shown, first = shown_states(model), {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
         if name in shown and len(column):
             first[name] = float(column[0])
     return first
-
-
-def _shown(model: Model) -> set[str]:
-    """States that outputs of their name show as they are, not with a factor or turned: tried at one state."""
-    state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
-    values = dict(zip((s.name for s in model.states), state, strict=True))
-    outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
-    return {q.name for q, y in zip(model.outputs, outputs, strict=True) if values.get(q.name) == y}
 
 
 def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:

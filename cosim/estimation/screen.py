@@ -18,6 +18,7 @@ from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
+from cosim.linear_algebra import least_squares, orthonormal, pseudo_inverse
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
@@ -75,7 +76,7 @@ class ScoreTest:
         ]
         moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
         known = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
-        self.basis, _ = np.linalg.qr(np.array(known).reshape(len(moves), residual.size).T)
+        self.basis = orthonormal(np.array(known).reshape(len(moves), residual.size).T)
         self.residual = residual - self.basis @ (self.basis.T @ residual)
 
     def _noisier(self, place: int) -> Noise:
@@ -91,7 +92,7 @@ class ScoreTest:
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Promised gain of terms together, and how many steps of each they would take."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
-        taken = -np.linalg.lstsq(detected.T, self.residual, rcond=1e-8)[0]
+        taken = -least_squares(detected.T, self.residual, rcond=1e-8)
         fitted = detected.T @ taken
         return 0.5 * float(fitted @ fitted), taken
 
@@ -175,10 +176,10 @@ class Choice:
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
         G, b = self.products[np.ix_(places, places)], against[places]
         scale = np.sqrt(np.diag(G).clip(min=1e-300))
-        scaled = np.linalg.lstsq(G / np.outer(scale, scale), -b / scale, rcond=1e-8)[0] / scale
+        scaled = least_squares(G / np.outer(scale, scale), -b / scale, rcond=1e-8) / scale
         left = square + 2.0 * float(b @ scaled) + float(scaled @ G @ scaled)
         taken = dict(zip(places, scaled.tolist(), strict=True))
-        sigma = np.sqrt(np.diag(np.linalg.pinv(G / np.outer(scale, scale))).clip(min=0.0)) / scale
+        sigma = np.sqrt(np.diag(pseudo_inverse(G / np.outer(scale, scale))).clip(min=0.0)) / scale
         spread = dict(zip(places, sigma.tolist(), strict=True))
         values, within = self._values(names, taken, spread)
         return Promise(0.5 * (self.square - left), values, within)

@@ -17,6 +17,7 @@ from cosim.kinds import ANSWER, CODE, MODEL, check_form, check_given
 from cosim.logs.log import read_log
 from cosim.models.file import LoadedModel, load_model
 from cosim.models.refined import names_refine
+from cosim.models.substep import with_substep
 from cosim.refinement.hypotheses import TOGETHER
 from cosim.refinement.judgement import SIGNIFICANT
 from cosim.refinement.study import StudyFile
@@ -91,7 +92,7 @@ def ask(
         path = folder / "refine.json" if path.is_dir() else path
         question = _of_refinement(path, against)
     else:
-        question = _of_model(path, load_model(text, Path()), against)
+        question = _of_model(path, with_substep(load_model(text, Path()))[0], against)
     model, faults = question.base.model, list[str]()
     if model.static:
         told = "told_apart_by says what rows would separate rivals"
@@ -122,7 +123,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
         raise InputError([yaml.fault(("study",), f"no such study: {study}; it is looked for from where you are")])
     yaml = YamlFile(study)
     given = yaml.validate(StudyFile)
-    loaded = load_model(given.model, study.parent, yaml)
+    loaded, _ = with_substep(load_model(given.model, study.parent, yaml))
     known = _candidates(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     together = {name: tuple(name.split(TOGETHER)) for name in names if TOGETHER in name}

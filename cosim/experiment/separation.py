@@ -23,6 +23,7 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import coarsened, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
+from cosim.linear_algebra import least_squares
 from cosim.logs.log import Log
 from plant.model import Model
 from plant.quantities import Parameter, parameters_of
@@ -101,7 +102,7 @@ class Separation:
             if prior := self.base[k].prior:
                 priors[row, len(own) + row] = self.base[k].size / prior[1]
         A, b = np.vstack([slopes, priors]), np.concatenate([apart, np.zeros(len(kept))])
-        return float(np.linalg.norm(b - A @ np.linalg.lstsq(A, b, rcond=None)[0]))
+        return float(np.linalg.norm(b - A @ least_squares(A, b)))
 
 
 class _Innovations:

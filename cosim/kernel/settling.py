@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.linear_algebra import eigenvalues
 from plant.model import Model
 from plant.namespaces import SCALAR
 
@@ -31,6 +32,6 @@ def settling(model: Model, names: Sequence[str]) -> float:
 
     steps = {place: 1e-6 * max(1.0, abs(start[place])) for place in places}
     columns = [(rates(place, h) - rates(place, -h)) / (2.0 * h) for place, h in steps.items()]
-    poles = np.linalg.eigvals(np.column_stack(columns)).real if columns else np.zeros(0)
+    poles = eigenvalues(np.column_stack(columns)).real if columns else np.zeros(0)
     decay = [-float(pole) for pole in poles if pole < -STILL]
     return math.log(1.0 / FORGOTTEN) / min(decay) if decay else 0.0

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.linear_algebra import least_squares
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
 from cosim.logs.planar import mirrored
@@ -51,7 +52,7 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
     design = np.column_stack((integral, length))
-    (slope, drift), *_ = np.linalg.lstsq(design, change, rcond=None)
+    slope, drift = least_squares(design, change)
     left = change - design @ (slope, drift)
     sigma = math.sqrt(float(left @ left) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))

@@ -14,7 +14,7 @@ from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
 from cosim.logs.log import MISSING, Log, named
 from cosim.logs.noise import noise_level
-from cosim.logs.spikes import SCALE, out_of_line
+from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.logs.tables import table_findings
 from cosim.text import amount, counted, percent, plain
 from plant.traits import Traits
@@ -22,7 +22,6 @@ from plant.traits import Traits
 ORDER = ("fault", "warning", "note")
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
-SPIKE = 8.0  # times the noise
 ALIKE = 0.98  # correlation of two inputs that cannot be separated
 
 
@@ -31,19 +30,22 @@ def gate(
     rate: float | None = None,
     strict: bool = False,
     traits: Traits | None = None,
+    spikes: Spikes | None = None,
 ) -> list[Finding]:
     """Everything there is to say about a log, faults first.
 
     rate:   step the model is made for [s], None where it has none
     strict: a log slower than `rate` is a fault, not a warning
     traits: what the model says of its signals, None where none is known
+    spikes: readings of a recorder that are known by a model; looked for without one where they are not given
     """
     if log.table:
         return sorted(
             (*table_findings(log, traits), *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity)
         )
     clock = [*_timing(log), *_rate(log, rate, strict)]
-    found = [*clock, *_inputs(log), *_outputs(log), *frames(log, traits), *_undeclared(log), *_unread(log)]
+    wild = outliers(log, find_spikes(log) if spikes is None else spikes)
+    found = [*clock, *_inputs(log), *_outputs(log), *wild, *frames(log, traits), *_undeclared(log), *_unread(log)]
     if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
         found = [f for f in found if f.kind != "scale"]
     return sorted(found, key=lambda f: ORDER.index(f.severity))
@@ -223,7 +225,6 @@ def _outputs(log: Log) -> Iterator[Finding]:
                           {"value": float(seen[0])})  # fmt: skip
         else:
             yield from _repeats(log, name, log.time[good], seen)
-            yield from _spikes(log, name, values)
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
@@ -249,16 +250,15 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
         )  # fmt: skip
 
 
-def _spikes(log: Log, name: str, values: Array) -> Iterator[Finding]:
-    """Single values far from what their neighbours say."""
-    low, high = np.nanpercentile(values, [1, 99])
-    spikes, off = out_of_line(log, values, max(SPIKE * noise_level(values) * SCALE, 0.05 * float(high - low)))
-    if spikes.size:
-        worst = spikes[np.argmax(off[spikes])]
+def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
+    """A warning of each channel that has spikes."""
+    for name, rows in spikes.items():
+        off = out_of_line(log, log.outputs[name])[rows]
+        first, worst = float(log.time[rows[0]]), float(off.max())
         yield Finding(
             "warning", "outliers", name,
-            f"has {counted(spikes.size, 'value')} out of line with the neighbours, first at "
-            f"t = {log.time[spikes[0]]:.6g} s, the worst by {amount(float(off[worst]), log.units[name])}; "
-            "leave such cells empty",
-            {"count": float(spikes.size), "first": float(log.time[spikes[0]]), "worst": float(off[worst])},
+            f"has {counted(rows.size, 'reading')} that its neighbours and the model do not explain, first at "
+            f"t = {first:.6g} s, the farthest off by {amount(worst, log.units[name])}; `cosim refine` leaves such "
+            "readings out, other commands take them as they are: leave the cells empty",
+            {"count": float(rows.size), "first": first, "worst": worst},
         )  # fmt: skip

@@ -1,7 +1,13 @@
-"""Single values far from what their neighbours say: a recorder's, not a sensor's."""
+"""Single readings that neither their neighbours nor the model explain: a recorder's, not a sensor's.
+
+One rule for `check`, `replay` and `refine`. A reading is suspect if its neighbours agree among themselves when it is
+left out, and it is far from them. A suspect is genuine if the model moves as sharply there: an inrush current is out of
+line with its neighbours too. Of a log without a model, a suspect is genuine where an input has just jumped.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,46 +19,81 @@ from cosim.logs.noise import noise_level, surprise
 JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
 ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
 SCALE = (70 / 36) ** 0.5  # of what four equal neighbours do not say, to the noise
-WILD = 12.0  # times the noise, from which a value out of line is left out
+WILD = 12.0  # times the noise, from which a value out of line is suspect
 MOST, ADJACENT = 3, 2  # of a few that stand close together, and one after the other: more are motion
 REACH, SIDE = 12, 3  # readings that these may lead astray; on each side, that say what there should be
 ASTRAY = 0.4  # of what is wild, from which a reading belongs to such a stretch: two in a row hide each other in part
+UNCERTAINTY, LATENESS = 2.0, 2  # of a prediction that moves sharply: factor of its size, and rows of its time
+
+Spikes = Mapping[str, Rows]
+Prediction = Callable[[Spikes], Mapping[str, Array]]  # outputs of a model by name, made without the suspect readings
 
 
-def out_of_line(log: Log, values: Array, least: float, *, answers: bool = True) -> tuple[Rows, Array]:
-    """Rows that are further off their neighbours than `least`, and how far every row is.
+def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
+    """Return the rows of each channel at which a recorder's reading stands.
 
-    With `answers`, not where an input jumps: an output may answer.
+    predict: outputs of the model in the rows of the log; called only if a reading is suspect
     """
+    suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(log, values)).size}
+    if not suspects:
+        return {}
+    model = {} if predict is None else predict(suspects)
+    answering = _answering(log)
+    spikes = {}
+    for name, rows in suspects.items():
+        values = log.outputs[name]
+        genuine = answering[rows] if predict is None else _moves_too(log, values, model.get(name), rows)
+        if not genuine.all():
+            spikes[name] = rows[~genuine]
+    return spikes
+
+
+def without(log: Log, spikes: Spikes) -> Log:
+    """Return the log with empty cells in place of spikes."""
+    outputs = dict(log.outputs)
+    for name, rows in spikes.items():
+        outputs[name] = outputs[name].copy()
+        outputs[name][rows] = np.nan
+    return replace(log, outputs=outputs) if spikes else log
+
+
+def out_of_line(log: Log, values: Array) -> Array:
+    """Return how far each reading is from its neighbours; 0 where it has too few."""
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, np.nan)
     whole[place] = values  # what stands on the far side of a pause is no neighbour
     seen = np.pad(np.isfinite(whole), 2)
     beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
-    off = SCALE * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place]))
-    if answers:
-        off[_answering(log)] = 0.0
+    return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place])))
+
+
+def _suspects(log: Log, values: Array) -> Rows:
+    """Rows whose neighbours agree among themselves when the reading is left out, and that are far from them."""
+    level = noise_level(values) * SCALE
+    if not level > 0.0:
+        return np.zeros(0, np.intp)
+    kept = values.copy()
+    kept[_close_together(values, WILD * level)] = np.nan
+    off = out_of_line(log, kept)
     around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
-    return np.flatnonzero((off > least) & (off >= around)), off
+    peaks = np.flatnonzero((off > WILD * level) & (off >= around))
+    kept[[k for k in peaks.tolist() if _neighbours_agree(kept, k, WILD * level)]] = np.nan
+    return np.flatnonzero(np.isfinite(values) & np.isnan(kept))
 
 
-def cleaned(log: Log) -> tuple[Log, dict[str, int]]:
-    """The log without readings wildly out of line, and how many each channel loses.
+def _moves_too(log: Log, values: Array, model: Array | None, rows: Rows) -> Flags:
+    """Whether the model is as far out of line near each of these rows, by its uncertainty in size and in time."""
+    if model is None:
+        return np.zeros(rows.size, bool)
+    there = np.isfinite(values)
+    moved = _off_neighbours(np.where(there & np.isfinite(model), model, np.nan))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(moved, LATENESS), 2 * LATENESS + 1).max(axis=1)
+    return np.asarray(UNCERTAINTY * near[rows] >= _off_neighbours(values)[rows])
 
-    A reading is wild where its neighbours agree among themselves when it is left out, and it is far from them.
-    """
-    outputs, lost = dict(log.outputs), dict[str, int]()
-    for name, values in log.outputs.items():
-        level = noise_level(values) * SCALE
-        if not level > 0.0:
-            continue
-        kept = values.copy()
-        kept[_close_together(values, WILD * level)] = np.nan
-        rows, _ = out_of_line(log, kept, WILD * level, answers=False)
-        kept[[k for k in rows.tolist() if _neighbours_agree(kept, k, WILD * level)]] = np.nan
-        if gone := int(np.sum(np.isfinite(values) & np.isnan(kept))):
-            outputs[name], lost[name] = kept, gone
-    return (replace(log, outputs=outputs), lost) if lost else (log, {})
+
+def _off_neighbours(values: Array) -> Array:
+    """How far each reading is from what the four nearest readings say."""
+    return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
 def _close_together(values: Array, apart: float) -> list[int]:

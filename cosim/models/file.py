@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -72,6 +72,7 @@ class ModelFile(BaseModel):
     parameters_from: another model file, or a refine's folder: what it says of parameters that this model has too
     parameters:      name → value, in the unit of the parameter; over those of another file
     sensors:         sensor error → value
+    substep:         longest substep of the integration [s], where the class of the model states none
     identified:      parameter → how well it is known, where `cosim identify` wrote the file
     """
 
@@ -82,6 +83,7 @@ class ModelFile(BaseModel):
     parameters_from: str = ""
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
     identified: dict[str, Identified] = {}
 
 
@@ -106,7 +108,7 @@ class LoadedModel:
 
         if self.source in MODELS:
             made: Recipe = resolve(MODELS[self.source].recipe)(dict(self.parameters))
-            return made
+            return replace(made, substep=self.model.chosen_substep)
         return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
 
 
@@ -168,7 +170,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
         raise InputError(faults)
     values = {**taken, **content.parameters}
     source = content.model if content.model in MODELS else _absolute(content.model, path.parent)
-    return LoadedModel(model.with_values(values), source, values, content.sensors)
+    return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
 
 
 def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
@@ -326,6 +328,8 @@ def _models(names: Mapping[str, Any]) -> list[str]:
 def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
     """Write a model.yaml that `read_model` reads back, in `folder` if it is to move there."""
     lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
+    if loaded.model.chosen_substep is not None:
+        lines.append(f"substep: {loaded.model.chosen_substep!r}")
     for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
         lines.append(f"{section}:" if values else f"{section}: {{}}")
         lines += [

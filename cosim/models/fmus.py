@@ -8,6 +8,7 @@ from pathlib import Path
 from cosim.files import FilePath, check_folder, named_path
 from cosim.folder_lock import folder_locks
 from cosim.models.file import meant_model
+from cosim.models.substep import with_substep
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 
@@ -38,7 +39,7 @@ def build(
     if model is None and not nearest:
         recipes = {name: resolve(recipe)() for name, recipe in MODELS[BASE_NAME].built.items()}
     else:
-        loaded = meant_model(model, nearest=nearest)
+        loaded, _ = with_substep(meant_model(model, nearest=nearest))
         recipes = {"plant.fmu": loaded.recipe()}
         if loaded.source in MODELS:
             recipes |= {name: resolve(recipe)() for name, recipe in MODELS[loaded.source].beside.items()}

@@ -13,6 +13,7 @@ from cosim.files import FilePath, check_folder, named_path
 from cosim.folder_lock import folder_locks
 from cosim.models.file import LoadedModel, meant_model
 from cosim.models.source import Source
+from cosim.models.substep import with_substep
 from cosim.registry import MODELS, resolve
 from cosim.yaml_file import did_you_mean
 from fmus.files import draft_of
@@ -55,7 +56,8 @@ def build_native(
     if fmi not in SUFFIX:
         raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
     _check_compiler(platforms)
-    made = dict(_natives(meant_model(model, nearest=nearest)))
+    loaded, _ = with_substep(meant_model(model, nearest=nearest))
+    made = dict(_natives(loaded))
 
     def make(name: str, draft: Path) -> Built:
         return build_fmu(made[name], draft, fmi, platforms)
@@ -64,7 +66,7 @@ def build_native(
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
-    """The native FMU of the class of a model: its declared defaults, whatever the model's values are.
+    """The native FMU of the class of a model: its declared defaults and the substep, whatever the model's values are.
 
     So its library is the same for every value, and compiled once. InputError says why there is none.
     """
@@ -72,18 +74,20 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     from fmus.native.package import build_native as build_fmu
 
     _check_compiler(())
-    kept = _of_class.setdefault(type(loaded.model), {})
-    if loaded.source not in kept:
-        _, kept[loaded.source] = next(_natives(LoadedModel(type(loaded.model)(), loaded.source)))
-    native = kept[loaded.source]
+    kept, substep = _of_class.setdefault(type(loaded.model), {}), loaded.model.chosen_substep
+    key = loaded.source, substep
+    if key not in kept:
+        bare = type(loaded.model)().with_substep(substep)
+        _, kept[key] = next(_natives(LoadedModel(bare, loaded.source)))
+    native = kept[key]
     try:
         return build_fmu(native, path).path
     except CompilerFailed as error:
         raise InputError([_failed(error)]) from None
 
 
-# printed and compared with its Python once in a process, by class and source
-_of_class: WeakKeyDictionary[type[Model], dict[str, Native]] = WeakKeyDictionary()
+# printed and compared with its Python once in a process, by class, source and substep
+_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None], Native]] = WeakKeyDictionary()
 
 
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:

@@ -20,6 +20,7 @@ from cosim.estimation.data import unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.linear_algebra import least_squares, solution
 
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
@@ -145,7 +146,7 @@ def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: A
             rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T
-        term = term - basis @ np.linalg.lstsq(basis, term, rcond=None)[0]
+        term = term - basis @ least_squares(basis, term)
     power = float(term @ term)
     return np.asarray(max(0.0, float(lacking @ term) / power) * term if power > 0.0 else term)
 
@@ -201,7 +202,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
         x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
     last = rows - 2
     for k in range(last - 1, -1, -1):
-        gain = np.linalg.lstsq(spread[k + 1], model.F[k] @ spread_after[k], rcond=None)[0].T
+        gain = least_squares(spread[k + 1], model.F[k] @ spread_after[k]).T
         after[k] += gain @ (after[k + 1] - ahead[k + 1])
         spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
     deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, places], 0.0))
@@ -217,7 +218,7 @@ def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Arra
         return x, P
     H = wide[measured]
     S = H @ P @ H.T + np.diag(r[measured])
-    K = np.linalg.solve(S, H @ P).T
+    K = solution(S, H @ P).T
     x = x + K @ (e[measured] - H @ x)
     P = P - K @ H @ P
     return x, 0.5 * (P + P.T)

@@ -19,6 +19,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.interface import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
+from cosim.linear_algebra import least_squares, orthonormal
 from cosim.refinement.missing import LOGS, Filter, Missing, missing
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # of ζ, at which a bump is half as high
@@ -191,7 +192,7 @@ class _Best:
     """The shapes that take away most of what one equation lacks, beside a constant and the state itself."""
 
     def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
-        self.plain, _ = np.linalg.qr(np.column_stack([np.ones(len(lacking)), *beside]))
+        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
         self.lacking, self.worth = self._beside(lacking), worth
         self.single: list[tuple[float, Shape, Array]] = []
         self.groups: list[tuple[float, Shape, Array]] = []
@@ -203,7 +204,7 @@ class _Best:
         """Keep it where it promises enough."""
         left = self._beside(columns)
         products = left.T @ left
-        taken = np.linalg.lstsq(products, left.T @ self.lacking, rcond=1e-9)[0]
+        taken = least_squares(products, left.T @ self.lacking, rcond=1e-9)
         gain = 0.5 * float(taken @ products @ taken)
         if gain > self.worth * len(taken):
             (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))

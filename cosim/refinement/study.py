@@ -7,12 +7,14 @@ import math
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
+from cosim.arrays import Rows
 from cosim.errors import Fault, InputError, NotExecuted
 from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
@@ -21,8 +23,10 @@ from cosim.kinds import STUDY, check_form, kind_by_keys, refuse_other
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
-from cosim.logs.spikes import cleaned
+from cosim.logs.spikes import find_spikes, without
 from cosim.models.file import LoadedModel, load_model
+from cosim.models.own_run import predicted_outputs
+from cosim.models.substep import with_substep
 from cosim.refinement.groups import full_name, group_of, per_log_faults
 from cosim.registry import BASE
 from cosim.residuals.windows import SKIPPED
@@ -162,7 +166,7 @@ class Study:
             read_log(path, model.inputs, model.outputs, table=model.static, columns=self.content.columns)
             for path in paths
         )
-        return tuple(stretch for log in logs for stretch in judged(_clean(log)[0], model.horizon))
+        return tuple(stretch for log in logs for stretch in judged(without(log, _spikes(log, model)), model.horizon))
 
 
 def read_study(path: Path) -> Study:
@@ -189,7 +193,11 @@ def read_study(path: Path) -> Study:
         cure = "none is left to learn from; move one to estimation"
         sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
         faults.append(yaml.fault(("logs", "estimation"), sealed))
-    logs, digests, warnings, of_logs = _read_logs(yaml, content, model)
+    try:
+        stepping = with_substep(loaded)[0].model
+    except InputError as error:
+        faults, stepping = [*faults, *error.faults], model
+    logs, digests, warnings, of_logs = _read_logs(yaml, content, stepping)
     faults += of_logs
     faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
     faults += _listed_twice(yaml, content.logs, digests)
@@ -197,6 +205,8 @@ def read_study(path: Path) -> Study:
     faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
         raise InputError(faults)
+    loaded, chosen = with_substep(loaded, logs["estimation"])
+    warnings += [f"{content.model}: {text}" for text in chosen]
     return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
 
 
@@ -220,13 +230,14 @@ def _read_logs(
             faults += error.faults
             continue
         digests[name] = _digest(log)
-        findings = gate(log, model.rate, traits=traits)
+        spikes = _spikes(log, model)
+        findings = gate(log, model.rate, traits=traits, spikes=spikes)
         faults += gate_faults(log, findings)
-        log, lost = _clean(log)
-        warnings += [_left_out(name, channel, count) for channel, count in lost.items()]
+        log = without(log, spikes)
+        warnings += [_left_out(name, channel, rows.size) for channel, rows in spikes.items()]
         whole = judged(log, model.horizon)
         faults += [] if whole else [_too_short(log, model.horizon)]
-        told = [f for f in findings if f.severity == "warning" and not (f.kind == "outliers" and f.channel in lost)]
+        told = [f for f in findings if f.severity == "warning" and f.kind != "outliers"]
         warnings += [f"{name}: {f.whole}" for f in told]
         if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
@@ -265,9 +276,9 @@ def _digest(log: Log) -> str:
     return content.hexdigest()
 
 
-def _clean(log: Log) -> tuple[Log, dict[str, int]]:
-    """The log without readings far off their neighbours; a table's rows are none."""
-    return (log, {}) if log.table else cleaned(log)
+def _spikes(log: Log, model: Model) -> dict[str, Rows]:
+    """Readings of a recorder; a table has none."""
+    return {} if log.table else find_spikes(log, partial(predicted_outputs, model, log))
 
 
 def least_duration(log: Log, horizon: float) -> float:
@@ -284,7 +295,9 @@ def judged(log: Log, horizon: float) -> list[Log]:
 
 
 def _left_out(log: str, channel: str, count: int) -> str:
-    return f"{log}: {counted(count, 'reading')} of {channel} left out, far off all neighbours"
+    return (
+        f"{log}: {counted(count, 'reading')} of {channel} left out, which its neighbours and the model do not explain"
+    )
 
 
 def _too_short(log: Log, horizon: float) -> Fault:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.errors import Fault, InputError
 from cosim.estimation.candidates import Candidate, candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
@@ -92,6 +93,7 @@ def refine(
     check_left(folder, "cosim refine", str(path), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
+    _refuse_runaway(study, problem)
     found = attributed(study.loaded.model, problem, _on_trial(study, problem), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
@@ -142,6 +144,24 @@ def _posed(study: Study) -> Problem:
     problem = build_problem(loaded.model, study.logs, False, given, loaded.values, study.settings)
     guessed = {n: level for n, level in sensor_noise(problem).items() if n not in loaded.model.sensor_variance}
     return problem.with_noise({n: level for n, level in guessed.items() if n not in given and level > 0.0})
+
+
+def _refuse_runaway(study: Study, problem: Problem) -> None:
+    """InputError if the filter of the model diverges on a log before anything is fitted: no estimate can follow."""
+    faults = []
+    for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
+        by_log = problem.scored(problem.values, problem.plain, [index]).by_log
+        if np.isfinite(by_log).all():
+            continue
+        errors, variances = problem.innovations(problem.values, problem.plain, index)
+        with np.errstate(over="ignore", invalid="ignore"):
+            lost = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
+        t = data.start + data.step * int(np.argmax(lost.any(axis=1)))
+        cure = "check its parameters, start values and the units of the log, or state a shorter substep in its class"
+        text = f"{study.loaded.model.title} runs away on this log: its prediction is not finite at t = {t:.6g} s"
+        faults.append(Fault(log.path, 0, 0, f"{text}; {cure}"))
+    if faults:
+        raise InputError(faults)
 
 
 def _on_trial(study: Study, problem: Problem) -> list[Candidate]:

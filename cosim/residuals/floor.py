@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.errors import SimulationError
 from cosim.logs.log import Log
 from cosim.logs.noise import noise_beside
-from cosim.residuals.drive import Drive
-from cosim.residuals.starts import StartParameter
+from cosim.residuals.drive import Drive, as_columns
+from cosim.residuals.starts import StartParameter, first_start
 from cosim.residuals.statistics import FREE_RUN, pooled, rmse
-from cosim.residuals.windows import Replay, chains, free_run, self_started
+from cosim.residuals.windows import Replay, chains, self_started
+from fmus.state import Memory
 
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
 BY_CHANCE = 1e-4  # of a right model, a channel
 AT_LEAST = 1.5  # times the floor, be it ever so sure: the levels of the noise are estimates
 ROUNDING = 1e-9  # of a channel's size
+STEP = 1e-6  # of a start value, by which it is moved where no noise says how far
 EXACT = 1e-4  # of a channel's spread; a log without noise is matched to rounding, not to noise
 
 
@@ -52,10 +55,14 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     alike = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
     levels = {name: noise_beside(values, free.outputs[name]) for name, values in log.outputs.items()}
 
+    freely = _linear_in_starts(drive, parameters, free, levels) if horizon == FREE_RUN else drive
+
     def predicted(seen: Mapping[str, Array]) -> Mapping[str, Array]:
         if horizon == FREE_RUN:  # where no start is measured, it is what it was
-            shown = parameters.keys() & seen.keys()
-            return free_run(drive.on(replace(log, outputs=seen))).outputs if shown else free.outputs
+            if not parameters.keys() & seen.keys():
+                return free.outputs
+            other = freely.on(replace(log, outputs=seen))
+            return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
         found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)
         return {} if found is None else found.outputs
 
@@ -69,6 +76,55 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in alike}
     astray = {n: 0.0 if horizon == FREE_RUN else _astray(v, restarted[n]) for n, v in alike.items()}
     return {n: Floor(found[n], _limit(squares[n], count), astray[n]) for n in alike}
+
+
+class _LinearDrive(Drive):
+    """A drive whose FMU is linear in its start values about one run: it is not called again.
+
+    about:  start values of that run, `table` its outputs, shape (rows, outputs)
+    slopes: start value → derivative of the table by it
+    """
+
+    def __init__(self, drive: Drive, about: Mapping[str, float], table: Array, slopes: Mapping[str, Array]) -> None:
+        self.__dict__.update(drive.__dict__)
+        self._about, self._run, self._slopes = about, table, slopes
+
+    def run(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        memory: Memory | None = None,
+        visit: Callable[[int], None] | None = None,
+    ) -> Array:
+        """As of a drive, from the first row on."""
+        assert first == 0, "only the run from the first row is known"
+        away = {name: start[name] - value for name, value in self._about.items() if name in start}
+        table = self._run + sum(change * self._slopes[name] for name, change in away.items())
+        return np.asarray(table[: last + 1])
+
+
+def _linear_in_starts(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
+) -> Drive:
+    """The drive, linear in its start values about its free run: one run of the FMU for each, not five a draw.
+
+    The drive itself where one of these runs fails.
+    """
+    table = np.column_stack([free.outputs[name] for name in drive.outputs])
+    given = free.starts[0]
+    about = {p.name: float(given.get(p.name, p.value(free.outputs[name][0]))) for name, p in parameters.items()}
+    slopes = {}
+    try:
+        for name, p in parameters.items():
+            level = levels.get(name, math.nan)
+            step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
+            step = step if about[p.name] + step <= p.high else -step
+            moved = drive.run(0, drive.log.rows - 1, {**given, **about, p.name: about[p.name] + step})
+            slopes[p.name] = (moved - table) / step
+    except SimulationError:
+        return drive
+    return _LinearDrive(drive, about, table, slopes)
 
 
 def _mean_squares(error: Array, starts: Sequence[int]) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.arrays import Array, Rows
 from cosim.errors import SimulationError
+from cosim.linear_algebra import least_squares
 from cosim.logs.log import Log
 from cosim.logs.noise import noise_beside, noise_level
 from cosim.residuals.drive import Drive, as_columns, rows_of
@@ -219,7 +220,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
         if side.size < order:
             break
         design = design[:, :order]
-        (value, *rest), *_ = np.linalg.lstsq(design, side, rcond=None)
+        value, *rest = least_squares(design, side)
         found = float(value), float(rest[0]) if rest else None
         left = side - design @ (value, *rest)
         if float(left @ left) <= FITS * max(1, side.size - order):

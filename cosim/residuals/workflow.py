@@ -19,8 +19,9 @@ from cosim.folders import REPLAY, check_left
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.finding import Finding
-from cosim.logs.gate import gate, refuse_faults
+from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, renamed
+from cosim.logs.spikes import find_spikes
 from cosim.models.file import load_model
 from cosim.registry import BASE
 from cosim.report.template import render
@@ -121,7 +122,8 @@ def write_replay(
     told = None if progress is None else tell
     apart = None if worker is None else DriveApart(worker, log, fmu, told, limits=limits, given=given)
     with apart or Drive(log, fmu, told, given=given) as drive:
-        findings = [*gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits), *_older(drive)]
+        findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
+        findings += _older(drive)
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", REPLAY, "report.html"), (log.path, fmu))
         for name in ("report.html", "residual.csv", REPLAY):  # they would be of other results
@@ -129,6 +131,7 @@ def write_replay(
         free = _free_run(drive, start, folder)
         try:
             release_stops()
+            findings += outliers(log, find_spikes(log, lambda _: free.outputs))
             comparison = compare(drive, free, findings)
             left = residuals(comparison)
             left.write_csv(folder / "residual.csv")

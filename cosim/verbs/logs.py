@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from cosim.folders import folder_named, folder_of_file, name_of
+from cosim.program import ending_when_stuck
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, progress_bar, say, say_json, show, stages, warn
 
@@ -93,7 +94,7 @@ def refine(
     from cosim.refinement.workflow import refine as refine_study
 
     place = folder_of_file(study) if out is None else out
-    with stages(numbered) as progress:
+    with stages(numbered) as progress, ending_when_stuck():
         result = refine_study(study, place, progress, report=report, force=force, in_process=in_process)
     for warning in result.study.warnings:
         warn(warning)
@@ -146,7 +147,7 @@ def excite(
     from cosim.experiment.excite import excite as choose
 
     place = folder_named(name_of(model), "excitation") if out is None else out
-    with stages() as progress:
+    with stages() as progress, ending_when_stuck():
         found = choose(
             model, place, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
             duration=duration, seed=seed, force=force, progress=progress,

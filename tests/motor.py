@@ -1,0 +1,116 @@
+"""A DC motor as a model of one's own, its winding far faster than its shaft, and logs of one with dry friction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.logs import write_log
+
+MODEL = '''"""Winding and shaft of a DC motor."""
+
+from dataclasses import dataclass
+
+from plant.model import Effect, Equations, Model, Number, Values, overrides
+from plant.namespaces import Namespace
+from plant.quantities import Quantity, parameter
+
+
+class MotorEffect(Effect):
+    """A torque that the base model lacks."""
+
+    def torque(self, m: Namespace, speed: Number) -> Number:
+        return 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DryFriction(MotorEffect):
+    """Dry friction: -M tanh(w/2)."""
+
+    name = "dry_friction"
+    equation = "torque −M·tanh(ω/2)"
+
+    level: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.01, doc="dry torque M")
+
+    def torque(self, m: Namespace, speed: Number) -> Number:
+        return -self.level * m.tanh(speed / 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor(Model):
+    """DC motor: winding and shaft."""
+
+    title = "DC motor"
+    base_states = (Quantity("current", "A", "winding current"), Quantity("speed", "rad/s", "shaft speed"))
+    inputs = (Quantity("voltage", "V", "terminal voltage"),)
+    outputs = base_states
+    catalogue = (DryFriction,)
+    sensor_variance = {"current": 1e-4, "speed": 1e-2}
+    forced = ("current", "speed")
+    calibrated = ("resistance", "inertia")
+
+    resistance: float = parameter(1.2, unit="ohm", bounds=(0.1, 10), doc="winding resistance")
+    inductance: float = parameter(2.04e-3, unit="H", bounds=(1e-5, 1), doc="winding inductance")
+    constant: float = parameter(0.05, unit="V.s/rad", bounds=(1e-3, 1), doc="torque constant")
+    inertia: float = parameter(2e-4, unit="kg.m2", bounds=(1e-6, 1), doc="moment of inertia")
+    damping: float = parameter(1e-4, unit="N.m.s/rad", bounds=(0, 1), doc="viscous friction")
+
+    def equations(self, m: Namespace) -> Equations:
+        """L·di/dt = u − R·i − k·ω, J·dω/dt = k·i − d·ω + torques of the effects."""
+        terms = overrides(self.awake, "torque", MotorEffect)
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            current, speed = state
+            total = self.constant * current - self.damping * speed
+            for term in terms:
+                total = total + term.torque(m, speed)
+            left = command[0] - self.resistance * current - self.constant * speed
+            return left / self.inductance, total / self.inertia
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            return state
+
+        return Equations(derivative, output)
+'''
+
+
+def motor_log(
+    path: Path, seed: int, step: float = 0.02, seconds: float = 8.0, dry: float = 0.01, inertia: float = 2e-4
+) -> Path:
+    """Voltage steps every second, solved by LSODA between the rows; noise of 10 mA and 0.1 rad/s."""
+    from scipy.integrate import solve_ivp
+
+    rng, rows = np.random.default_rng(seed), round(seconds / step) + 1
+    voltage = np.repeat(rng.uniform(-12.0, 12.0, round(seconds) + 1), round(1.0 / step))[:rows]
+    state = np.zeros((rows, 2))
+    for k in range(rows - 1):
+
+        def rates(t: float, x: np.ndarray, u: float = voltage[k]) -> list[float]:
+            current, speed = x
+            torque = 0.05 * current - 1e-4 * speed - dry * np.tanh(speed / 2.0)
+            return [(u - 1.2 * current - 0.05 * speed) / 2.04e-3, torque / inertia]
+
+        state[k + 1] = solve_ivp(rates, (0.0, step), state[k], method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
+    read = state + rng.standard_normal(state.shape) * [0.01, 0.1]
+    time = step * np.arange(rows)
+    return write_log(path, {"time": time, "voltage": voltage, "current": read[:, 0], "speed": read[:, 1]})
+
+
+def motor_study(folder: Path, step: float = 0.02, **changes: str) -> Path:
+    """motor.py with texts of it replaced, two logs to learn from, and a study."""
+    model = motor_file(folder, **changes)
+    for seed, name in enumerate(("a", "b")):
+        motor_log(folder / f"{name}.csv", seed, step)
+    path = folder / "study.yaml"
+    path.write_text(f"model: {model.name}:Motor\nlogs: {{estimation: [a.csv, b.csv]}}\n")
+    return path
+
+
+def motor_file(folder: Path, stated: str = "", inductance: str = "2.04e-3") -> Path:
+    """motor.py, with a substep if one is to be stated, and another inductance [H]."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = MODEL.replace("parameter(2.04e-3", f"parameter({inductance}")
+    line = '    calibrated = ("resistance", "inertia")\n'
+    (folder / "motor.py").write_text(text.replace(line, line + (f"    substep = {stated}\n" if stated else "")))
+    return folder / "motor.py"

@@ -1,0 +1,201 @@
+"""The substep follows the fastest mode of the model, alike in kernel and FMUs; what runs away is no traceback."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim import linear_algebra
+from cosim.checks import check_files
+from cosim.errors import InputError
+from cosim.estimation.posing import build_problem, own_run
+from cosim.logs.log import read_log
+from cosim.models.file import LoadedModel, load_model, named_model, read_model, write_model
+from cosim.models.fmus import build as build_fmus
+from cosim.models.substep import MAX_CHOSEN, with_substep
+from cosim.refinement.workflow import refine
+from cosim.registry import MODELS
+from cosim.residuals.windows import replay
+from plant.model import Model
+from tests.motor import motor_file, motor_log, motor_study
+
+WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft
+
+
+def motor(folder: Path, **changes: str) -> LoadedModel:
+    return load_model(f"{motor_file(folder, **changes)}:Motor", Path())
+
+
+def message_of(call: Callable[[], object]) -> str:
+    with pytest.raises(InputError) as caught:
+        call()
+    (fault,) = caught.value.faults
+    return str(fault)
+
+
+def test_the_default_substep_follows_a_fast_winding(tmp_path: Path) -> None:
+    loaded, said = with_substep(motor(tmp_path))
+    substep = loaded.model.substep
+    assert 0.8 * MAX_CHOSEN <= substep * WINDING <= MAX_CHOSEN  # no shorter than it must be
+    rows = loaded.model.rate / substep
+    assert rows == pytest.approx(round(rows), abs=1e-9)  # a whole part of the rate
+    (sentence,) = said
+    assert "current has a fast mode" in sentence
+    assert "0.833" in sentence  # ms, what is chosen
+    assert "5.00" in sentence  # ms, the default
+
+
+@pytest.mark.parametrize(("stated", "inductance"), [("0.001", "2.04e-3"), ("0.0045", "2.04e-3"), ("", "0.1")])
+def test_a_substep_that_is_stated_and_stable_or_a_default_that_suits_is_kept(
+    tmp_path: Path, stated: str, inductance: str
+) -> None:
+    loaded = motor(tmp_path, stated=stated, inductance=inductance)
+    assert with_substep(loaded) == (loaded, [])
+    assert loaded.model.substep == float(stated or Model.substep)
+
+
+def test_a_stated_substep_that_is_unstable_is_refused_with_its_cure(tmp_path: Path) -> None:
+    said = message_of(lambda: with_substep(motor(tmp_path, stated="0.005")))
+    line = 1 + (tmp_path / "motor.py").read_text().splitlines().index("    substep = 0.005")
+    assert f"motor.py:{line}:" in said
+    assert "current has a fast mode" in said
+    assert "state at most 1.73" in said  # ms, 1/578 s
+
+
+def test_a_model_that_needs_more_than_a_hundred_substeps_is_refused_with_its_cure(tmp_path: Path) -> None:
+    said = message_of(lambda: with_substep(motor(tmp_path, inductance="1e-4")))  # 12 000 1/s
+    assert "Motor is stiff: current" in said
+    assert "algebraic equation" in said
+    stated = motor(tmp_path, inductance="1e-4", stated="0.0001")
+    assert with_substep(stated) == (stated, [])  # its author pays for it
+
+
+def test_a_mode_that_is_fast_on_the_way_only_counts(tmp_path: Path) -> None:
+    """A winding that saturates: at the start it is slow, at the current of the log fast."""
+    file = motor_file(tmp_path)
+    text = file.read_text().replace("/ self.inductance", "* (0.02 + current * current) / self.inductance")
+    file.write_text(text)
+    loaded = load_model(f"{file}:Motor", Path())
+    assert with_substep(loaded)[1] == []
+    signals = loaded.model.inputs, loaded.model.outputs
+    log = read_log(motor_log(tmp_path / "a.csv", 1), *signals)
+    chosen, (said,) = with_substep(loaded, [log])
+    assert "s of a.csv" in said  # where it was fast
+    assert chosen.model.substep < Model.substep
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name].model])
+def test_models_of_the_registry_suit_their_substep(name: str) -> None:
+    """They are not looked at by `with_substep`, which would take as long as the rest of a check."""
+    stranger = LoadedModel(named_model(name), "a.py:Model")
+    assert with_substep(stranger) == (stranger, [])
+
+
+@pytest.mark.parametrize("kind", ["python", "native"])
+def test_kernel_and_fmu_take_the_same_substeps(tmp_path: Path, kind: str) -> None:
+    given = motor(tmp_path)
+    loaded, _ = with_substep(given)
+    log = read_log(motor_log(tmp_path / "a.csv", 1, seconds=4.0), loaded.model.inputs, loaded.model.outputs)
+    name = str(tmp_path / "motor.py:Motor")
+    (fmu,) = build_fmus(tmp_path / "built", name, native=kind == "native")
+    problem = build_problem(loaded.model, [log])
+    start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
+    through, kernel = replay(log, fmu, start), own_run(problem, 0)
+    for k, output in enumerate(problem.layout.outputs):
+        assert np.max(np.abs(through.outputs[output] - kernel.outputs[:, k])) < 1e-9
+    exact = own_run(build_problem(loaded.model.with_substep(1e-5), [log]), 0)
+    assert np.max(np.abs(exact.outputs - kernel.outputs)) < 2e-3  # A and rad/s; 5e-4 of the steps of 10 A
+
+
+def test_a_model_file_keeps_the_substep(tmp_path: Path) -> None:
+    loaded, _ = with_substep(motor(tmp_path))
+    write_model(tmp_path / "model.yaml", loaded)
+    read = read_model(tmp_path / "model.yaml")
+    assert read.model.substep == loaded.model.substep
+    assert with_substep(read) == (read, [])
+    (tmp_path / "model.yaml").write_text(f"model: {loaded.source}\nsubstep: 0.005\n")
+    assert "unstable" in message_of(lambda: with_substep(read_model(tmp_path / "model.yaml")))
+
+
+def test_check_tells_the_substep_of_model_log_and_study(tmp_path: Path) -> None:
+    study = motor_study(tmp_path)
+    file = tmp_path / "motor.py"
+    for name, model in (
+        (study, "base"),
+        (file, "base"),
+        (f"{file}:Motor", "base"),
+        (tmp_path / "a.csv", f"{file}:Motor"),
+    ):
+        assert sum("integrated in substeps of 0.833" in line for line in check_files(name, model)) == 1
+
+
+def test_a_motor_is_refined_though_its_default_substep_is_unstable(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    r = refine(motor_study(tmp_path), tmp_path / "out")
+    (effect,) = r.record["effects"]
+    assert effect["name"] == "dry_friction"
+    low, high = effect["parameters"]["level"]["ci95"]
+    assert low - (high - low) < 0.01 < high + (high - low)
+    assert read_model(tmp_path / "out" / "model.yaml").model.substep * WINDING <= MAX_CHOSEN
+    assert capfd.readouterr().out == ""  # LAPACK's complaints would stand here
+
+
+def test_a_model_that_runs_away_is_told_with_its_log_and_time(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """dx/dt = x·exp(5x²) from 8 m ends at once; the stated substep is not to blame, for no mode decays."""
+    (tmp_path / "runaway.py").write_text(RUNAWAY)
+    rows = [f"{0.02 * k:.2f},{math.sin(k):.4f},{8 + 0.01 * math.cos(7 * k):.4f}" for k in range(300)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,u,x", *rows]) + "\n")
+    (tmp_path / "study.yaml").write_text("model: runaway.py:Runaway\nlogs: {estimation: [a.csv]}\n")
+    said = message_of(lambda: refine(tmp_path / "study.yaml", tmp_path / "out"))
+    assert "a.csv: Runaway runs away on this log" in said
+    assert not list((tmp_path / "out").glob("*"))
+    assert capfd.readouterr().out == ""
+
+
+RUNAWAY = '''
+from dataclasses import dataclass
+
+from plant.model import Equations, Model
+from plant.quantities import Quantity, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Runaway(Model):
+    """ẋ = x·exp(a·x²) + u."""
+
+    base_states = (Quantity("x", "m", "position"),)
+    inputs = (Quantity("u", "m/s", "speed"),)
+    outputs = base_states
+    sensor_variance = {"x": 1e-4}
+    forced = ("x",)
+    calibrated = ("a",)
+    substep = 0.005
+    a: float = parameter(5.0, unit="1/m2", bounds=(0, 1e9), doc="growth")
+
+    def equations(self, m):
+        return Equations(lambda t, x, u: (m.exp(self.a * x[0] * x[0]) * x[0] + u[0],), lambda t, x, u: x)
+'''
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_gets_zeros_and_no_word_of_lapack(wrong: float, capfd: pytest.CaptureFixture[str]) -> None:
+    A, b = np.eye(3), np.ones(3)
+    A[1, 2] = wrong
+    assert linear_algebra.least_squares(A, b).tolist() == [0.0, 0.0, 0.0]
+    assert linear_algebra.least_squares(np.eye(3), b * wrong).tolist() == [0.0, 0.0, 0.0]
+    assert linear_algebra.pseudo_inverse(A[:2]).shape == (3, 2)
+    assert linear_algebra.solution(A, b).tolist() == [0.0, 0.0, 0.0]
+    assert linear_algebra.eigenvalues(A).size == 0
+    assert np.isfinite(linear_algebra.orthonormal(A)).all()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_singular_equations_get_the_least_solution() -> None:
+    assert linear_algebra.solution(np.ones((2, 2)), np.ones(2)) == pytest.approx([0.5, 0.5], abs=1e-12)
