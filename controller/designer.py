@@ -9,7 +9,7 @@ from typing import Any
 
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIVE, PredictiveSettings, conflicts
+from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIONS, PREDICTIVE, TIME_VARIANT, conflicts
 from plant.design import Judged, Objection, Option
 from plant.hovercraft import Hovercraft
 from plant.model import Model
@@ -22,7 +22,7 @@ WEIGHTS = (
     "weight_psi_dot",
 )  # the fifth state has no place in the predictive law
 DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # of `design_model`
-BY_WEIGHTS = ("", INTEGRAL, PREDICTIVE)
+BY_WEIGHTS = ("", INTEGRAL, *PREDICTIONS)
 Place = tuple[str | int, ...]
 
 
@@ -32,7 +32,7 @@ class LqrDesigner:
     Q and R mean the same to every law that has weights, so that a scenario may swap its controller by one line.
     """
 
-    version = 5
+    version = 6
     options: Mapping[str, Option] = {
         "Q": Option(
             "weights of the five states, diagonal, eq 6.4",
@@ -46,12 +46,14 @@ class LqrDesigner:
             "poles [rad/s]: three of the forward axis, then two of the turn", PLACED, 5, complex=True, laws=(POLES,)
         ),
         "Q_integral": Option("weights of the integrals of x and ψ", (0.3, 0.05), 2, laws=(INTEGRAL,)),
-        "Q_lateral": Option("weights of y and its rate", (1.0, 0.5), 2, positive=False, laws=(PREDICTIVE,)),
-        "R_duty": Option("weight of the duty of each motor [1/%²]", 1.0, laws=(PREDICTIVE,)),
-        "duty_limits": Option("least and greatest duty [%]", (6.0, 7.0), 2, laws=(PREDICTIVE,)),
-        "speed_max": Option("greatest speed forward or back [m/s]", laws=(PREDICTIVE,)),
-        "horizon": Option("how far is predicted [s]", 2.0, laws=(PREDICTIVE,)),
-        "estimator": Option("Kalman filter of the controller", choices=ESTIMATORS),
+        "Q_lateral": Option("weights of y and its rate", (1.0, 0.5), 2, positive=False, laws=PREDICTIONS),
+        "R_duty": Option("weight of the duty of each motor [1/%²]", 1.0, laws=PREDICTIONS),
+        "duty_limits": Option("least and greatest duty [%]", (6.0, 7.0), 2, laws=PREDICTIONS),
+        "speed_max": Option("greatest speed forward or back [m/s]", laws=PREDICTIONS),
+        "horizon": Option("how far is predicted [s]", 2.0, laws=PREDICTIONS),
+        "estimator": Option(
+            "Kalman filter of the controller", choices=ESTIMATORS, laws=("", POLES, INTEGRAL, PREDICTIVE)
+        ),
         "thrust_nominal": Option("thrust per propeller in ground effect T_N [N], over the model's"),
         "lag": Option("lag of the design model [s], over the model's"),
     }
@@ -72,16 +74,16 @@ class LqrDesigner:
         from controller.synthesis import numbers_of
 
         numbers = numbers_of(model) if isinstance(model, Hovercraft) else {}
-        settings = replace(Settings(), **{**numbers, **self.given(options)})
-        if law == PREDICTIVE:
-            return self._predictive(options, model, numbers)
+        if law in PREDICTIONS:
+            return self._predictive(options, model, numbers, law)
+        settings = replace(Settings(), **{**numbers, **self.given(options, law)})
         return self._gains(options, settings, law) | numbers
 
     def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
         """Options out of the bounds of what they become, poles that cannot be, two weights where there is one."""
         from controller.placement import pole_faults
 
-        declared = {p.name: p for p in parameters_of(PredictiveSettings)}
+        declared = {p.name: p for p in parameters_of(_settings(law))}
         found = []
         for name, (about, value) in _becomes(options, law).items():
             low, high = declared[name].bounds
@@ -91,7 +93,7 @@ class LqrDesigner:
         if law == POLES:
             poles = [complex(pole) for pole in options["poles"]]
             found += [Objection(("poles", k), said) for k, said in pole_faults(poles)]
-        if law == PREDICTIVE and options["R"][0] != options["R"][1]:
+        if law in PREDICTIONS and options["R"][0] != options["R"][1]:
             said = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
             found.append(Objection(("R",), said))
         return found
@@ -105,41 +107,61 @@ class LqrDesigner:
         return gains | ({} if K_i is None else {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)})
 
     def _predictive(
-        self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float]
+        self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float], law: str
     ) -> dict[str, float]:
-        """Of the predictive law: weights and limits, and more numbers of the craft."""
-        from controller.synthesis import roll_numbers_of
+        """Of the predictive laws: weights and limits, and more numbers of the craft."""
+        values = {**numbers, **{name: float(value) for name, (_, value) in _becomes(options, law).items()}}
+        if isinstance(model, Hovercraft) and law == TIME_VARIANT:
+            from controller.time_variant_settings import OF_CRAFT
 
-        values = {name: float(value) for name, (_, value) in _becomes(options, PREDICTIVE).items()}
-        values |= numbers
-        if isinstance(model, Hovercraft):
+            values |= {name: getattr(model, name) for name in OF_CRAFT if name not in values}
+        elif isinstance(model, Hovercraft):
+            from controller.synthesis import roll_numbers_of
+
             values |= roll_numbers_of(model)
         return values
 
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
         """Why the predictive law would have no solution, or gains would not be stable on the craft that flies."""
         own = {name: v for name, v in own.items() if name == "estimator" or not isinstance(v, str)}  # with a unit
-        if law == PREDICTIVE:
-            settings = {p.name: p.default for p in parameters_of(PredictiveSettings)} | {**values, **own}
+        if law in PREDICTIONS:
+            settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(_settings(law))} | {**values, **own})
+            faults = conflicts(settings)
+            if law == TIME_VARIANT:
+                from controller.time_variant_settings import craft_faults
+
+                faults += craft_faults(settings)
             becomes = _becomes(options, law)
             return Judged(
                 [
                     Objection(next((becomes[n][0] for n in names if n in becomes), ()), said, names)
-                    for names, said in conflicts(SimpleNamespace(**settings))
+                    for names, said in faults
                 ]
             )
         from controller.judging import judged_gains
 
         return judged_gains(values, own, options, law)
 
-    def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Estimator, thrust and lag."""
-        return {k: v for k in ("thrust_nominal", "lag", "estimator") if (v := options.get(k)) is not None}
+    def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
+        """Estimator, thrust and lag; the law with a filter of its own leaves the estimator aside."""
+        names = ("thrust_nominal", "lag", *(["estimator"] if law in self.options["estimator"].laws else []))
+        return {k: v for k in names if (v := options.get(k)) is not None}
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
-        """What enters eqs 5.33/5.34; the predictive law designs as it starts, with the numbers that it then has."""
-        defaults = {} if law == PREDICTIVE else {name: getattr(Settings(), name) for name in DESIGN_NUMBERS}
+        """What enters eqs 5.33/5.34; a predictive law designs as it starts, with the numbers that it then has."""
+        defaults = {} if law in PREDICTIONS else {name: getattr(Settings(), name) for name in DESIGN_NUMBERS}
         return {**defaults, **{n: v for n, v in designed.items() if n in DESIGN_NUMBERS}}
+
+
+def _settings(law: str) -> Any:
+    """Return the settings of a predictive law; they know the numbers that options become."""
+    if law == TIME_VARIANT:
+        from controller.time_variant_settings import TimeVariantSettings
+
+        return TimeVariantSettings
+    from controller.variants import PredictiveSettings
+
+    return PredictiveSettings
 
 
 def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
@@ -147,7 +169,7 @@ def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, flo
     found: dict[str, tuple[Place, float]] = {
         name: ((name,), options[name]) for name in ("thrust_nominal", "lag") if options.get(name) is not None
     }
-    if law != PREDICTIVE:
+    if law not in PREDICTIONS:
         return found
     found |= {name: (("Q", k), q) for k, (name, q) in enumerate(zip(WEIGHTS, options["Q"], strict=False))}
     for option, names in (

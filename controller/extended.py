@@ -12,6 +12,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from controller.design_model import Matrix
 from controller.gains import Settings, variance
+from controller.slopes import Slopes
 from plant.hovercraft import Hovercraft
 from plant.integrate import Moment, Stepper
 from plant.model import Parametric
@@ -108,9 +109,8 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
     def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:
         super().__init__(len(STATES), len(SENSED))
         self.x: Matrix = np.zeros(len(STATES))
-        self.settings, self.printed = settings, jacobians
+        self.settings, self.slopes = settings, Slopes(model, jacobians)
         self.stepper = Stepper(model)
-        self.numbers = [float(getattr(model, name)) for name in jacobians["PARAMETERS"]]
         self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
         self.P = np.zeros((len(STATES), len(STATES)))
         self.noise, self.R = np.diag(settings.process_variances), np.diag(settings.measurement_variances)
@@ -130,13 +130,7 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
 
     def slope(self, name: str, shape: tuple[int, int]) -> Matrix:
         """∂f/∂x or ∂h/∂x at the estimate."""
-        places = self.printed[name.upper()]
-        entries = [0.0] * len(places)
-        self.printed[f"{name}_jacobian"](0.0, self.x.tolist(), self.command, self.numbers, entries)
-        matrix = np.zeros(shape)
-        for (i, j), entry in zip(places, entries, strict=True):
-            matrix[i, j] = entry
-        return matrix
+        return self.slopes.at(name, self.x, self.command, shape)
 
     def sensed(self, x: Matrix) -> Matrix:
         """(ψ, ψ̇, a_x)."""
@@ -216,3 +210,10 @@ class ExtendedFilter:
         """Go back to a snapshot, bit for bit."""
         self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
         self.fix, self.nis = snapshot["fix"], snapshot["nis"]
+
+
+def level_tilt(model: Hovercraft, a: float) -> float:
+    """The tilt [rad] of both propellers at which the hovering craft's thrust acceleration is a [m/s²]; at most ±90°."""
+    stepper = Stepper(model)
+    outputs = dict(zip((q.name for q in model.outputs), stepper.output(0.0, model.start(), ()), strict=True))
+    return math.asin(max(-1.0, min(1.0, a * model.mass / (outputs["thrust_right"] + outputs["thrust_left"]))))

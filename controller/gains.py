@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.model import Parametric
@@ -45,7 +46,9 @@ def variance(default: float, unit: str, doc: str) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(Parametric):
-    """Parameters of the controller FMU; the estimator is one of `ESTIMATORS`."""
+    """Parameters of the controller FMU; the estimator is one of `estimators`."""
+
+    estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
 
     k_1_1: float = gain(K_X, "right", "x")
     k_1_2: float = gain(K_VX, "right", "vx")
@@ -94,8 +97,9 @@ class Settings(Parametric):
             super().__post_init__()
         except ValueError as error:
             faults.append(str(error))
-        if self.estimator not in ESTIMATORS:
-            faults.append(f"estimator is {self.estimator!r}; it is one of {', '.join(ESTIMATORS)}")
+        if self.estimator not in self.estimators:
+            allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
+            faults.append(f"estimator is {self.estimator!r}; {allowed}")
         if faults:
             raise ValueError("; ".join(faults))
 

@@ -10,12 +10,13 @@ from scipy.linalg import solve_discrete_are
 
 from controller.design_model import Matrix
 from controller.full_model import INPUTS, STATES, full_model, held
-from controller.variants import PredictiveSettings
+from controller.variants import PredictionSettings, PredictiveSettings
 
 # x_world and y_world say over again what x and y say, and carry no weight: twelve states are predicted of fourteen.
 PREDICTED = [k for k, name in enumerate(STATES) if not name.endswith("_world")]
 NAMES = [STATES[k] for k in PREDICTED]
 BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps of the prediction over which a command is held; the last one to its end
+VX = NAMES.index("vx")
 SOLVED, AT_LIMIT = (1, 2), -4  # DAQP's flags: optimal, and where a soft limit is exceeded; too many iterations
 HARD, SOFT = 0, 8  # its kinds of limits
 ROUNDING = 1e-9  # multipliers below are those of no limit
@@ -25,6 +26,7 @@ class Found(NamedTuple):
     """What the solver came to.
 
     command: the first one, a deviation from rest
+    every:   all of them, scaled
     hot:     multipliers, whose signs say at which limits the next sample starts
     flag:    how it ended, one of DAQP's
     """
@@ -33,6 +35,7 @@ class Found(NamedTuple):
     hot: Matrix
     iterations: int
     flag: int
+    every: Matrix
 
     @property
     def solved(self) -> bool:
@@ -41,9 +44,9 @@ class Found(NamedTuple):
 
 
 class Condensed(NamedTuple):
-    """A cost ½·U'·H·U + (f·z)'·U over the commands U of all blocks, from the deviation z on.
+    """A cost ½·U'·H·U + f'·U over the commands U of all blocks, and the states at each step, free + forced·U.
 
-    free, forced: what vx is at each step, free·z + forced·U
+    Of a deviation z that is still open, f and free have a column for each of its components.
     """
 
     H: Matrix
@@ -51,8 +54,26 @@ class Condensed(NamedTuple):
     free: Matrix
     forced: Matrix
 
+    def at(self, z: Matrix) -> Condensed:
+        """Return the cost from the deviation z on."""
+        return self._replace(f=self.f @ z, free=self.free @ z)
 
-def limits(p: PredictiveSettings) -> tuple[Matrix, Matrix, Matrix]:
+
+class Steps(NamedTuple):
+    """What a prediction goes by, step j of N: z_{j+1} = F_j·z_j + G_j·u_j + e_j, and its weights.
+
+    F (N, n, n), G (N, n, m), e (N, n, 1); Q, R of a step, P (n, n) of the last state
+    """
+
+    F: Matrix
+    G: Matrix
+    e: Matrix
+    Q: Matrix
+    R: Matrix
+    P: Matrix
+
+
+def limits(p: PredictionSettings) -> tuple[Matrix, Matrix, Matrix]:
     """Command at rest, and how far it may go down and up: duties [%], tilts [rad]."""
     rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
     low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - rest
@@ -66,34 +87,53 @@ def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
     return A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]
 
 
-def condensed(p: PredictiveSettings, scale: Matrix) -> Condensed:
-    """The cost over the horizon: z_{j+1} = F·z_j + G·u_j, weights times the step, at the end the LQR's cost to go."""
+def steady(p: PredictiveSettings) -> Steps:
+    """Return the steps of a prediction that is linearised once, at hover."""
     F, G = held(*predicted(p), p.prediction_step)
-    Q, R = (p.prediction_step * weight for weight in weights(p))
-    blocks, n = block_lengths(round(p.horizon / p.prediction_step)), len(INPUTS)
-    last, G = solve_discrete_are(F, G, Q, R), G * scale
-    free, forced = np.eye(len(F)), np.zeros((len(F), n * len(blocks)))
-    H, f = np.zeros((forced.shape[1],) * 2), np.zeros((forced.shape[1], len(F)))
-    speeds, vx = [], NAMES.index("vx")
-    of_step = np.repeat(np.arange(len(blocks)), blocks)
-    for j, block in enumerate(of_step):
-        here = slice(n * block, n * (block + 1))
-        # z_j = free·z_0 + forced·U
-        free, forced = F @ free, F @ forced
-        forced[:, here] += G
-        weight = last if j == len(of_step) - 1 else Q
-        H += forced.T @ weight @ forced
-        H[here, here] += scale[:, None] * R * scale
-        f += forced.T @ weight @ free
-        speeds.append((free[vx], forced[vx]))
-    return Condensed(H, f, np.array([row for row, _ in speeds]), np.array([row for _, row in speeds]))
+    n, (Q, R) = len(of_steps(p)), (p.prediction_step * weight for weight in weights(p))
+    return Steps(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), np.zeros((n, len(F), 1)), Q, R, cost_to_go(F, G, Q, R))
 
 
-def weights(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
+def cost_to_go(F: Matrix, G: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+    """Return P of the LQR's cost z'·P·z from the end of the horizon on."""
+    return np.asarray(solve_discrete_are(F, G, Q, R))
+
+
+def condensed(p: PredictionSettings, steps: Steps, start: Matrix, scale: Matrix) -> Condensed:
+    """Return the cost over the horizon, Σ (z'·Q·z + u'·R·u) + z_N'·P·z_N, as one of the scaled commands alone.
+
+    start: z_0 as a column, or the unit matrix where it is open
+    """
+    of_step, k, m = of_steps(p), start.shape[1], len(INPUTS)
+    columns = k + m * of_step[:, None] + np.arange(m)  # those of each step's commands
+    added = np.zeros((len(of_step), len(start), k + m * (of_step[-1] + 1)))
+    added[:, :, :k] = steps.e
+    np.put_along_axis(added, columns[:, None], steps.G * scale, axis=2)
+    both = np.zeros((len(of_step) + 1, *added.shape[1:]))
+    both[0, :, :k] = start
+    for F, before, after, more in zip(steps.F, both[:-1], both[1:], added, strict=True):
+        np.dot(F, before, after)  # z_j = free·z_0 + forced·U
+        after += more
+    found, last = both[1:], both[-1]
+    counts = np.flatnonzero(np.diag(steps.Q))
+    weighed = np.sqrt(np.diag(steps.Q)[counts])[:, None] * found[:-1, counts]
+    # a small product for each step: of one large one, threads would make the last digits, and take longer
+    costs = (weighed[..., k:].transpose(0, 2, 1) @ weighed).sum(axis=0) + last[:, k:].T @ steps.P @ last
+    H = costs[:, k:] + np.kron(np.diag(np.bincount(of_step)), scale[:, None] * steps.R * scale)
+    return Condensed(H, costs[:, :k], found[:, :, :k], found[:, :, k:])
+
+
+def weights(p: PredictionSettings) -> tuple[Matrix, Matrix]:
     """Q (12, 12) and R (4, 4), per second."""
     of_state = {name: getattr(p, f"weight_{name}") for name in ("x", "y", "psi", "vx", "vy", "psi_dot")}
     of_input = p.weight_duty, p.weight_duty, p.weight_tilt, p.weight_tilt
     return np.diag([of_state.get(name, 0.0) for name in NAMES]), np.diag(of_input)
+
+
+def of_steps(p: PredictionSettings) -> Matrix:
+    """Return the block of commands that each step of the prediction has."""
+    lengths = block_lengths(round(p.horizon / p.prediction_step))
+    return np.repeat(np.arange(len(lengths)), lengths)
 
 
 def block_lengths(steps: int) -> list[int]:
@@ -106,40 +146,39 @@ def block_lengths(steps: int) -> list[int]:
     return lengths
 
 
-class Problem:
-    """The program, set up once; of a sample only its linear term and the limits of speed are new.
+class Program:
+    """The quadratic program of a sample: the condensed cost, limits of commands, a limit of speed where there is one.
 
     A limit of speed |vx| ≤ speed_max holds at every step of the prediction, yet is soft: there always is a solution.
     """
 
-    def __init__(self, p: PredictiveSettings) -> None:
+    def __init__(self, p: PredictionSettings) -> None:
         _, low, high = limits(p)
+        of_step = of_steps(p)
         self.scale = np.maximum(-low, high)
-        self.cost = cost = condensed(p, self.scale)
-        blocks = len(cost.H) // len(INPUTS)
+        blocks = int(of_step[-1]) + 1
         self.low, self.high = np.tile(low / self.scale, blocks), np.tile(high / self.scale, blocks)
-        limited = slice(len(cost.free) if p.speed_max > 0 else 0)
-        self.free, self.most = cost.free[limited], np.full(len(cost.free[limited]), p.speed_max)
-        self.rows = np.ascontiguousarray(cost.forced[limited])
-        self.kinds = np.array([HARD] * len(cost.H) + [SOFT] * len(self.most), dtype=np.int32)
+        self.limited = slice(len(of_step) if p.speed_max > 0 else 0)
+        self.most = np.full(len(of_step[self.limited]), p.speed_max)
+        self.kinds = np.array([HARD] * len(self.low) + [SOFT] * len(self.most), dtype=np.int32)
         self.iterations = int(p.iterations_max)
 
     def cold(self) -> Matrix:
         """Where the first sample starts from: no limit touched."""
         return np.zeros(len(self.kinds))
 
-    def solve(self, z: Matrix, hot: Matrix) -> Found:
-        """The best commands from the deviation z on, started from the multipliers of the sample before.
+    def solve(self, cost: Condensed, hot: Matrix) -> Found:
+        """The best commands, started from the multipliers of the sample before.
 
         Where the limit of iterations comes first: those without limits, cut off at them.
         """
-        f, free = self.cost.f @ z, self.free @ z
+        free, rows = cost.free[self.limited, VX], np.ascontiguousarray(cost.forced[self.limited, VX])
         high, low = np.concatenate([self.high, self.most - free]), np.concatenate([self.low, -self.most - free])
         U, _, flag, info = daqp.solve(
-            self.cost.H, f, self.rows, high, low, self.kinds, iter_limit=self.iterations, dual_start=hot
+            cost.H, cost.f, rows, high, low, self.kinds, iter_limit=self.iterations, dual_start=hot
         )
         if flag in SOLVED:
             hot = np.where(np.abs(info["lam"]) > ROUNDING, info["lam"], 0.0)
         else:  # what it leaves then is not all written
-            U, hot = np.clip(-np.linalg.solve(self.cost.H, f), self.low, self.high), self.cold()
-        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag))
+            U, hot = np.clip(-np.linalg.solve(cost.H, cost.f), self.low, self.high), self.cold()
+        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag), np.array(U))

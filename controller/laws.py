@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from controller.gains import Settings
 from controller.lqr import feedback
+from controller.observers import LinearFilter
 from controller.variants import IntegralSettings
 
 
@@ -27,8 +28,32 @@ class Seen(NamedTuple):
     started: bool = False
 
 
+class Estimator(Protocol):
+    """What a law is given its estimate by."""
+
+    def step(self, measured: Sequence[float], command: Sequence[float], fix: float, position: Sequence[float]) -> None:
+        """Take one sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, number and place of a fix."""
+
+    @property
+    def estimate(self) -> tuple[float, ...]:
+        """(x, ẋ, ψ, ψ̇, a), then y."""
+
+    @property
+    def sigma(self) -> tuple[float, ...]:
+        """Standard deviations of x, ψ and y that it believes in."""
+
+    def snapshot(self) -> Any:
+        """Return all that decides its future, as JSON knows it."""
+
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a snapshot, bit for bit."""
+
+
 class Law(Protocol):
     """A control law."""
+
+    def estimator(self, p: Any, x_hat: Sequence[float], fix: float) -> Estimator:
+        """Return the estimator of this law, which starts at x_hat (x, ẋ, ψ, ψ̇, a)."""
 
     @property
     def duties(self) -> tuple[float, float]:
@@ -55,7 +80,15 @@ def wanted(seen: Seen) -> tuple[float, ...]:
     return seen.x_ref, 0.0, seen.psi_ref, 0.0, 0.0
 
 
-class StateFeedback:
+class OfLinearFilter:
+    """A law that takes its estimate from the Kalman filter that the settings name."""
+
+    def estimator(self, p: Settings, x_hat: Sequence[float], fix: float) -> Estimator:
+        """Return the linear filter."""
+        return LinearFilter(p, x_hat, fix)
+
+
+class StateFeedback(OfLinearFilter):
     """u = sat(−K·(x̂ − x_ref), ±tilt_max), eq 6.1; K by LQR or by pole placement."""
 
     def __init__(self, p: Settings) -> None:
@@ -82,7 +115,7 @@ class StateFeedback:
         """Nor is there anything to go back to."""
 
 
-class IntegralFeedback:
+class IntegralFeedback(OfLinearFilter):
     """u = sat(−K·(x̂ − x_ref) − K_i·ξ, ±tilt_max), ξ the integrals of what is measured less its reference.
 
         ξ₁ += Δt·(x_meas − x_ref) once there is a fix, Δt·(x̂ − x_ref) before;   ξ₂ += Δt·(ψ_meas − ψ_ref)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from controller.design_model import fix_matrix
 from controller.gains import Settings
-from controller.kalman import kalman_filter
 from controller.laws import Law, Seen, StateFeedback
 
 
 class Loop:
     """The controller at run time. Order at a sample: predict with the last command, update with (ψ, ψ̇, a_x), feed back.
+
+    With the linear filter, which a law takes that has none of its own:
 
         x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
         K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
@@ -41,9 +38,7 @@ class Loop:
     ) -> None:
         self.settings = settings
         self.law = StateFeedback(settings) if law is None else law
-        self.filter = kalman_filter(settings, np.array(x_hat, dtype=float))
-        self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag(settings.fix_variances)
-        self.fix = fix
+        self.estimator = self.law.estimator(settings, x_hat, fix)
         self.command = self.law.command(self.estimate, Seen(x_ref, psi_ref, y_ref, fix=fix))
 
     def step(
@@ -61,11 +56,7 @@ class Loop:
 
         fix: the number of the latest fix, 0 before the first; where it has changed, x_meas and y_meas [m] are it
         """
-        self.filter.predict(u=np.array(self.command))
-        self.filter.update(np.array(measured))
-        if fix != self.fix:
-            self.fix = fix
-            self.filter.update(np.array([x_meas]), self.fix_noise, self.fix_matrix)
+        self.estimator.step(measured, (*self.law.duties, *self.command), fix, (x_meas, y_meas))
         seen = Seen(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
         self.command = self.law.command(self.estimate, seen)
         return self.command
@@ -73,23 +64,24 @@ class Loop:
     @property
     def estimate(self) -> list[float]:
         """x̂ = (x, ẋ, ψ, ψ̇, a)."""
-        x_hat: list[float] = self.filter.x.tolist()
-        return x_hat
+        return list(self.estimator.estimate[:5])
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of x [m] and ψ [rad] the filter believes in; a rounding below zero counts as zero."""
-        P = self.filter.P
-        return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2]))
+        """Standard deviations of x [m] and ψ [rad] the filter believes in."""
+        x, psi, *_ = self.estimator.sigma
+        return x, psi
 
     def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, as plain numbers: x̂, P, last command, last fix, what the law remembers."""
-        last = {"command": list(self.command), "fix": self.fix, "law": self.law.snapshot()}
-        return {"x": self.estimate, "P": self.filter.P.tolist(), **last}
+        """All that decides the future, as plain numbers: the estimator's, last command, what the law remembers."""
+        return {
+            "estimator": self.estimator.snapshot(),
+            "command": list(self.command),
+            "law": self.law.snapshot(),
+        }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go back to a snapshot, bit for bit."""
-        self.filter.x = np.array(snapshot["x"])
-        self.filter.P = np.array(snapshot["P"])
-        self.command, self.fix = tuple(snapshot["command"]), snapshot["fix"]
+        self.estimator.restore(snapshot["estimator"])
+        self.command = tuple(snapshot["command"])
         self.law.restore(snapshot["law"])

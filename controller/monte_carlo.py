@@ -1,11 +1,13 @@
 """Estimators against a truth that is known, over many runs: their normalised errors and innovations.
 
 The truth is the linear model, disturbed with exactly the V of eq 5.47, or the plant, disturbed with the noise that the
-extended filter is given, or the plant as it is. The command is the same in every run; noise is drawn by the seed.
+extended filter is given, or the plant as it is. Every case is judged on two flights: tilts that follow sines, and the
+manoeuvre of App. G. The commands of a flight are the same in every run; noise is drawn by the seed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from controller.design_model import Matrix, measurement_matrix
-from controller.extended import STATES, ExtendedFilter, ExtendedSettings, carried
+from controller.extended import SENSED, STATES, ExtendedFilter, ExtendedSettings, carried
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
+from controller.loop import Loop
 from controller.observers import LinearFilter
 from plant.hovercraft import Hovercraft
 from plant.integrate import Moment, Stepper
@@ -25,6 +28,7 @@ from plant.namespaces import arrays
 SETTLING = 50  # samples after which errors count
 FIX_EVERY = 5  # samples, 10 Hz
 OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position has no inverse
+SENSED_AT = [[q.name for q in Hovercraft.outputs].index(name) for name in SENSED]
 FIVE = [STATES.index(name) for name in ("x", "vx", "psi", "psi_dot")]
 # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
 Squares = Mapping[str, tuple[Matrix, int, Matrix]]
@@ -41,16 +45,68 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Flight:
+    """A motion that estimators are judged on.
+
+    name:     what it is called
+    doc:      what the craft does
+    commands: number of samples → duties and tilts at each, shape (samples, 4)
+    """
+
+    name: str
+    doc: str
+    commands: Callable[[int], Matrix]
+
+
+def sines(steps: int) -> Matrix:
+    """Return tilts [rad] of both propellers that move the craft along and about, with the nominal duties."""
+    t = Settings().sample_time * np.arange(steps)
+    along, about = 0.08 * np.sin(0.9 * t), 0.05 * np.sin(2.3 * t)
+    duty = np.full(steps, Hovercraft().duty_nominal)
+    return np.stack([duty, duty, along + about, along - about], axis=1)
+
+
+@cache
+def manoeuvre(steps: int) -> Matrix:
+    """Return the commands of the LQR on the manoeuvre of App. G, flown without noise."""
+    loop, stepper = Loop(Settings(), (0.0,) * 5, *references(0.0)), Stepper(Hovercraft())
+    moment, dt, found = stepper.start(), loop.settings.sample_time, []
+    for k in range(steps):
+        command = (*loop.law.duties, *loop.command)
+        found.append(command)
+        moment = stepper.step(moment, command, dt)
+        y = stepper.output(moment.t, moment.state, command)
+        loop.step([float(y[j]) for j in SENSED_AT], *references((k + 1) * dt))
+    return np.array(found)
+
+
+def references(t: float) -> tuple[float, float]:
+    """Return x [m] and ψ [rad] that App. G wants at a time: two steps; two steps and a ramp of 45 °/s."""
+    x = 1.5 * ((t >= 5.0) + (t >= 17.0))
+    psi = -0.5 * math.pi * (t >= 1.0) + min(math.pi, max(0.0, 0.25 * math.pi * (t - 10.0)))
+    return x, psi * (t < 22.0)
+
+
+SINES = Flight("sines of the tilts", "tilts of ±0.08 rad together and ±0.05 rad against each other", sines)
+MANOEUVRE = Flight(
+    "manoeuvre of App. G",
+    "by the LQR: turn right by 90° at 1 s, forward 1.5 m at 5 s, turn about at 10 s, forward at 17 s, right at 22 s",
+    manoeuvre,
+)
+
+
+@dataclass(frozen=True)
 class Case:
-    """An estimator and a truth: who estimates, of what, whether fixes come, what it is called."""
+    """An estimator, a truth and a flight: who estimates, of what, whether fixes come, what it is called."""
 
     title: str
     truth: str
     estimator: str
     fixes: bool = False
+    flight: Flight = SINES
 
 
-CASES = (
+ON_SINES = (
     Case("consistent on its own model, disturbed with V", "linear", "consistent"),
     Case("consistent on its own model, with fixes", "linear", "consistent", fixes=True),
     Case("appendix_f on the model of consistent, disturbed with V", "linear", "appendix_f"),
@@ -62,43 +118,34 @@ CASES = (
     Case("consistent on the plant as it is", "plant", "consistent"),
     Case("extended on the plant as it is", "plant", "extended"),
 )
+CASES = (*ON_SINES, *(replace(case, flight=MANOEUVRE) for case in ON_SINES))
 
 
-def commands(steps: int) -> Matrix:
-    """Tilts [rad] of both propellers that move the craft along and about, shape (steps, 4) with the nominal duties."""
-    t = Settings().sample_time * np.arange(steps)
-    along, about = 0.08 * np.sin(0.9 * t), 0.05 * np.sin(2.3 * t)
-    duty = np.full(steps, Hovercraft().duty_nominal)
-    return np.stack([duty, duty, along + about, along - about], axis=1)
-
-
-def linear_truth(runs: int, steps: int, rng: np.random.Generator) -> Truth:
+def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
     """x⁺ = F·x + G·u + w, z = H·x + v of `consistent`, from x = 0; w by V, v by W."""
     p = Settings(estimator="consistent")
     (F, G), H = discrete_model(p), measurement_matrix(p, p.estimator)
-    u = commands(steps)
     x, states = np.zeros((runs, 5)), []
-    for k in range(steps):
+    for k in range(len(u)):
         x = x @ F.T + u[k, 2:] @ G.T + rng.normal(0.0, np.sqrt(p.process_variances), (runs, 5))
         states.append(x)
     return _measured(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, p.fix_variances, u, rng)
 
 
-def plant_truth(runs: int, steps: int, rng: np.random.Generator, *, disturbed: bool) -> Truth:
+def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
     """The plant's equations, all runs at once; disturbed each sample with the noise the extended filter is given."""
-    p, stepper, u = ExtendedSettings(), Stepper(Hovercraft(), arrays()), commands(steps)
+    p, stepper = ExtendedSettings(), Stepper(Hovercraft(), arrays())
     deviation = np.sqrt(p.process_variances) * float(disturbed)
     state = np.tile(np.array(Hovercraft().start()), (runs, 1))
     states, sensors = [], []
-    names = [q.name for q in Hovercraft.outputs]
-    for k in range(steps):
+    for k in range(len(u)):
         G = np.array([carried(psi) for psi in state[:, STATES.index("psi")]])
         moment = stepper.step(Moment(0.0, tuple(state.T)), tuple(u[k]), p.sample_time)
         noise = np.einsum("rij,rj->ri", G, rng.normal(0.0, 1.0, state.shape) * deviation)
         state = np.stack(np.broadcast_arrays(*moment.state), axis=1) + noise
         y = stepper.output(0.0, tuple(state.T), tuple(u[k]))
         states.append(state)
-        sensors.append(np.stack([y[names.index(n)] for n in ("psi", "psi_dot", "ax")], axis=1))
+        sensors.append(np.stack([y[j] for j in SENSED_AT], axis=1))
     S = np.array(states)
     position = S[..., [STATES.index("x"), STATES.index("y")]]
     return _measured(S, np.array(sensors), position, p, p.fix_variances, u, rng)
@@ -106,7 +153,7 @@ def plant_truth(runs: int, steps: int, rng: np.random.Generator, *, disturbed: b
 
 def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
     """Normalised errors and innovations of a case, each (runs, times), after the first second."""
-    truth = _TRUTHS[case.truth](runs, steps, rng)
+    truth = _TRUTHS[case.truth](runs, case.flight.commands(steps), rng)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
     for r in range(runs):
         estimator = _estimator(case.estimator)
@@ -124,10 +171,10 @@ def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> S
     return found
 
 
-_TRUTHS: Mapping[str, Callable[[int, int, np.random.Generator], Truth]] = {
+_TRUTHS: Mapping[str, Callable[[int, Matrix, np.random.Generator], Truth]] = {
     "linear": linear_truth,
-    "disturbed": lambda runs, steps, rng: plant_truth(runs, steps, rng, disturbed=True),
-    "plant": lambda runs, steps, rng: plant_truth(runs, steps, rng, disturbed=False),
+    "disturbed": lambda runs, u, rng: plant_truth(runs, u, rng, disturbed=True),
+    "plant": lambda runs, u, rng: plant_truth(runs, u, rng, disturbed=False),
 }
 
 

@@ -9,7 +9,9 @@ from typing import Any
 from controller.gains import GAINS, Settings
 from plant.quantities import parameter
 
-POLES, INTEGRAL, PREDICTIVE = LAWS = ("poles", "integral", "predictive")  # what `design:` knows; "" is the LQR
+# what `design:` knows; "" is the LQR
+POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT = LAWS = ("poles", "integral", "predictive", "time_variant")
+PREDICTIONS = (PREDICTIVE, TIME_VARIANT)
 INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
 
 # Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn); of the LQR with weights 0.3 and 0.05 of the
@@ -107,8 +109,8 @@ class FullSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictiveSettings(FullSettings):
-    """Of the predictive law: weights, limits, horizon. Its gains `k_i_j` are not used."""
+class PredictionSettings(Settings):
+    """Of every predictive law: weights, limits, horizon. Its gains `k_i_j` are not used."""
 
     weight_x: float = weight(1.0, "1/m2", "x")
     weight_vx: float = weight(0.5, "s2/m2", "vx")
@@ -138,3 +140,8 @@ class PredictiveSettings(FullSettings):
         faults += [said for _, said in conflicts(self)]
         if faults:
             raise ValueError("; ".join(faults))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveSettings(PredictionSettings, FullSettings):
+    """Of the predictive law that is linearised once."""

@@ -53,6 +53,7 @@ LAWS = {  # the craft's controller under another law, with the same ports
     "controller-pole.fmu": "fmus.recipes:poles_recipe",
     "controller-lqi.fmu": "fmus.recipes:integral_recipe",
     "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
+    "controller-ltv-mpc.fmu": "fmus.recipes:time_variant_recipe",
 }
 BASE = "base"  # the first of these
 MODELS = {

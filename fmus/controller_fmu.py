@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -31,9 +32,15 @@ def controller_ports(settings: Settings) -> tuple[Port, ...]:
         *ESTIMATES,
         *sigma_ports("filter"),
         *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
-        Port("estimator", "parameter", settings.estimator, "", "Kalman filter: appendix_f, lagged or consistent"),
+        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {_either(settings.estimators)}"),
         *start_ports("filter"),
     )
+
+
+def _either(names: Sequence[str]) -> str:
+    """Return names to choose from, as people list them."""
+    *first, last = names
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 # What each output depends on at a sample. The axes do not couple; of the inputs only a fix changes the covariance.

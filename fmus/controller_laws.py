@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from controller.laws import IntegralFeedback, Law
+from controller.time_variant_settings import TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
+from fmus.craft_ports import ESTIMATES
 from fmus.ports import Port, Value
 
 Dependencies = Mapping[str, Sequence[str]]
@@ -66,6 +68,23 @@ class HovercraftPredictiveController(HovercraftController):
         return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
 
 
+class HovercraftTimeVariantController(HovercraftController):
+    """Predictive control with A(t), B(t) along the planned motion, on an extended Kalman filter of its own.
+
+    Limits of tilt and duty; holds y as well, given fixes. Needs daqp in its host too.
+    """
+
+    settings = TimeVariantSettings()
+    ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """Return the law; its Jacobians were printed when the FMU was built."""
+        from controller import printed  # type: ignore[attr-defined]
+        from controller.time_variant import TimeVariantLaw
+
+        return TimeVariantLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))
+
+
 def integral_dependencies() -> tuple[Dependencies, Dependencies]:
     """What outputs depend on at a sample, and in initialization mode."""
     tilts = DEPENDENCIES["tilt_right"]
@@ -74,13 +93,21 @@ def integral_dependencies() -> tuple[Dependencies, Dependencies]:
     return at_sample, {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()}
 
 
-def predictive_dependencies() -> tuple[Dependencies, Dependencies]:
-    """What outputs depend on at a sample, and in initialization mode: commands on all there is."""
-    ports = HovercraftPredictiveController.ports
-    inputs = tuple(p.name for p in ports if p.causality == "input")
-    parameters = (p.name for p in ports if p.causality == "parameter" and p.kind == "Real")
+def predictive_dependencies(slave: type[HovercraftController]) -> tuple[Dependencies, Dependencies]:
+    """Return what outputs depend on at a sample, and in initialization mode: commands on all there is."""
+    inputs = tuple(p.name for p in slave.ports if p.causality == "input")
+    parameters = [p.name for p in slave.ports if p.causality == "parameter" and p.kind == "Real"]
     known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
     solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
     at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
     at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
     return at_sample, at_start
+
+
+def time_variant_dependencies() -> tuple[Dependencies, Dependencies]:
+    """Return the same of the law with a filter of its own, which couples what it estimates."""
+    at_sample, at_start = predictive_dependencies(HovercraftTimeVariantController)
+    measured = tuple(n for n in at_sample["tilt_right"] if not n.endswith("_ref"))
+    estimates = (*(p.name for p in ESTIMATES), "x_sigma", "psi_sigma", "y_hat", "y_sigma")
+    known = tuple(n for n in at_start["tilt_right"] if not n.endswith("_ref"))
+    return {**at_sample, **dict.fromkeys(estimates, measured)}, {**at_start, "a_hat": known}

@@ -5,12 +5,11 @@ They need numpy, scipy and filterpy in the Python that hosts them, as the contro
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from controller.extended import ExtendedFilter, ExtendedSettings
+from controller.extended import ExtendedFilter, ExtendedSettings, level_tilt
 from controller.gains import Settings
 from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
 from fmus.craft_ports import ESTIMATE, ESTIMATES, fix_ports, sigma_ports, start_ports
@@ -160,12 +159,3 @@ class HovercraftEkf(Estimator):
         self.sample = settings.sample_time
         self.running = ExtendedFilter(model, settings, vars(printed), start, self.inputs[-1])
         self._publish()
-
-
-def level_tilt(model: Hovercraft, a: float) -> float:
-    """The tilt [rad] of both propellers at which the hovering craft's thrust acceleration is a [m/s²]; at most ±90°."""
-    from plant.integrate import Stepper
-
-    stepper = Stepper(model)
-    outputs = dict(zip((q.name for q in model.outputs), stepper.output(0.0, model.start(), ()), strict=True))
-    return math.asin(max(-1.0, min(1.0, a * model.mass / (outputs["thrust_right"] + outputs["thrust_left"]))))

@@ -44,13 +44,14 @@ def extended_recipe() -> Recipe:
 
 
 def jacobians() -> str:
-    """∂f/∂x of the craft and ∂a_x/∂x, as a Python module; kept in the user's cache."""
+    """Print ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a Python module; kept in the user's cache."""
     from fmus.native.cache import fingerprint, kept
     from plant.hovercraft import Hovercraft
     from plant.symbolic.jacobian import printed_jacobians
 
     code = fingerprint(("plant", "plant.effects", "plant.symbolic"))
-    return str(kept(f"jacobians of the hovercraft, a_x {code}", lambda: printed_jacobians(Hovercraft(), ("ax",))))
+    what = ("ax",), ("yaw_damping",)
+    return str(kept(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what)))
 
 
 def _about(text: str, ports: Sequence[Port]) -> Description:

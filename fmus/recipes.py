@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fmus.build import Recipe, about_model, ordered
@@ -81,7 +82,23 @@ def predictive_recipe() -> Recipe:
     from fmus.controller_laws import HovercraftPredictiveController, predictive_dependencies
 
     text = "Flight controller of the hovercraft: Kalman filter and model predictive control with limits"
-    return _controller(HovercraftPredictiveController, text, predictive_dependencies(), PREDICTIVE, PredictiveLaw)
+    depends = predictive_dependencies(HovercraftPredictiveController)
+    return _controller(HovercraftPredictiveController, text, depends, PREDICTIVE, PredictiveLaw)
+
+
+def time_variant_recipe() -> Recipe:
+    """Return what makes the predictive controller with A(t), B(t)."""
+    from controller.extended import Craft, ExtendedFilter
+    from controller.time_variant import TimeVariantLaw
+    from controller.variants import TIME_VARIANT
+    from fmus.controller_laws import HovercraftTimeVariantController, time_variant_dependencies
+    from fmus.estimator_recipes import jacobians
+
+    text = "Flight controller of the hovercraft: extended Kalman filter and predictive control along the planned motion"
+    more = TimeVariantLaw, ExtendedFilter, Craft
+    slave = HovercraftTimeVariantController
+    recipe = _controller(slave, text, time_variant_dependencies(), TIME_VARIANT, *more)
+    return replace(recipe, printed=(("controller/printed.py", jacobians()),))
 
 
 def _controller(
@@ -90,6 +107,7 @@ def _controller(
     """A controller: its slave, what depends on what at a sample and at the start, its law and what documents that."""
     from controller.kalman import discrete_model
     from controller.loop import Loop
+    from controller.variants import TIME_VARIANT
 
     description = Description(
         about,
@@ -103,7 +121,8 @@ def _controller(
     )
     module = slave.__module__.rpartition(".")[2]
     needed = ("craft_ports",) if module == "controller_fmu" else ("controller_fmu", "craft_ports")
-    text = documented(Loop, discrete_model, *more, slave)
+    own = () if law == TIME_VARIANT else (discrete_model,)
+    text = documented(Loop, *own, *more, slave)
     return Recipe((module, slave.__name__), ("plant", "controller"), description, text, (), needed, without=DESIGNING)
 
 

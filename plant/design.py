@@ -80,8 +80,8 @@ class Designer(Protocol):
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
         """Of designed values, and over them a scenario's `own`, each within its bounds: whether they go together."""
 
-    def given(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Start values that the options say themselves; they win."""
+    def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
+        """Return start values that the options of this law say themselves; they win."""
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
         """Numbers of the plant with which designed start values were made, those of them that are start values too."""

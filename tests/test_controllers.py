@@ -14,30 +14,37 @@ from scipy.linalg import solve_continuous_are, solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from controller.design_model import design_model
+from controller.extended import ExtendedFilter
 from controller.full_model import INPUTS, STATES, full_model, held
 from controller.gains import Settings
-from controller.horizon import NAMES, Problem, condensed, predicted, weights
+from controller.horizon import NAMES, PREDICTED, Condensed, Program, condensed, predicted, steady, weights
 from controller.laws import IntegralFeedback, Seen
 from controller.loop import Loop
 from controller.placement import POLES, check_controllable, placed_gain
 from controller.predictive import PredictiveLaw
 from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, roll_numbers_of
+from controller.time_variant import SMALL, TimeVariantLaw, held_over
+from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from cosim.sweeps.store import TABLE, read_table
+from cosim.sweeps.workflow import sweep
 from fmus.build import build
-from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe
+from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 from plant.hovercraft import Hovercraft
+from plant.integrate import Stepper
 from plant.symbolic.linearize import linearize
-from tests.controllers import LAWS, WITHIN, conditions, figure_6_2, fly, manoeuvre
+from tests.controllers import LAWS, WITHIN, conditions, figure_6_2, fly, manoeuvre, time_variant
 from tests.hosts_fmpy import Instance
 
 ROOT = Path(__file__).resolve().parent.parent
 STEP = 0.02
 MPC = PredictiveSettings()
-RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe}
+LTV = TimeVariantSettings()
+RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe, "ltv-mpc": time_variant_recipe}
 REST = Seen(0.0, 0.0)
 
 
@@ -166,17 +173,21 @@ def test_the_declared_numbers_of_prediction_are_those_of_the_craft() -> None:
     assert numbers == pytest.approx({name: getattr(MPC, name) for name in numbers}, rel=1e-7)
 
 
+def unconditioned(p: PredictiveSettings) -> Condensed:
+    """Return the cost of the law that is linearised once, from any deviation on."""
+    return condensed(p, steady(p), np.eye(len(NAMES)), Program(p).scale)
+
+
 def test_the_solver_finds_what_another_one_does() -> None:
-    problem = Problem(MPC)
-    cost = condensed(MPC, problem.scale)
+    program, cost = Program(MPC), unconditioned(MPC)
     root = np.linalg.cholesky(cost.H).T  # ½·U'·H·U + q'·U = ½·|root·U + root⁻ᵀ·q|² + …
     for seed in range(5):
         z = np.random.default_rng(seed).normal(size=len(NAMES)) * 0.3
         target = -np.linalg.solve(root.T, cost.f @ z)
-        best = lsq_linear(root, target, (problem.low, problem.high), tol=1e-12).x
-        found = problem.solve(z, problem.cold())
+        best = lsq_linear(root, target, (program.low, program.high), tol=1e-12).x
+        found = program.solve(cost.at(z), program.cold())
         assert found.solved
-        np.testing.assert_allclose(found.command, problem.scale * best[:4], atol=1e-6)
+        np.testing.assert_allclose(found.command, program.scale * best[:4], atol=1e-6)
 
 
 def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
@@ -186,7 +197,9 @@ def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equati
     P = solve_discrete_are(F, G, Q, R)
     K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
     z = 1e-2 * np.random.default_rng(0).normal(size=len(NAMES))
-    np.testing.assert_allclose(Problem(free).solve(z, Problem(free).cold()).command, -K @ z, atol=1e-9)
+    program = Program(free)
+    found = program.solve(unconditioned(free).at(z), program.cold())
+    np.testing.assert_allclose(found.command, -K @ z, atol=1e-9)
 
 
 def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
@@ -281,6 +294,116 @@ def test_a_prediction_without_solution_is_refused(given: dict[str, float], words
     assert words in str(refusal.value)
 
 
+# -- prediction with A(t), B(t) ----------------------------------------------------------------------
+
+
+def planned(x_ref: float, psi_ref: float, y_ref: float = 0.0, times: int = 4) -> TimeVariantLaw:
+    """Return the law after some programs for the same craft at rest, of which each linearises the plan before it."""
+    law = time_variant(LTV)
+    law.estimator(LTV, [0.0] * 5, 0.0)
+    for _ in range(times):
+        law.command([], Seen(x_ref, psi_ref, y_ref))
+        law.path[1:], law.plan[1:] = law.path[:-1].copy(), law.plan[:-1].copy()  # no time passes
+    law.command([], Seen(x_ref, psi_ref, y_ref))
+    return law
+
+
+def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan() -> None:
+    law = planned(1.5, -1.0, 0.3)
+    states = np.zeros((len(law.plan), len(STATES)))
+    states[:, PREDICTED] = law.path[:-1]
+    A, B = law._linear(states, law.plan)
+    for k in (0, 7, 30, 99):
+        linear = linearize(LTV.craft, states[k].tolist(), law.plan[k].tolist())
+        np.testing.assert_allclose(A[k], linear.A[np.ix_(PREDICTED, PREDICTED)], rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(B[k], linear.B[PREDICTED], rtol=1e-11, atol=1e-11)
+    turning = A[:, NAMES.index("psi_dot"), NAMES.index("tilt_right")]
+    assert np.ptp(turning) > 0.3 * turning[0]  # the thrust of 6 to 7 % of duty: it is time-variant
+
+
+def test_a_step_of_the_prediction_is_the_matrix_exponential() -> None:
+    law = planned(1.5, -1.0)
+    states = np.zeros((len(law.plan), len(STATES)))
+    states[:, PREDICTED] = law.path[:-1]
+    A, B = law._linear(states, law.plan)
+    for step, doublings in ((LTV.prediction_step, law.doublings), (0.1, law.doublings + 3)):
+        F, phi = held_over(A, step, doublings)
+        exact_F, exact_G = held(A[9], B[9], step)
+        # the series ends before (λ·h)⁵/120; its derivative, (λ·h)⁴/24, counts where two poles are nearly one: in roll
+        left = 2 * SMALL**4 / 24
+        np.testing.assert_allclose(F[9], exact_F, atol=left * np.abs(exact_F).max())
+        np.testing.assert_allclose(phi[9] @ B[9], exact_G, atol=left * np.abs(exact_G).max())
+
+
+def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it() -> None:
+    """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
+    law = planned(1.5, -1.0, 0.3)
+    stepper, F_G = Stepper(Hovercraft()), held(*predicted(MPC), MPC.prediction_step)
+    moment, linear = stepper.start(), [np.zeros(len(NAMES))]
+    flown = [np.array(moment.state)[PREDICTED]]
+    for u in law.plan:
+        moment = stepper.step(moment, tuple(u.tolist()), LTV.prediction_step)
+        flown.append(np.array(moment.state)[PREDICTED])
+        linear.append(F_G[0] @ linear[-1] + F_G[1] @ (u - law.rest))
+    x, psi = NAMES.index("x"), NAMES.index("psi")
+    missed = np.abs(np.array(flown) - law.path).max(axis=0)
+    once = np.abs(np.array(flown) - law.hover - np.array(linear)).max(axis=0)
+    assert missed[psi] < 0.03 < 2.0 < once[psi]
+    assert missed[x] < 0.005 < 0.3 < once[x]
+
+
+def test_near_rest_it_commands_as_the_law_that_is_linearised_once() -> None:
+    z = 1e-6 * np.random.default_rng(3).normal(size=len(NAMES))  # what is of second order is 1e-5 of it
+    law = time_variant(LTV)
+    law.estimator(LTV, [0.0] * 5, 0.0)
+    law.filter.filter.x[PREDICTED] += z
+    law.command([], REST)
+    once = Program(MPC).solve(unconditioned(MPC).at(z), Program(MPC).cold()).command
+    np.testing.assert_allclose(law.last, once, atol=1e-4 * np.abs(once).max())
+
+
+def test_it_estimates_all_states_itself_and_lets_no_other_filter_be_named() -> None:
+    loop = Loop(LTV, [0.1, 0.0, 0.2, 0.0, 0.3], 0.1, 0.2, law=time_variant(LTV))
+    assert isinstance(loop.estimator, ExtendedFilter)
+    assert loop.estimate == pytest.approx([0.1, 0.0, 0.2, 0.0, 0.3])
+    with pytest.raises(ValueError, match="estimator is 'appendix_f'; it is extended"):
+        TimeVariantSettings(estimator="appendix_f")
+
+
+def test_its_craft_is_that_of_the_numbers_it_is_given() -> None:
+    craft = Hovercraft().with_values({"mass": 0.8, "lag": 0.1, "thrust_slope": 380.0, "yaw_damping.coefficient": 0.004})
+    numbers = {**numbers_of(craft), **{name: getattr(craft, name) for name in OF_CRAFT}}
+    mine = linearize(TimeVariantSettings(**{**numbers, "duty_nominal": craft.duty_nominal, "duty_max": 9.0}).craft)
+    np.testing.assert_allclose(mine.A, linearize(craft).A, atol=1e-9)
+    np.testing.assert_allclose(mine.B, linearize(craft).B, atol=1e-9)
+    with pytest.raises(ValueError, match="a thrust line of 1000 gf/% through thrust_nominal 20 N"):
+        TimeVariantSettings(thrust_slope=1000.0, thrust_nominal=20.0, duty_nominal=1.0, duty_min=0.5)
+
+
+def test_an_estimator_in_a_design_is_left_aside_by_the_law_with_its_own(flown: Path) -> None:
+    file = ScenarioFile(Path("regulate.yaml"), ["components.controller.fmu=../build/controller-ltv-mpc.fmu"])
+    assert file.scenario.design is not None
+    found = designed_values(file)["controller"]
+    assert file.faults == []
+    assert "estimator" not in found
+    assert found["thrust_nominal"] == 2.4973
+
+
+def test_a_sweep_makes_its_runs_through_the_fmu_and_varies_its_design(flown: Path) -> None:
+    Path("sweep.yaml").write_text(
+        "scenario: regulate.yaml\nset: {duration: 0.1, criteria: {}, noise: off,"
+        " components.controller.fmu: ../build/controller-ltv-mpc.fmu,"
+        " components.controller.start.psi_hat_start: 0, components.plant.start.psi_start: 0}\n"
+        "signals: [controller.tilt_right]\nvary:\n  design.R: {values: [[1, 1], [400, 400]]}\n"
+    )
+    swept = sweep(Path("sweep.yaml"), flown / "out", in_process=True, report=False)
+    assert swept.record["way"] == "fmus"
+    assert "controller" in swept.record["why"]
+    table, _ = read_table(swept.folder / TABLE)
+    light, heavy = (tilts[0] for tilts in table.column("controller.tilt_right").to_pylist())
+    assert abs(heavy) < 0.9 * abs(light)
+
+
 # -- all of them --------------------------------------------------------------------------------
 
 
@@ -307,7 +430,7 @@ def test_conditions_are_every_effect_and_every_error_of_the_inertial_sensors() -
 
 
 @pytest.mark.parametrize(
-    ("name", "of"), [("pole", placed_settings()), ("lqi", integral_settings()), ("mpc", PredictiveSettings())]
+    ("name", "of"), [("pole", placed_settings()), ("lqi", integral_settings()), ("mpc", MPC), ("ltv-mpc", LTV)]
 )
 def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: Settings) -> None:
     make = dict(zip(RECIPES, list(LAWS.values())[1:], strict=True))[name][1]
@@ -340,6 +463,7 @@ def test_the_fmus_are_sound_and_say_which_law_they_are(fmus: dict[str, Path]) ->
         "pole": "poles",
         "lqi": "integral",
         "mpc": "predictive",
+        "ltv-mpc": "time_variant",
     }
 
 
@@ -364,7 +488,7 @@ def test_each_law_is_designed_for_a_refined_craft(flown: Path) -> None:
             found.append(designed_values(file)["controller"])
             assert file.faults == []
         assert (found[1]["mass"], found[1]["izz"]) == (0.9, 0.02)
-        changed = "ixx" if name == "mpc" else "k_1_4"
+        changed = "k_1_4" if name in ("pole", "lqi") else "ixx"
         assert found[1][changed] != found[0].get(changed)
 
 
@@ -379,6 +503,10 @@ def test_each_law_is_designed_for_a_refined_craft(flown: Path) -> None:
         ("mpc", "{duty_limits: [6.5, 7]}", "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
         ("mpc", "{Q: [0, 1, 1, 1, 0]}", "no position is left to itself"),
         ("mpc", "{R: [1, 2]}", "one weight for both"),
+        ("ltv-mpc", "{duty_limits: [6.5, 7]}", "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
+        ("ltv-mpc", "{horizon: 0.01}", "horizon: 0.01 lies outside [0.1, 20] s"),
+        ("ltv-mpc", "{R: [1, 2]}", "one weight for both"),
+        ("ltv-mpc", "{thrust_nominal: 30}", "at 6.38763 % has 378.9 gf at no duty; take numbers that give -10000 to 0"),
     ],
 )
 def test_a_design_that_cannot_be_is_a_fault_of_the_scenario(flown: Path, name: str, design: str, words: str) -> None:

@@ -7,15 +7,21 @@ from pathlib import Path
 import pytest
 
 from controller.designer import DESIGNER
-from controller.variants import INTEGRAL, POLES, PREDICTIVE
+from controller.variants import INTEGRAL, POLES, PREDICTIVE, TIME_VARIANT
 from cosim.errors import InputError
 from cosim.simulation.design import designed_values
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
 from fmus.build import build
-from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe
+from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 
-FMUS = {"": "controller", POLES: "controller-pole", INTEGRAL: "controller-lqi", PREDICTIVE: "controller-mpc"}
+FMUS = {
+    "": "controller",
+    POLES: "controller-pole",
+    INTEGRAL: "controller-lqi",
+    PREDICTIVE: "controller-mpc",
+    TIME_VARIANT: "controller-ltv-mpc",
+}
 NUMBER = ("fast", "[1]", "{a: 1}", ".nan", ".inf", "-1", "0", "true")
 # key → law, and what it cannot be; @ stands before the value that is at fault, without one the whole is
 WRONG: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -42,6 +48,7 @@ WRONG: dict[str, tuple[str, tuple[str, ...]]] = {
     "Qq": ("", ("[1]",)),
 }  # fmt: skip
 CASES = [(key, law, value) for key, (law, values) in WRONG.items() for value in values]
+CASES += [(key, TIME_VARIANT, value) for key, law, value in CASES if law == PREDICTIVE]
 LINE = 10
 
 
@@ -50,7 +57,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, plant_fmu: Path, controller
     made = tmp_path_factory.mktemp("options")
     (made / "plant.fmu").symlink_to(plant_fmu)
     (made / "controller.fmu").symlink_to(controller_fmu)
-    for law, recipe in ((POLES, poles_recipe), (INTEGRAL, integral_recipe), (PREDICTIVE, predictive_recipe)):
+    recipes = poles_recipe, integral_recipe, predictive_recipe, time_variant_recipe
+    for law, recipe in zip((POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT), recipes, strict=True):
         build(recipe(), made / f"{FMUS[law]}.fmu")
     return made
 

@@ -17,7 +17,7 @@ share the 5 % in which a verdict on a consistent one is wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -160,13 +160,63 @@ def _covariances() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Row:
-    """What an estimator and a truth came to: title of the case, of which squares, the result, its times [s]."""
+    """A result of one case on one flight.
+
+    case:   estimator and truth
+    flight: name of the motion; motion: what happens in it
+    of:     which squares; at: their times [s]
+    """
 
     case: str
+    flight: str
+    motion: str
     of: str
     result: Consistency
     at: Array
 
     def as_json(self) -> Mapping[str, Any]:
         """For a script."""
-        return {"case": self.case, "of": self.of, **self.result.as_json()}
+        named = {"case": self.case, "flight": self.flight, "motion": self.motion, "of": self.of}
+        return {**named, **self.result.as_json()}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """All results of one case on one flight."""
+
+    rows: Sequence[Row]
+
+    @property
+    def consistent(self) -> bool:
+        """Whether every kind of squares is."""
+        return all(row.result.verdict == CONSISTENT for row in self.rows)
+
+    @property
+    def verdict(self) -> str:
+        """Return what its squares are: consistent, optimistic, pessimistic, or both of these."""
+        kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
+        return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
+
+    @property
+    def factor(self) -> float:
+        """Return the mean square error of the estimate over the variance that it believes in."""
+        return self.rows[0].result.factor
+
+
+def by_case(rows: Sequence[Row]) -> list[Judged]:
+    """Return the rows of each case and flight together, in order."""
+    return [
+        Judged([row for row in rows if (row.case, row.flight) == key])
+        for key in dict.fromkeys((row.case, row.flight) for row in rows)
+    ]
+
+
+def headline(rows: Sequence[Row]) -> str:
+    """Return the result in a sentence, and in a second one the case with the largest errors."""
+    judged = by_case(rows)
+    worst, right = max(judged, key=lambda j: j.factor), sum(j.consistent for j in judged)
+    said = f"{right} of {len(judged)} cases are consistent."
+    if worst.factor <= 1.0 or worst.consistent:
+        return said
+    case = f"{worst.rows[0].case}, {worst.rows[0].flight}"
+    return f"{said} Largest errors: {case}: square errors {worst.factor:.3g} times the variance it believes in."

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.estimators.consistency import CONSISTENT, Row
+from cosim.estimators.consistency import CONSISTENT, Judged, Row, by_case, headline
 from cosim.report.drawing import Charts
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot
@@ -22,18 +22,23 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     """One self-contained page."""
-    charts, runs = Charts(), rows[0].result.runs
-    cases = {case: [row for row in rows if row.case == case] for case in dict.fromkeys(row.case for row in rows)}
-    right = sum(all(row.result.verdict == CONSISTENT for row in of) for of in cases.values())
+    charts, runs, judged = Charts(), rows[0].result.runs, by_case(rows)
+    kinds = list(dict.fromkeys(row.of for row in rows))
     return render(
         TEMPLATE,
         {
             "badges": [
                 Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"),
-                Badge(f"{right} of {counted(len(cases), 'case')} consistent"),
+                Badge(f"seed {seed}"),
             ],
+            "headline": headline(rows),
+            "flights": list({row.flight: row.motion for row in rows}.items()),
+            "kinds": kinds,
+            "judged": [_summary(of, kinds) for of in judged],
             "rows": [_cells(row) for row in rows],
-            "cases": [(case, [_plot(row, charts) for row in of]) for case, of in cases.items()],
+            "cases": [
+                (f"{of.rows[0].case}; {of.rows[0].flight}", [_plot(row, charts) for row in of.rows]) for of in judged
+            ],
             "data": charts.data(),
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
             "version": __version__,
@@ -41,11 +46,20 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     )
 
 
+def _summary(of: Judged, kinds: Sequence[str]) -> Mapping[str, Any]:
+    """Return a case on a flight as one row: each mean over its degrees of freedom, and the verdict."""
+    factors = {row.of: plain(row.result.factor, 3) for row in of.rows}
+    return {
+        "case": of.rows[0].case, "flight": of.rows[0].flight, "factors": [factors.get(kind, "–") for kind in kinds],
+        "verdict": of.verdict, "good": of.consistent,
+    }  # fmt: skip
+
+
 def _cells(row: Row) -> Mapping[str, Any]:
     r = row.result
     verdict, _, more = r.sentence.partition(": ")
     return {
-        "case": row.case, "of": row.of, "degrees": str(r.degrees), "mean": plain(r.mean, 4),
+        "case": row.case, "flight": row.flight, "of": row.of, "degrees": str(r.degrees), "mean": plain(r.mean, 4),
         "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}", "above": percent(r.above),
         "below": percent(r.below), "most": percent(r.most), "verdict": verdict, "more": more,
         "good": verdict == CONSISTENT,

@@ -40,7 +40,8 @@ def consistency(
             said = f"there is not enough memory for {_asked(runs, steps)}; give fewer"
             raise InputError([Fault(Path("--runs"), 0, 0, said, exit_code=4)]) from None
         for name, (values, degrees, at) in squares.items():
-            found.append(Row(case.title, name, consistency_of(values, degrees, white=name != "NEES"), at))
+            judged, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
+            found.append(Row(case.title, flight.name, flight.doc, name, judged, at))
         if progress is not None:
             progress(k + 1, len(cases))
     return found

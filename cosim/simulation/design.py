@@ -66,11 +66,11 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         options = _options(file, design, designer, law)
         own = getattr(file.scenario.components.get(design.component), "start", None) or {}
         faults = [_fault(file, o, own, design.component) for o in designer.objections(options, law)]
-        faults += _contradictions(file, design.component, designer, options, own)
+        faults += _contradictions(file, design.component, designer.given(options, law), own)
         if file.faults or faults:  # a faulty scenario is not run
             raise InputError(faults)
         made = _Design(file, designer, options, model, law)
-        designed = {**made.values(), **designer.given(options)}
+        designed = {**made.values(), **designer.given(options, law)}
         judged = made.judged(designed, own)
         if judged.objections:
             raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
@@ -130,7 +130,7 @@ def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], com
 
 
 def _contradictions(
-    file: ScenarioFile, component: str, designer: Designer, options: Mapping[str, Any], own: Mapping[str, Any]
+    file: ScenarioFile, component: str, given: Mapping[str, Any], own: Mapping[str, Any]
 ) -> list[Fault]:
     """Options that the component's own start values leave without effect: one of both is not meant."""
     return [
@@ -138,7 +138,7 @@ def _contradictions(
             ("components", component, "start", name),
             f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out",
         )
-        for name, value in designer.given(options).items()
+        for name, value in given.items()
         if isinstance(value, str) and name in own and own[name] != value
     ]
 

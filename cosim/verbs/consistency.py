@@ -30,7 +30,7 @@ def consistency(
     as_json: Json = False,
 ) -> None:
     """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
-    from cosim.estimators.consistency import CONSISTENT
+    from cosim.estimators.consistency import CONSISTENT, headline
     from cosim.estimators.workflow import check_folder, check_size, write
     from cosim.estimators.workflow import consistency as over_runs
 
@@ -44,9 +44,11 @@ def consistency(
     if as_json:
         say_json([row.as_json() for row in rows])
         return
-    header = ("case", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
+    for flight, motion in {row.flight: row.motion for row in rows}.items():
+        say(f"{flight}: {motion}")
+    header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
     lines = [
-        (row.case, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}",
+        (row.case, row.flight, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}",
          f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}", r.sentence)
         for row in rows for r in (row.result,)
     ]  # fmt: skip
@@ -54,4 +56,5 @@ def consistency(
     say(head)
     for row, line in zip(rows, body, strict=True):
         say(judged(row.result.verdict == CONSISTENT, line))
+    say(headline(rows))
     say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

@@ -188,3 +188,29 @@ class Python(Language):
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
         return f"def {name}({', '.join(arguments)}):\n    {body or 'pass'}\n"
+
+
+class Arrays(Python):
+    """Python with the functions of numpy, under the name `math`: numbers are arrays; branches compute both sides."""
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """Return the printer of Python; nothing is skipped, for points differ in the values of their terms."""
+        plain = type(super().printer(places))
+
+        class Printer(plain):  # type: ignore[misc, valid-type]
+            def _print_Piecewise(self, e: Any) -> str:
+                *branches, last = e.args
+                if last[1] != True:  # noqa: E712 - sympy's own
+                    raise Unprintable("a branch without an otherwise")
+                text = str(self._print(last[0]))
+                for value, condition in reversed(branches):
+                    text = f"math.where({self._print(condition)}, {self._print(value)}, {text})"
+                return text
+
+            def _print_And(self, e: Any) -> str:
+                return " & ".join(f"({self._print(a)})" for a in e.args)
+
+            def _print_Or(self, e: Any) -> str:
+                return " | ".join(f"({self._print(a)})" for a in e.args)
+
+        return Printer()

@@ -1,0 +1,45 @@
+"""Jacobians of the craft's equations at given points, by the functions that were printed of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from controller.design_model import Matrix
+from plant.hovercraft import Hovercraft
+
+
+class Slopes:
+    """∂f/∂x (`state`), ∂f/∂u (`command`) and ∂h/∂x (`output`) of a craft.
+
+    printed: module that `plant.symbolic.jacobian.printed_jacobians` printed of the craft, loaded
+    """
+
+    def __init__(self, craft: Hovercraft, printed: Mapping[str, Any]) -> None:
+        self.printed = printed
+        self.numbers = [_value(craft, name) for name in printed["PARAMETERS"]]
+
+    def along(self, name: str, states: Matrix, commands: Matrix, shape: tuple[int, int]) -> Matrix:
+        """Return a Jacobian (points, *shape) at each state (points, 14) and command (points, 4)."""
+        places, function = self.printed[name.upper()], self.printed[f"{name}_jacobian"]
+        entries: list[Any] = [0.0] * len(places)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # branches compute both sides
+            function(0.0, tuple(states.T), tuple(commands.T), self.numbers, entries)
+        matrices = np.zeros((len(states), *shape))
+        for (row, column), entry in zip(places, entries, strict=True):
+            matrices[:, row, column] = entry
+        return matrices
+
+    def at(self, name: str, state: Matrix, command: Sequence[float], shape: tuple[int, int]) -> Matrix:
+        """Return a Jacobian at one point."""
+        matrix: Matrix = self.along(name, state[None], np.array([command]), shape)[0]
+        return matrix
+
+
+def _value(craft: Hovercraft, name: str) -> float:
+    """Return a parameter by its full name; of an effect that the craft lacks, the default."""
+    owner, _, own = name.rpartition(".")
+    owners = {"": craft} | {e.name: e for e in craft.effects}
+    return float(getattr(owners[owner], own) if owner in owners else craft.declared[name].default)

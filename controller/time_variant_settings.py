@@ -1,0 +1,114 @@
+"""Parameters of the predictive law with A(t), B(t): the craft it predicts with, and the noise its filter assumes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+from controller.extended import ExtendedSettings
+from controller.gains import CRAFT, variance
+from controller.variants import PredictionSettings
+from plant.hovercraft import Hovercraft
+from plant.namespaces import SCALAR
+from plant.powertrain import ground_effect
+from plant.quantities import Parameter, parameter, parameters_of
+
+NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
+# The equations are taken to hold to 1 % of a propeller's thrust, 25 mN at its arm, afresh at each sample of 0.02 s:
+# (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow from their rates exactly.
+PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
+
+
+def equation_noise(default: float, unit: str, of: str) -> float:
+    """Declare a variance by which the craft's equations are off at each sample."""
+    return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
+
+
+def declared(by: Mapping[str, Parameter], name: str) -> Any:
+    """Declare a parameter as another class does."""
+    p = by[name]
+    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=p.doc)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeVariantSettings(PredictionSettings):
+    """The numbers of the craft's equations beside those of the design model, and of the extended filter's noise.
+
+    The thrust line passes through `thrust_nominal` at `duty_nominal`. Not used: `k_i_j`, `process_variance_a`.
+    """
+
+    estimators: ClassVar[tuple[str, ...]] = ("extended",)
+
+    ixx: float = declared(CRAFT, "ixx")
+    propeller_radius: float = declared(CRAFT, "propeller_radius")
+    height: float = declared(CRAFT, "height")
+    thrust_slope: float = declared(CRAFT, "thrust_slope")
+    ground_effect_exponent: float = declared(CRAFT, "ground_effect_exponent")
+    gravity: float = declared(CRAFT, "gravity")
+    table_roll_stiffness: float = declared(CRAFT, "table_roll_stiffness")
+    table_roll_damping: float = declared(CRAFT, "table_roll_damping")
+    process_variance_x: float = equation_noise(0.0, "m2", "x")
+    process_variance_y: float = equation_noise(0.0, "m2", "y")
+    process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
+    process_variance_vx: float = equation_noise(PUSH, "m2/s2", "vx")
+    process_variance_vy: float = equation_noise(PUSH, "m2/s2", "vy")
+    process_variance_psi_dot: float = equation_noise(TURN, "rad2/s2", "psi_dot")
+    process_variance_phi: float = equation_noise(0.0, "rad2", "phi")
+    process_variance_phi_dot: float = equation_noise(ROLL, "rad2/s2", "phi_dot")
+    process_variance_thrust_right: float = declared(NOISE, "process_variance_thrust_right")
+    process_variance_thrust_left: float = declared(NOISE, "process_variance_thrust_left")
+    process_variance_tilt_right: float = declared(NOISE, "process_variance_tilt_right")
+    process_variance_tilt_left: float = declared(NOISE, "process_variance_tilt_left")
+    measurement_variance_y: float = declared(NOISE, "measurement_variance_y")
+
+    estimator: str = "extended"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if names := craft_faults(self):
+            raise ValueError("; ".join(said for _, said in names))
+
+    @cached_property
+    def craft(self) -> Hovercraft:
+        """The craft of these numbers."""
+        return craft_of(self)
+
+    @cached_property
+    def noise(self) -> ExtendedSettings:
+        """The noise that the filter assumes."""
+        return ExtendedSettings(**{name: getattr(self, name) for name in NOISE})
+
+
+OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT)
+
+
+def craft_of(p: Any) -> Hovercraft:
+    """Return the craft of these numbers; ValueError where there is none."""
+    values = {name: getattr(p, name) for name in OF_CRAFT}
+    return Hovercraft(**values, thrust_offset=_thrust_offset(p)).with_values({"yaw_damping.coefficient": p.yaw_damping})
+
+
+def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
+    """Return why there is no craft of these numbers: the names at fault, and what is wrong with them."""
+    low, high = CRAFT["thrust_offset"].bounds
+    if not low <= _thrust_offset(p) <= high:
+        names = "thrust_nominal", "thrust_slope", "duty_nominal"
+        said = (
+            f"a thrust line of {p.thrust_slope:g} gf/% through thrust_nominal {p.thrust_nominal:g} N at"
+            f" {p.duty_nominal:g} % has {_thrust_offset(p):.4g} gf at no duty; take numbers that give"
+            f" {low:g} to {high:g} gf"
+        )
+        return [(names, said)]
+    try:
+        craft_of(p)
+    except ValueError as error:
+        return [(("yaw_damping",), str(error))]
+    return []
+
+
+def _thrust_offset(p: Any) -> float:
+    """Return a [gf] of T_OGE = a + b·δ, eq 4.20, for Γ·T_OGE(δ_N) = T_N."""
+    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
+    return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)
