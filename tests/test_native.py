@@ -33,7 +33,7 @@ from plant.integrate import Stepper
 from plant.model import Model
 from plant.quantities import parameters_of
 from tests.hosts_fmpy import Instance, description_of
-from tests.native import NEEDS_COMPILER
+from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.tank import MODEL as TANK
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
 
@@ -104,6 +104,15 @@ def test_the_native_plant_is_the_fmu_in_python_over_a_minute(roll: bool, native_
     rows = wandering(Hovercraft(), 3000, seed=2)
     values = named(EVERYTHING) | {"roll_ground_effect": roll, "mass": 0.8, "duty_nominal": 6.5}
     assert difference(by_fmu(plant_fmu, rows, values, STEP), by_fmu(native_plant, rows, values, STEP)) < TIGHT
+
+
+def test_a_decay_ends_at_zero_natively_and_as_a_subnormal_number_in_python(native_plant: Path) -> None:
+    rows = [Hovercraft().start_command()] * 6000  # two minutes
+    values = {"phi_start": 0.2, "psi_dot_start": 1.0, "vx_start": 0.5, "friction": 4.0}
+    exact, native = by_python(Hovercraft(), rows, values, STEP), by_fmu(native_plant, rows, values, STEP)
+    assert is_subnormal(exact).any()
+    assert not is_subnormal(native).any()
+    assert difference(exact, native) < TIGHT
 
 
 def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> None:

@@ -226,7 +226,9 @@ static int update(Instance *m, double *next)
         for (; k > 0 && !arrived(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
         memcpy(late, row_of(past, k) + 1, sizeof(double) * INPUTS);
     }
+    begin_computing(m);
     shape(m->time, 0.0, late, MEMORY, m->values, m->awake, shaped);
+    end_computing(m, 0);
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
     memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
     memcpy(SEEN, m->values, sizeof(double) * INPUTS);
@@ -246,8 +248,10 @@ static int completed(Instance *m)
 static int rates(Instance *m, double *dx)
 {
     double u[INPUTS + 1];
+    begin_computing(m);
     act(m, u);
     derivatives(m->time, STATE, u, m->values, m->awake, dx);
+    end_computing(m, 0);
     for (int i = 0; i < STATES; i++)
         if (!isfinite(dx[i])) {
             refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
@@ -259,9 +263,11 @@ static int rates(Instance *m, double *dx)
 static void crossings(Instance *m, double *z)
 {
     double u[INPUTS + 1];
+    begin_computing(m);
     act(m, u);
     indicators(m->time, STATE, u, m->values, m->awake, z);
     shape_indicators(m->time, 0.0, m->values, MEMORY, m->values, m->awake, z + BODY_KINKS);
+    end_computing(m, 0);
     if (discrete(m)) for (int k = BODY_KINKS; k < KINKS; k++) z[k] = 1.0;
 }
 
@@ -269,10 +275,12 @@ static void crossings(Instance *m, double *z)
 static void slopes(Instance *m, const double *sx, const double *su, double *dx, double *dy)
 {
     double u[INPUTS + 1], moved[INPUTS + MEMORIES + 1] = {0};
+    begin_computing(m);
     act(m, u);
     if (!discrete(m)) shape_slopes(m->time, 0.0, m->values, MEMORY, m->values, sx, su, m->awake, moved);
     derivative_slopes(m->time, STATE, u, m->values, sx, moved, m->awake, dx);
     output_slopes(m->time, STATE, m->values, m->values, sx, su, m->awake, dy);
+    end_computing(m, 0);
 }
 
 /* -- what stands behind the variables: states, their derivatives, what effects remember ------------------------------ */
