@@ -27,8 +27,9 @@ def recorded(scenario: Path, fmus: Path, out: Path) -> list[tuple[float, ...]]:
     text = scenario.read_text(encoding="utf-8").replace("../build/", f"{fmus}/")
     changed = out / scenario.name
     changed.write_text(text, encoding="utf-8")
-    cosim.run(changed, out, ["duration=60"], report=False)
-    table = np.genfromtxt(out / "results.csv", delimiter=",", names=True)
+    results = out / scenario.stem  # a folder of results is of one scenario
+    cosim.run(changed, results, ["duration=60"], report=False)
+    table = np.genfromtxt(results / "results.csv", delimiter=",", names=True)
     columns = [table[f"controller{name}"] for name in INPUTS]
     return [tuple(row) for row in np.column_stack(columns)[:-1].tolist()]
 
