@@ -1,4 +1,4 @@
-"""`python -m tests.native_equal`: the native plant against the FMU in Python, on a minute of every scenario.
+"""`python -m tests.native_equal [SCENARIO…]`: the native plant against the FMU in Python, on a minute of each scenario.
 
 The inputs are those that the closed loop of each scenario gave its plant; every effect is awake in turn, then all of
 them, with and without ground effect in roll. Printed is difference / max(1, largest value); 1e-10 is the limit.
@@ -43,6 +43,7 @@ def main() -> int:
         cosim.build(folder)
         (native, _) = cosim.build(folder, native=True)
         scenarios = sorted(p for p in (ROOT / "scenarios").glob("*.yaml") if "controller.tilt" in p.read_text("utf-8"))
+        scenarios = [p for p in scenarios if p.stem in sys.argv[1:] or len(sys.argv) == 1]
         for scenario in scenarios:
             rows = recorded(scenario, folder, folder)
             off = [

@@ -1,7 +1,7 @@
 /* A model of equations: what acts of a command, RK4 substeps, and the same equations for a solver of the host's.
  *
  * Printed above this text, each taking every effect's branch only while it is awake:
- *   derivatives, outputs(t, x, u, p, awake, out)                      the body
+ *   derivatives(t, x, u, p, near, awake, out), outputs(t, x, u, p, awake, out)   the body; near: what is known nearby
  *   shape(t, h, u, memory, p, awake, out)                             what acts of a command, then the memory after it
  *   remember(t, memory, p, awake, out)                                memory at the start from its start values
  *   indicators, shape_indicators                                      what passes through zero at a kink
@@ -124,13 +124,15 @@ static void rk4(double t, double h, double *x, const double *u, const double *p,
 {
     double k1[STATES + 1], k2[STATES + 1], k3[STATES + 1], k4[STATES + 1], z[STATES + 1];
     const double half = 0.5 * h, sixth = h / 6.0;
-    derivatives(t, x, u, p, awake, k1);
+    Near near[NEAR + 1];
+    forget_all(near, NEAR);
+    derivatives(t, x, u, p, near, awake, k1);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k1[i];
-    derivatives(t + half, z, u, p, awake, k2);
+    derivatives(t + half, z, u, p, near, awake, k2);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k2[i];
-    derivatives(t + half, z, u, p, awake, k3);
+    derivatives(t + half, z, u, p, near, awake, k3);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + h * k3[i];
-    derivatives(t + h, z, u, p, awake, k4);
+    derivatives(t + h, z, u, p, near, awake, k4);
     for (int i = 0; i < STATES; i++) x[i] += sixth * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
 }
 
@@ -248,9 +250,11 @@ static int completed(Instance *m)
 static int rates(Instance *m, double *dx)
 {
     double u[INPUTS + 1];
+    Near near[NEAR + 1];
+    forget_all(near, NEAR);
     begin_computing(m);
     act(m, u);
-    derivatives(m->time, STATE, u, m->values, m->awake, dx);
+    derivatives(m->time, STATE, u, m->values, near, m->awake, dx);
     end_computing(m, 0);
     for (int i = 0; i < STATES; i++)
         if (!isfinite(dx[i])) {

@@ -14,6 +14,7 @@
 
 #include "config.h"
 #include "floating.h"
+#include "near.h"
 
 #define TEXT_SIZE 64 /* bytes of a string, its end included */
 #define GUID_SIZE 40
