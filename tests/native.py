@@ -106,6 +106,11 @@ class Exchange:
         self.fmu.freeInstance()
 
 
+def is_subnormal(a: Any) -> Any:
+    """Return where values are subnormal: neither zero nor normal numbers."""
+    return (a != 0.0) & (np.abs(a) < np.finfo(float).tiny)
+
+
 def rk4(f: Callable[[float, Any], Any], t: float, x: Any, h: float, substeps: int) -> Any:
     """The plant's own integration, driven from outside."""
     dt = h / substeps

@@ -1,4 +1,5 @@
-/* A host of a few lines, linked with the sources of a native FMU: two instances at once, every way, every refusal. */
+/* A host of a few lines, linked with the sources of a native FMU: two instances at once, every way, every refusal. It rounds
+ * towards zero, and looks after each call, and in its logger, whether it still does and computes with subnormal numbers. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -6,6 +7,16 @@
 
 #include "config.h"
 #include "fmi2Functions.h"
+
+#if defined(__x86_64__)
+#include <xmmintrin.h>
+#define HOST_MODE (0x1f80u | _MM_ROUND_TOWARD_ZERO) /* every exception masked, none raised */
+static void set_mode(void) { _mm_setcsr(HOST_MODE); }
+static int is_changed(void) { return (_mm_getcsr() & ~_MM_EXCEPT_MASK) != HOST_MODE; }
+#else
+static void set_mode(void) { }
+static int is_changed(void) { return 0; }
+#endif
 
 static int said;
 
@@ -18,6 +29,7 @@ static void logger(fmi2ComponentEnvironment e, fmi2String name, fmi2Status statu
     vsnprintf(text, sizeof text, message, arguments);
     va_end(arguments);
     said++;
+    if (is_changed()) { printf("the logger has another floating-point mode: %s\n", text); exit(1); }
 }
 
 static const fmi2CallbackFunctions CALLBACKS = {logger, calloc, free, NULL, NULL};
@@ -25,6 +37,7 @@ static const fmi2CallbackFunctions CALLBACKS = {logger, calloc, free, NULL, NULL
 #define CHECK(call, wanted) \
     do { \
         fmi2Status got = (call); \
+        if (is_changed()) { printf("line %d: %s leaves another floating-point mode\n", __LINE__, #call); exit(1); } \
         if (got != (wanted)) { printf("line %d: %s is %d\n", __LINE__, #call, (int)got); exit(1); } \
     } while (0)
 
@@ -59,6 +72,7 @@ static void steps(fmi2Component c, int from, int to, double step)
 int main(int argc, char **argv)
 {
     const double step = atof(argv[1]);
+    set_mode();
     argc--, argv++;
     if (fmi2Instantiate("one", fmi2CoSimulation, "{other}", NULL, &CALLBACKS, fmi2False, fmi2False) != NULL) return 3;
     fmi2Component a = begun(fmi2CoSimulation, argc, argv), b = begun(fmi2CoSimulation, argc, argv);
@@ -96,6 +110,7 @@ int main(int argc, char **argv)
     nothing /= nothing;
     CHECK(fmi2SetReal(a, (fmi2ValueReference[]){0}, 1, &nothing), fmi2Error);
     CHECK(fmi2DoStep(a, 0.0, -1.0, fmi2True), fmi2Error);
+    CHECK(fmi2DoStep(a, 0.0, 1e9, fmi2True), fmi2Error); /* said while it computes */
     CHECK(fmi2Reset(a), fmi2OK);
     CHECK(fmi2DoStep(a, 0.0, step, fmi2True), fmi2Error);
     fmi2FreeInstance(a);

@@ -1,4 +1,4 @@
-"""`python -m tests.native_equal`: the native plant against the FMU in Python, on a minute of every scenario.
+"""`python -m tests.native_equal [SCENARIO…]`: the native plant against the FMU in Python, on a minute of each scenario.
 
 The inputs are those that the closed loop of each scenario gave its plant; every effect is awake in turn, then all of
 them, with and without ground effect in roll. Printed is difference / max(1, largest value); 1e-10 is the limit.
@@ -27,8 +27,9 @@ def recorded(scenario: Path, fmus: Path, out: Path) -> list[tuple[float, ...]]:
     text = scenario.read_text(encoding="utf-8").replace("../build/", f"{fmus}/")
     changed = out / scenario.name
     changed.write_text(text, encoding="utf-8")
-    cosim.run(changed, out, ["duration=60"], report=False)
-    table = np.genfromtxt(out / "results.csv", delimiter=",", names=True)
+    results = out / scenario.stem  # a folder of results is of one scenario
+    cosim.run(changed, results, ["duration=60"], report=False)
+    table = np.genfromtxt(results / "results.csv", delimiter=",", names=True)
     columns = [table[f"controller{name}"] for name in INPUTS]
     return [tuple(row) for row in np.column_stack(columns)[:-1].tolist()]
 
@@ -42,6 +43,7 @@ def main() -> int:
         cosim.build(folder)
         (native, _) = cosim.build(folder, native=True)
         scenarios = sorted(p for p in (ROOT / "scenarios").glob("*.yaml") if "controller.tilt" in p.read_text("utf-8"))
+        scenarios = [p for p in scenarios if p.stem in sys.argv[1:] or len(sys.argv) == 1]
         for scenario in scenarios:
             rows = recorded(scenario, folder, folder)
             off = [

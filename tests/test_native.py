@@ -17,12 +17,13 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
+import fmus.native
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.errors import InputError
 from cosim.models.native import build_native
 from cosim.simulation.coupling import coupling_error
-from fmus.native.compiler import compiler
+from fmus.native.compiler import compiler, loaded
 from fmus.native.platforms import commands as compilers
 from fmus.native.platforms import crossing, glibc_floor, here
 from fmus.ports import model_ports
@@ -33,7 +34,7 @@ from plant.integrate import Stepper
 from plant.model import Model
 from plant.quantities import parameters_of
 from tests.hosts_fmpy import Instance, description_of
-from tests.native import NEEDS_COMPILER
+from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.tank import MODEL as TANK
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
 
@@ -104,6 +105,26 @@ def test_the_native_plant_is_the_fmu_in_python_over_a_minute(roll: bool, native_
     rows = wandering(Hovercraft(), 3000, seed=2)
     values = named(EVERYTHING) | {"roll_ground_effect": roll, "mass": 0.8, "duty_nominal": 6.5}
     assert difference(by_fmu(plant_fmu, rows, values, STEP), by_fmu(native_plant, rows, values, STEP)) < TIGHT
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
+def test_the_native_plant_is_the_one_in_python_however_fast_its_angles_move(size: float, native_plant: Path) -> None:
+    rng, craft = np.random.default_rng(3), Hovercraft()
+    start = {"psi_dot": 6.0, "phi_dot": 1.0, "phi": 0.3, "vx": 1.0, "vy": 1.0, "tilt_right": 0.3, "tilt_left": 0.3}
+    values = {f"{name}_start": size * v * rng.uniform(-1, 1) for name, v in start.items()}
+    values |= {"height": 0.1, "ground_effect_exponent": min(0.5 + size, 5.0)}
+    commands = rng.uniform((5.0, 5.0, -0.4 * size, -0.4 * size), (8.0, 8.0, 0.4 * size, 0.4 * size), (300, 4))
+    rows = [tuple(row) for row in commands.tolist()]
+    assert difference(by_python(craft, rows, values, STEP), by_fmu(native_plant, rows, values, STEP)) < TIGHT
+
+
+def test_a_decay_ends_at_zero_natively_and_as_a_subnormal_number_in_python(native_plant: Path) -> None:
+    rows = [Hovercraft().start_command()] * 6000  # two minutes
+    values = {"phi_start": 0.2, "psi_dot_start": 1.0, "vx_start": 0.5, "friction": 4.0}
+    exact, native = by_python(Hovercraft(), rows, values, STEP), by_fmu(native_plant, rows, values, STEP)
+    assert is_subnormal(exact).any()
+    assert not is_subnormal(native).any()
+    assert difference(exact, native) < TIGHT
 
 
 def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> None:
@@ -378,6 +399,60 @@ def test_a_command_out_of_range_is_warned_of_once(native_plant: Path, plant_fmu:
     assert said[0] == said[1]
     assert "at t = 0 s: duty 6.38763 %%, 7.5 %%: extrapolates a thrust line fitted on 6-7 %%" in said[0][0]
     assert len(said[0]) == 1
+
+
+SERIES = """
+void angles(int count, const double *from, const double *to, double *sine, double *cosine)
+{
+    Near near;
+    for (int k = 0; k < count; k++) {
+        forget_all(&near, 1);
+        near_angle(&near, from[k], &sine[k], &cosine[k]);
+        near_angle(&near, to[k], &sine[k], &cosine[k]);
+    }
+}
+
+void powers(int count, const double *from, const double *to, const double *exponent, double *power)
+{
+    Near near;
+    for (int k = 0; k < count; k++) {
+        forget_all(&near, 1);
+        near_power(&near, from[k], exponent[k]);
+        power[k] = near_power(&near, to[k], exponent[k]);
+    }
+}
+"""
+
+
+def test_a_series_near_a_point_gives_what_the_c_library_gives() -> None:
+    library = loaded((Path(fmus.native.__file__).parent / "near.h").read_text(encoding="utf-8") + SERIES)
+    rng, count = np.random.default_rng(1), 20_000
+    spread = 10.0 ** rng.uniform(-9, 0.5, count) * rng.choice([-1.0, 1.0], count)  # within its reach and beyond
+
+    def called(function: Any, given: list[Any], results: int) -> list[Any]:
+        found = [np.full(count, np.nan) for _ in range(results)]
+        function(count, *(ctypes.c_void_p(a.ctypes.data) for a in (*given, *found)))
+        return found
+
+    start = 10.0 ** rng.uniform(-3, 3, count) * rng.choice([-1.0, 1.0], count)
+    end = start + spread
+    sine, cosine = called(library.angles, [start, end], 2)
+    assert np.max(np.abs(sine - np.sin(end))) < 1e-14
+    assert np.max(np.abs(cosine - np.cos(end))) < 1e-14
+
+    base, exponent = np.abs(start), rng.uniform(-8.0, 12.0, count)
+    end = base * np.abs(1.0 + spread)
+    (power,) = called(library.powers, [base, end, exponent], 1)
+    exact = end**exponent
+    assert np.max(np.abs(power / exact - 1.0)) < 3e-14
+    assert 0.1 < np.mean(power != exact) < 0.9  # by the series, and by the library
+
+    special = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, -2.0, 5e-324, 1.0])
+    pairs = np.array([(a, b, e) for a in special for b in special for e in (*special, 0.5, 2.0)])
+    count = len(pairs)
+    (power,) = called(library.powers, [column.copy() for column in pairs.T], 1)
+    with np.errstate(all="ignore"):
+        assert np.array_equal(power, pairs[:, 1] ** pairs[:, 2], equal_nan=True)
 
 
 # -- the C --------------------------------------------------------------------------------------

@@ -36,7 +36,8 @@ from cosim.simulation.system import build_system
 from cosim.simulation.workflow import run
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
-from tests.native import NEEDS_COMPILER
+from tests.lag import lag_fmu
+from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.typed import TYPED2, numbers_fmu, typed_fmu
 
 pytestmark = NEEDS_COMPILER
@@ -302,6 +303,33 @@ def test_the_craft_flies_the_same_bytes(native_fmus: Path, tmp_path: Path) -> No
     (tmp_path / "manoeuvre.yaml").write_text(text)
     same(tmp_path / "manoeuvre.yaml")
     same(tmp_path / "manoeuvre.yaml", "noise=off", "algorithm=jacobi")
+
+
+def test_a_long_flight_without_noise_has_no_subnormal_number(native_fmus: Path, tmp_path: Path) -> None:
+    text = (ROOT / "scenarios" / "regulate.yaml").read_text()
+    for name in ("plant", "controller"):
+        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
+    (tmp_path / "regulate.yaml").write_text(text)
+    results = same(tmp_path / "regulate.yaml", "noise=off", "duration=120", "criteria={}")
+    assert not is_subnormal(results.values).any()
+    assert np.abs(results["plant.phi"][-1]) < 1e-200  # it has come to where they lie
+
+
+def test_a_foreign_fmu_beside_a_native_one_keeps_its_subnormal_numbers(native_plant: Path, tmp_path: Path) -> None:
+    pulse = {"start": 1, "changes": [{"at": 0.02, "to": 0}]}
+    lag = {
+        "pulse": {"block": "reference", "signals": {"u": pulse}},
+        "lag": {"fmu": str(lag_fmu(tmp_path / "lag.fmu")), "start": {"T": 0.04}},
+    }
+    plant = {"plant": {"fmu": str(native_plant)}}
+    found = []
+    for components in (lag, plant | lag):
+        content = {"name": "halved", "duration": 22, "step": 0.02, "order": [*components], "components": components}
+        content["connections"] = [{"from": "pulse.u", "to": "lag.u", "factor": 3.0}]
+        (tmp_path / "halved.yaml").write_text(yaml.safe_dump(content))
+        found.append(same(tmp_path / "halved.yaml")["lag.y"])
+    assert is_subnormal(found[0]).sum() > 50
+    assert found[0].tobytes() == found[1].tobytes()
 
 
 def test_the_rows_of_fmi_3_are_the_same_bytes_up_to_the_end_it_asks_for(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 /* A model of equations: what acts of a command, RK4 substeps, and the same equations for a solver of the host's.
  *
  * Printed above this text, each taking every effect's branch only while it is awake:
- *   derivatives, outputs(t, x, u, p, awake, out)                      the body
+ *   derivatives(t, x, u, p, near, awake, out), outputs(t, x, u, p, awake, out)   the body; near: what is known nearby
  *   shape(t, h, u, memory, p, awake, out)                             what acts of a command, then the memory after it
  *   remember(t, memory, p, awake, out)                                memory at the start from its start values
  *   indicators, shape_indicators                                      what passes through zero at a kink
@@ -124,13 +124,15 @@ static void rk4(double t, double h, double *x, const double *u, const double *p,
 {
     double k1[STATES + 1], k2[STATES + 1], k3[STATES + 1], k4[STATES + 1], z[STATES + 1];
     const double half = 0.5 * h, sixth = h / 6.0;
-    derivatives(t, x, u, p, awake, k1);
+    Near near[NEAR + 1];
+    forget_all(near, NEAR);
+    derivatives(t, x, u, p, near, awake, k1);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k1[i];
-    derivatives(t + half, z, u, p, awake, k2);
+    derivatives(t + half, z, u, p, near, awake, k2);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k2[i];
-    derivatives(t + half, z, u, p, awake, k3);
+    derivatives(t + half, z, u, p, near, awake, k3);
     for (int i = 0; i < STATES; i++) z[i] = x[i] + h * k3[i];
-    derivatives(t + h, z, u, p, awake, k4);
+    derivatives(t + h, z, u, p, near, awake, k4);
     for (int i = 0; i < STATES; i++) x[i] += sixth * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
 }
 
@@ -226,7 +228,9 @@ static int update(Instance *m, double *next)
         for (; k > 0 && !arrived(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
         memcpy(late, row_of(past, k) + 1, sizeof(double) * INPUTS);
     }
+    begin_computing(m);
     shape(m->time, 0.0, late, MEMORY, m->values, m->awake, shaped);
+    end_computing(m, 0);
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
     memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
     memcpy(SEEN, m->values, sizeof(double) * INPUTS);
@@ -246,8 +250,12 @@ static int completed(Instance *m)
 static int rates(Instance *m, double *dx)
 {
     double u[INPUTS + 1];
+    Near near[NEAR + 1];
+    forget_all(near, NEAR);
+    begin_computing(m);
     act(m, u);
-    derivatives(m->time, STATE, u, m->values, m->awake, dx);
+    derivatives(m->time, STATE, u, m->values, near, m->awake, dx);
+    end_computing(m, 0);
     for (int i = 0; i < STATES; i++)
         if (!isfinite(dx[i])) {
             refuse(m, "der(%s) is %g at t = %.15g s", STATE_NAME[i], dx[i], m->time);
@@ -259,9 +267,11 @@ static int rates(Instance *m, double *dx)
 static void crossings(Instance *m, double *z)
 {
     double u[INPUTS + 1];
+    begin_computing(m);
     act(m, u);
     indicators(m->time, STATE, u, m->values, m->awake, z);
     shape_indicators(m->time, 0.0, m->values, MEMORY, m->values, m->awake, z + BODY_KINKS);
+    end_computing(m, 0);
     if (discrete(m)) for (int k = BODY_KINKS; k < KINKS; k++) z[k] = 1.0;
 }
 
@@ -269,10 +279,12 @@ static void crossings(Instance *m, double *z)
 static void slopes(Instance *m, const double *sx, const double *su, double *dx, double *dy)
 {
     double u[INPUTS + 1], moved[INPUTS + MEMORIES + 1] = {0};
+    begin_computing(m);
     act(m, u);
     if (!discrete(m)) shape_slopes(m->time, 0.0, m->values, MEMORY, m->values, sx, su, m->awake, moved);
     derivative_slopes(m->time, STATE, u, m->values, sx, moved, m->awake, dx);
     output_slopes(m->time, STATE, m->values, m->values, sx, su, m->awake, dy);
+    end_computing(m, 0);
 }
 
 /* -- what stands behind the variables: states, their derivatives, what effects remember ------------------------------ */

@@ -12,7 +12,9 @@ static void say(Instance *m, int warning, const char *format, va_list arguments)
     char *message = size < 0 ? NULL : malloc((size_t)size + 1);
     if (message != NULL) {
         vsnprintf(message, (size_t)size + 1, format, arguments);
+        if (m->computing) restore_mode(m->host_mode);
         m->log(m, warning, message);
+        if (m->computing) flush_subnormals();
     }
     free(message);
 }
@@ -35,6 +37,23 @@ static void warn(Instance *m, const char *format, ...)
     va_end(arguments);
 }
 #endif
+
+/* -- floating point ------------------------------------------------------------------------------------------------ */
+
+/* Around all that the model computes; calls that only move values need none. */
+static void begin_computing(Instance *m)
+{
+    m->host_mode = flush_subnormals();
+    m->computing = 1;
+}
+
+/* The host's mode again; what the model returned is passed on. */
+static int end_computing(Instance *m, int refused)
+{
+    m->computing = 0;
+    restore_mode(m->host_mode);
+    return refused;
+}
 
 /* -- history ------------------------------------------------------------------------------------------------------ */
 
@@ -107,7 +126,8 @@ static void dispose(Instance *m)
 static int refresh(Instance *m)
 {
     if (m->current) return 0;
-    if (initialize(m)) return 1;
+    begin_computing(m);
+    if (end_computing(m, initialize(m))) return 1;
     m->current = 1;
     return 0;
 }
@@ -151,7 +171,8 @@ static int step(Instance *m, double t, double h)
     if (in_phase(m, IN(STEP), "a step")) return 1;
     if (!(h > 0.0 && isfinite(h) && isfinite(t)))
         return refuse(m, "step of %.15g s at t = %.15g s; a step is positive and finite", h, t);
-    return advance(m, t, h);
+    begin_computing(m);
+    return end_computing(m, advance(m, t, h));
 }
 
 static int set_time(Instance *m, double t)
@@ -184,8 +205,9 @@ static int settled(Instance *m)
 static int readable(Instance *m)
 {
     if (settled(m)) return 1;
-    if (m->exchange && m->moved && (m->phase == EVENT || m->phase == CONTINUOUS)) return refresh_outputs(m);
-    return 0;
+    if (!m->exchange || !m->moved || (m->phase != EVENT && m->phase != CONTINUOUS)) return 0;
+    begin_computing(m);
+    return end_computing(m, refresh_outputs(m));
 }
 
 static int settable(Instance *m, size_t k, Kind kind)

@@ -13,6 +13,8 @@
 #include <string.h>
 
 #include "config.h"
+#include "floating.h"
+#include "near.h"
 
 #define TEXT_SIZE 64 /* bytes of a string, its end included */
 #define GUID_SIZE 40
@@ -49,6 +51,8 @@ struct Instance {
     void (*log)(Instance *m, int warning, const char *message);
     int exchange; /* for model exchange */
     Phase phase;
+    int computing;          /* between begin_computing and end_computing */
+    FloatingMode host_mode; /* then: what the host computes with */
     double start_time, time;
     int current; /* what was set has been looked at */
     int warned;

@@ -115,6 +115,8 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
     every = head + "".join(f'#include "{name}"\n' for name in order)
     return {
         "all.c": every.encode(),
+        "floating.h": part("floating.h"),
+        "near.h": part("near.h"),
         "model.h": part("model.h"),
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),

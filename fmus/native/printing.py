@@ -13,7 +13,7 @@ from fmus.ports import Port
 from plant.model import Effect, Model, overrides
 from plant.namespaces import SymbolNamespace
 from plant.quantities import parameters_of
-from plant.symbolic.blocks import function, kinks, places_of, tangent
+from plant.symbolic.blocks import function, kinks, nearby, places_of, tangent
 from plant.symbolic.guard import guarded
 from plant.symbolic.languages import C
 from plant.symbolic.trace import Block, Trace, Untraceable, switches
@@ -129,7 +129,7 @@ class Printer:
     def sources(self) -> Sources:
         """All that is printed."""
         tables, texts = variable_tables(self.ports)
-        functions, body_kinks, kinks_in_all = kept(self._said(), self._functions)
+        functions, body_kinks, kinks_in_all, calls = kept(self._said(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._kinds_of_effects()]
         delay = self.trace.effects.index(self.delay) if self.delay else -1
         sizes = {
@@ -144,6 +144,7 @@ class Printer:
             "RANGES": len(self.model.valid),
             "BODY_KINKS": body_kinks,
             "KINKS": kinks_in_all,
+            "NEAR": calls,
             "DELAY": delay,
             "DELAY_TIME": self.vr(f"{self.delay.name}.{self.delay.delay}") if self.delay else 0,
             "DELAY_LONGEST": number(_longest(self.delay)) if self.delay else "0.0",
@@ -172,13 +173,14 @@ class Printer:
             made.append([places, remembering])
         return repr((made, [self.vr(name) for name in self.switches]))
 
-    def _functions(self) -> tuple[list[str], int, int]:
-        """The body, its kinks and slopes; how many kinks the body has, and with the shaping of commands."""
+    def _functions(self) -> tuple[list[str], int, int, int]:
+        """Return the body, its kinks and slopes; the numbers of the body's kinks, of all kinks, and of calls nearby."""
         gaps = [self._kinks(trace) for trace in self.variants]
         sizes = [max(len(found[k][1]) for found in gaps) for k in (0, 1)]
-        printed = [self._variant(t, found, sizes) for t, found in zip(self.variants, gaps, strict=True)]
+        calls = [nearby(trace.blocks, trace.derivative) for trace in self.variants]
+        printed = [self._variant(*of, sizes) for of in zip(self.variants, gaps, calls, strict=True)]
         merged = [self._merged([variant[k] for variant in printed]) for k in range(len(printed[0]))]
-        return merged, sizes[0], sum(sizes)
+        return merged, sizes[0], sum(sizes), max(len(listed) for _, _, listed in calls)
 
     @staticmethod
     def _kinks(trace: Trace) -> tuple[tuple[list[Any], list[Any]], tuple[list[Any], list[Any]]]:
@@ -188,7 +190,7 @@ class Printer:
         seen = {*moving, *(s for b in trace.shaping for s in b.values)}
         return kinks(trace.blocks, [*trace.derivative, *trace.outputs], moving), kinks(at_once, [], seen)
 
-    def _variant(self, trace: Trace, gaps: Any, sizes: Sequence[int]) -> list[Printed]:
+    def _variant(self, trace: Trace, gaps: Any, near: Any, sizes: Sequence[int]) -> list[Printed]:
         import sympy
 
         s = trace.s
@@ -202,7 +204,6 @@ class Printer:
         filled = [[*g, *[sympy.Integer(1)] * (n - len(g))] for g, n in zip((body_gaps, shape_gaps), sizes, strict=True)]
         body, shaping, n = trace.blocks, trace.shaping, len(trace.derivative)
         listed: list[tuple[str, str, list[Any], list[Any]]] = [
-            ("derivatives", "t x u p", body, trace.derivative),
             ("outputs", "t x u p", body, trace.outputs),
             ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered]),
             ("remember", "t memory p", [], trace.started),
@@ -213,7 +214,10 @@ class Printer:
             ("shape_slopes", "t h u memory p dx du", [*shaping, *shape_blocks], shape_slopes),
         ]
         try:
-            return [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
+            name, arguments = "derivatives", "t x u p near"
+            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, near[2])
+            rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
+            return [derivatives, *rest]
         except ValueError as error:
             raise Unprintable(str(error)) from error
 

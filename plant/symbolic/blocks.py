@@ -68,6 +68,48 @@ def tangent(
     return more, [slope(e) for e in expressions]
 
 
+@dataclass(frozen=True)
+class Nearby:
+    """A call that evaluates sine and cosine of an angle, or a power of base and exponent, near a known point.
+
+    place: of the known point; each call of a function has one of its own
+    """
+
+    place: int
+    symbols: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+
+
+def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
+    """Return what the results need with a symbol for each sin, cos and power, and the calls that evaluate these.
+
+    Powers by a number are left as they are: squares, roots and reciprocals cost little.
+    """
+    import sympy
+
+    calls: dict[Any, Nearby] = {}
+
+    def call(names: Sequence[str], arguments: tuple[Any, ...]) -> Nearby:
+        symbols = tuple(sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names)
+        return calls.setdefault(arguments, Nearby(len(calls), symbols, arguments))
+
+    def replaced(e: Any) -> Any:
+        arguments = tuple(map(replaced, e.args))
+        if arguments != e.args:
+            e = e.func(*arguments)
+        if isinstance(e, (sympy.sin, sympy.cos)):
+            return call(("sine", "cosine"), e.args).symbols[isinstance(e, sympy.cos)]
+        if isinstance(e, sympy.Pow) and not e.exp.is_number:
+            return call(("power",), e.args).symbols[0]
+        return e
+
+    def each(values: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {s: replaced(sympy.sympify(e)) for s, e in values.items()}
+
+    changed = [Block(each(b.values), b.effect, each(b.dormant), b.title) for b in _needed(blocks, results)]
+    return changed, [replaced(sympy.sympify(e)) for e in results], list(calls.values())
+
+
 @dataclass
 class _Node:
     """What is printed at one place: symbols, and what they are made of, branch by branch of an effect's block."""
@@ -75,6 +117,7 @@ class _Node:
     branches: tuple[dict[Any, Any], ...]
     effect: int | None
     title: str
+    call: Nearby | None = None
     within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch alone
 
 
@@ -85,22 +128,27 @@ def function(
     blocks: Sequence[Block],
     results: Sequence[Any],
     places: Mapping[Any, str],
+    calls: Sequence[Nearby] = (),
 ) -> str:
-    """`name(arguments, awake, out)`, printed: what of the blocks the results need, each effect's in a branch."""
+    """`name(arguments, awake, out)`, printed: what of the blocks the results need, each effect's in a branch.
+
+    calls: evaluations that `nearby` has taken out of the blocks and results
+    """
     import sympy
 
-    needed = _needed(blocks, results)
+    evaluated = {call.symbols: sympy.Tuple(*call.arguments) for call in calls}
+    needed = _needed(blocks, [*results, *evaluated.values()])
     plain = {s: e for b in needed if b.effect is None for s, e in b.values.items()}
     temporary = (sympy.Symbol(f"c{k}", real=True) for k in count())
-    replaced, reduced = sympy.cse([*plain.values(), *results], symbols=temporary, optimizations=[])
+    replaced, reduced = sympy.cse([*plain.values(), *evaluated.values(), *results], symbols=temporary, optimizations=[])
+    called, ends = reduced[len(plain) : len(plain) + len(calls)], reduced[len(plain) + len(calls) :]
     nodes = [_Node(({s: e},), None, "") for s, e in (*replaced, *zip(plain, reduced, strict=False))]
+    nodes += [_Node((dict.fromkeys(c.symbols, e),), None, "", c) for c, e in zip(calls, called, strict=True)]
     nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
-    ordered = _ordered(nodes, reduced[len(plain) :])
-    lines = [
-        line for node in _sunk(ordered, reduced[len(plain) :]) for line in _printed(node, language, places, "    ")
-    ]
+    ordered = _sunk(_ordered(nodes, ends), ends)
+    lines = [line for node in ordered for line in _printed(node, language, places, "    ")]
     printer = language.printer(places)
-    lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(reduced[len(plain) :])]
+    lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)]
     return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())
 
 
@@ -148,8 +196,7 @@ def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
     at, stay = {id(node): node for node in nodes}, []
     for node in reversed(nodes):
         if node.effect is None:
-            (symbol,) = node.branches[0]
-            own = homes.get(symbol, {None})
+            own = set[tuple[int, int] | None]().union(*(homes.get(s, set()) for s in node.branches[0]))
             (home,) = own if len(own) == 1 else (None,)
             use(list(node.branches[0].values()), home)
             if home is not None:
@@ -167,6 +214,12 @@ def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent:
     import sympy
 
     printer = language.printer(places)
+    if node.call is not None:
+        arguments = next(iter(node.branches[0].values()))
+        words = (*map(str, node.call.symbols), *map(printer.doprint, arguments))
+        form = language.angle if len(arguments) == 1 else language.power
+        yield indent + form.format(node.call.place, *words)
+        return
     if node.effect is None:
         ((symbol, e),) = node.branches[0].items()
         yield indent + language.local.format(symbol, printer.doprint(e))

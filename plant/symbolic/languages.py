@@ -21,6 +21,7 @@ class Language:
     assign:          how a symbol that is declared before gets its value
     when, otherwise: how the branch of an effect (place, title) that is awake begins, and that of one that is dormant
     end:             how the branches end
+    angle, power:    how sine and cosine of an angle, and a power, are evaluated near a point: place, symbols, arguments
     """
 
     skipped: str
@@ -31,6 +32,8 @@ class Language:
     when: str
     otherwise: str
     end: str
+    angle: str
+    power: str
 
     def declared(self, names: Sequence[str]) -> list[str]:
         """Lines that declare symbols before they get a value."""
@@ -83,6 +86,8 @@ class C(Language):
     skipped, either = "(({}) ? {} : 0.0)", " || "
     local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
     when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
+    angle = "double {1}, {2}; near_angle(near + {0}, {3}, &{1}, &{2});"
+    power = "const double {1} = near_power(near + {0}, {2}, {3});"
 
     def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
         return [f"double {', '.join(names)};"]
@@ -115,7 +120,13 @@ class C(Language):
         return Printer()
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
-        kinds = {"t": "double t", "h": "double h", "out": "double *out", "awake": "const unsigned char *awake"}
+        kinds = {
+            "t": "double t",
+            "h": "double h",
+            "near": "Near *near",
+            "awake": "const unsigned char *awake",
+            "out": "double *out",
+        }
         declared = ", ".join(kinds.get(a, f"const double *{a}") for a in arguments)
         unused = [a for a in arguments if not re.search(rf"\b{a}\b", body)]
         lines = [f"(void){a};" for a in unused] if "awake" in arguments else []
