@@ -1,8 +1,8 @@
-"""Random faults in the code, each tried against the tests of its subject: `python -m tests.mutants`, behind `make mutants`.
+"""Random faults in the code, each tried against the tests of its subject: `python -m tests.mutants`, `make mutants`.
 
-The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of the
-tree, so that the workers that a test starts or forks run it too. The tests of its subject follow, those that take
-least first, until one fails. `tests/mutants.yaml` lists mutants that no test can notice, and says why.
+The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of
+the tree, so that the workers that a test starts or forks run it too. The tests of its subject follow, the quickest
+first, until one fails. `tests/mutants.yaml` lists mutants that no test can notice, and says why.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ STARTING = 120.0  # [s] more
 SKIPPED = "not thorough and not hosts"
 
 UNUSED = ("NoOp", "RemoveDecorator", "VariableReplacer", "VariableInserter", "NumberReplacer")
-KINDS = ("Add Sub Mul Div", "FloorDiv Mod Mul", "Pow Mul", "BitAnd BitOr BitXor", "Eq NotEq Lt LtE Gt GtE", "Is IsNot", "In NotIn",
-         "USub UAdd Nothing", "Not Nothing")  # fmt: skip
+KINDS = (
+    "Add Sub Mul Div", "FloorDiv Mod Mul", "Pow Mul", "BitAnd BitOr BitXor", "Eq NotEq Lt LtE Gt GtE", "Is IsNot",
+    "In NotIn", "USub UAdd Nothing", "Not Nothing",
+)  # fmt: skip
 
 # the tests of a subject, by the first pattern that a file matches; tests of the whole room follow
 SUBJECTS: list[tuple[str, str]] = [
@@ -147,7 +149,11 @@ def mutants_of(file: str, tried: dict[str, Any]) -> list[list[Mutant]]:
 def _omitted(source: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """Yield where annotations and decorators begin and end."""
     for node in ast.walk(ast.parse(source)):
-        parts = [getattr(node, "annotation", None), getattr(node, "returns", None), *getattr(node, "decorator_list", [])]
+        parts = [
+            getattr(node, "annotation", None),
+            getattr(node, "returns", None),
+            *getattr(node, "decorator_list", []),
+        ]
         for part in parts:
             if part is not None:
                 yield (part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)
@@ -245,7 +251,7 @@ def timed(tree: Tree, files: set[str]) -> dict[str, float]:
     for file in sorted(files):
         text = (ROOT / file).read_text(encoding="utf-8")
         if before.get(file, {}).get("text") != text:
-            log = WORK / "log.json"
+            log = tree.folder.parent / "log.json"
             log.unlink(missing_ok=True)
             os.environ["MUTANTS_LOG"] = str(log)
             code, output = tree.test([file], 1800.0, "-m", SKIPPED, "-q")
@@ -335,7 +341,7 @@ def main() -> None:
     files = [path.relative_to(ROOT).as_posix() for path in paths if path.name != "__init__.py"]
     WORK.mkdir(parents=True, exist_ok=True)
     sample, tools, same = drawn(files, options.n, options.seed), operators(), equivalents()
-    tree = None if options.list else Tree(WORK / "tree")
+    tree = None if options.list else Tree(WORK / str(os.getpid()) / "tree")
     times = {} if tree is None else timed(tree, {test for mutant in sample for test in subject(mutant.file)})
     verdicts = []
     for mutant in sample:
@@ -352,6 +358,8 @@ def main() -> None:
         if outcome != "killed":
             print(f"    - {before}\n    + {after}", flush=True)
     print(json.dumps(summary(verdicts)))
+    if tree is not None:
+        shutil.rmtree(tree.folder.parent)
 
 
 def summary(verdicts: list[Verdict]) -> dict[str, Any]:

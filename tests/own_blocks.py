@@ -69,7 +69,7 @@ class Block:
 
     def _note(self, call: str) -> None:
         self.calls.append((self.name, call, self.doing[0]))
-        if self.fails == (call, sum(made == call for _, made, _ in self.calls)):
+        if self.fails and self.fails == (call, sum(made == call for _, made, _ in self.calls)):
             raise self.error(self.name, self._at[0], f"{call} failed")
 
 

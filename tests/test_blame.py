@@ -134,7 +134,13 @@ def test_a_call_that_fails_stops_the_run_there_and_every_component_is_closed(nam
     assert all(block.calls[-1][1] == "close" for block in blocks)
 
 
-def test_an_fmu_that_ends_the_run_alone_leaves_a_row_of_its_time() -> None:
+@pytest.mark.parametrize(
+    ("readable", "fmus", "times"),
+    [(True, ["a"], [0, 1, 2, 2.25]), (True, ["a", "b"], [0, 1, 2]), (False, ["a"], [0, 1, 2])],
+)
+def test_an_fmu_that_ends_the_run_alone_leaves_a_row_of_its_time(
+    readable: bool, fmus: list[str], times: list[float]
+) -> None:
     class Ends(Block):
         def advance(self, t: float, h: float) -> None:
             super().advance(t, h)
@@ -142,12 +148,11 @@ def test_an_fmu_that_ends_the_run_alone_leaves_a_row_of_its_time() -> None:
                 self._at = t + 0.25 * h, h
                 raise EndedEarly(self.name, t + 0.25 * h, "it has landed", readable=readable)
 
-    for readable, fmus, times in ((True, ["a"], [0, 1, 2, 2.25]), (True, ["a", "b"], [0, 1, 2]), (False, ["a"], [0, 1, 2])):
-        block = Ends("a", [], ["y"], lambda t, h, u: [t])
-        results = simulate(system_of([block], {}, fmus=dict.fromkeys(fmus)), 9, 1.0)
-        assert results.time.tolist() == times
-        assert results["a.y"].tolist() == times
-        assert results.notes == ("a ended the simulation at t = 2.25 s: it has landed",)
+    block = Ends("a", [], ["y"], lambda t, h, u: [t])
+    results = simulate(system_of([block], {}, fmus=dict.fromkeys(fmus)), 9, 1.0)
+    assert results.time.tolist() == times
+    assert results["a.y"].tolist() == times
+    assert results.notes == ("a ended the simulation at t = 2.25 s: it has landed",)
 
 
 # -- initialization ---------------------------------------------------------------------------------
@@ -316,7 +321,9 @@ def test_rows_do_not_count_for_the_limit_of_memory(monkeypatch: pytest.MonkeyPat
     clock.progress.made[0] = 10_000
     clock.look(0)  # exactly as much as is allowed
     clock.progress.made[0] = 9_000
-    with pytest.raises(SimulationError, match=r"fmi2DoStep: the process holds 41 MB, more than 40 MB \(limits: memory\)"):
+    with pytest.raises(
+        SimulationError, match=r"fmi2DoStep: the process holds 41 MB, more than 40 MB \(limits: memory\)"
+    ):
         clock.look(0)
 
 

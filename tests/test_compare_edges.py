@@ -1,4 +1,4 @@
-"""A comparison at its edges: exactly at a tolerance, at times that are all but one, and in every sentence it may say."""
+"""A comparison at its edges: exactly at a tolerance, at times that are all but one, in every sentence it may say."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from cosim.arrays import Array
 from cosim.comparison.between import rows_between
@@ -23,8 +24,14 @@ TIME = np.linspace(0.0, 1.0, 101)
 EPS = float(np.finfo(float).eps)
 
 
-def ran(name: str, time: Array = TIME, /, text: Any = None, units: Any = None, criteria: Any = (), **signals: Any) -> Ran:
-    table = np.column_stack([np.broadcast_to(v, time.shape) for v in signals.values()]) if signals else np.zeros((time.size, 0))
+def ran(
+    name: str, time: Array = TIME, /, text: Any = None, units: Any = None, criteria: Any = (), **signals: Any
+) -> Ran:
+    table = (
+        np.column_stack([np.broadcast_to(v, time.shape) for v in signals.values()])
+        if signals
+        else np.zeros((time.size, 0))
+    )
     results = Results(time, tuple(signals), table, units or {}, exact=text or {})
     return Ran(Path(name), name, results, {"criteria": list(criteria)})
 
@@ -101,12 +108,21 @@ def test_times_within_rounding_are_one_and_others_are_not() -> None:
 
 
 def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
-    between = rows_between(np.array([0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5]), 1e-9)
+    between = rows_between(
+        np.array([0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5]), 1e-9
+    )
     assert between.time.tolist() == [0.5, 1.0, 1.0, 2.5]  # two at one time are none by themselves
     assert between.first.tolist() == [0, 0, 0, 2]
     assert between.last.tolist() == [1, 2, 2, 3]
     a = np.array([0.0, 2.0, 1.0, 5.0])
-    for value, outside in ((1.0, 0.0), (2.0, 0.0), (2.5, 0.5), (-0.75, 0.75), (math.nan, math.inf), (math.inf, math.inf)):
+    for value, outside in (
+        (1.0, 0.0),
+        (2.0, 0.0),
+        (2.5, 0.5),
+        (-0.75, 0.75),
+        (math.nan, math.inf),
+        (math.inf, math.inf),
+    ):
         b = np.array([9.0, 0.0, value, 2.0, 2.0, 1.0, 3.0, 5.0, 9.0])
         found, at = between.outside(a, b)
         assert found == outside
@@ -149,13 +165,17 @@ def test_shorter_names_both_runs_and_both_times() -> None:
         ({"x": 1}, 2.0, "Within the tolerance: most x, by 1.00 at 0 s (100 % of its range)."),
         ({"x": 1, "y": 0}, 2.0, "All 2 signals are within the tolerance; most x, by 1.00 at 0 s (100 % of its range)."),
         ({"x": 1, "y": 3}, 2.0, "1 of 2 signals is beyond the tolerance; most y, by 3.00 at 0 s (300 % of its range)."),
-        ({"x": 4, "y": 3}, 2.0, "2 of 2 signals are beyond the tolerance; most x, by 4.00 at 0 s (400 % of its range)."),
+        (
+            {"x": 4, "y": 3},
+            2.0,
+            "2 of 2 signals are beyond the tolerance; most x, by 4.00 at 0 s (400 % of its range).",
+        ),
         ({"x": math.nan}, 2.0, "1 of 1 signal is beyond the tolerance; most x, which has no number in one run at 0 s."),
     ],
 )
 def test_the_sentence_counts_and_names_what_differs_most(offsets: Any, tolerance: Any, words: str) -> None:
     found = compared(
-        ran("a", **{n: TIME for n in offsets}), ran("b", **{n: TIME + v for n, v in offsets.items()}), tolerance
+        ran("a", **dict.fromkeys(offsets, TIME)), ran("b", **{n: TIME + v for n, v in offsets.items()}), tolerance
     )
     assert sentence(found).replace("\u00a0", " ") == words
 
@@ -241,9 +261,9 @@ def test_the_page_says_how_it_was_judged_and_draws_the_most_different() -> None:
 
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
 def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="give a number that is not negative"):
+    with pytest.raises(InputError, match=r"^a: --tol .*: give a number that is not negative"):
         compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", tolerance=value)
-    with pytest.raises(InputError, match="give a number that is not negative"):
+    with pytest.raises(InputError, match=r"^a: --abs .*: give a number that is not negative"):
         compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", absolute=value)
     assert not (tmp_path / "out").exists()
 
@@ -258,3 +278,15 @@ def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
     assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html"]
     compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
     assert [p.name for p in place.iterdir()] == ["comparison.json"]
+
+
+def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:
+    signals = {f"s{k}": TIME for k in range(6)}
+    found = compared(ran("a", **signals), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(signals)}))
+    for names, drawn in (((), ["s5", "s4", "s3", "s2"]), (("s1",), ["s1"])):
+        figure = found.plot(*names)
+        texts = " ".join(text.get_text() for text in figure.findobj(Text))
+        assert [name for name in ("s5", "s4", "s3", "s2", "s1", "s0") if name in texts] == drawn
+        assert len(figure.axes) == 2 * len(drawn)
+    with pytest.raises(KeyError, match='no signal "s9" in both'):
+        found.plot("s1", "s9")

@@ -26,8 +26,10 @@ NOISE = 0.01
 
 def log_of(time: Array, inputs: Any = None, outputs: Any = None, step: float = 0.02, **more: Any) -> Log:
     inputs, outputs = inputs or {}, outputs or {}
-    units = {name: "m" for name in (*inputs, *outputs, "v")} | more.pop("units", {})
-    return Log(Path("a.csv"), time, inputs, outputs, units, step, more.pop("written", {}), more.pop("unwrapped", {}), **more)
+    units = dict.fromkeys((*inputs, *outputs, "v"), "m") | more.pop("units", {})
+    return Log(
+        Path("a.csv"), time, inputs, outputs, units, step, more.pop("written", {}), more.pop("unwrapped", {}), **more
+    )
 
 
 def moving(rows: int = 1500, step: float = 0.02, seed: int = 1, **more: Any) -> Log:
@@ -74,7 +76,12 @@ def test_rows_that_are_missing_are_counted_in_their_places() -> None:
     assert found == {"rows": 4, "places": 2, "first": pytest.approx(99 * 0.02), "longest": pytest.approx(0.08)}
     pause = kinds(without(log, range(100, 125)))  # 0.52 s without a row
     assert "dropouts" not in pause
-    assert pause["gaps"].numbers == {"rows": 25, "places": 1, "first": pytest.approx(1.98), "longest": pytest.approx(0.52)}
+    assert pause["gaps"].numbers == {
+        "rows": 25,
+        "places": 1,
+        "first": pytest.approx(1.98),
+        "longest": pytest.approx(0.52),
+    }
     assert "gaps" not in kinds(without(log, range(100, 123)))  # 0.48 s
     both = kinds(without(log, [50, *range(100, 130)]))
     assert (both["dropouts"].numbers["rows"], both["gaps"].numbers["rows"]) == (1, 30)
@@ -284,7 +291,9 @@ def test_lost_rows_are_put_on_the_line_of_an_input_that_runs_smoothly_and_held_o
     assert found.time == pytest.approx(0.02 * k)
     assert found.inputs["v"][[20, 41, 42, 43]].tolist() == [3, 8, 8, 8]
     assert found.inputs["u"][20] == pytest.approx(0.5 * (smooth[19] + smooth[21]))
-    assert found.inputs["u"][41:44] == pytest.approx(smooth[40] + (smooth[44] - smooth[40]) * np.array([0.25, 0.5, 0.75]))
+    assert found.inputs["u"][41:44] == pytest.approx(
+        smooth[40] + (smooth[44] - smooth[40]) * np.array([0.25, 0.5, 0.75])
+    )
     assert np.flatnonzero(np.isnan(found.outputs["y"])).tolist() == [20, 41, 42, 43]
     whole = log_of(0.02 * k, {"u": smooth}, {"y": 1.0 * k})
     assert filled(whole) is whole
@@ -424,7 +433,7 @@ def test_a_table_of_few_rows_says_little(rows: int, severity: str | None) -> Non
     y = np.where(k < rows, k * k, np.nan)
     log = replace(log_of(k, {"u": np.sin(k)}, {"y": y}), table=True)
     found = {f.kind: f for f in table_findings(log)}
-    assert ("short" in found and found["short"].severity or None) == severity
+    assert (("short" in found and found["short"].severity) or None) == severity
     assert "short" not in found or found["short"].numbers == {"rows": rows}
     assert ("missing" in found) is True
     assert found["missing"].numbers == {"share": rows / 12}

@@ -55,7 +55,9 @@ def scenario(step: float = 0.1, steps: int = 10, connections: Any = (), **more: 
         (1.1, 11, 1, 0),
     ],
 )
-def test_a_step_of_its_own_is_a_whole_multiple_within_the_run(step: Any, every: int, faults: int, warnings: int) -> None:
+def test_a_step_of_its_own_is_a_whole_multiple_within_the_run(
+    step: Any, every: int, faults: int, warnings: int
+) -> None:
     noted = Noted()
     of = scenario(components={"a": SimpleNamespace(step=step)})
     assert _every(of, "a", noted) == every  # type: ignore[arg-type]
@@ -79,9 +81,7 @@ def test_what_is_said_of_a_step_of_its_own_names_the_numbers_and_the_cure() -> N
 def test_a_component_with_a_longer_step_makes_it_at_its_end() -> None:
     slow, fast = (Block(name, ["u"], ["y"], lambda t, h, u: [u[0] + 100.0 * t]) for name in ("slow", "fast"))
     clock = Block("clock", [], ["y"], lambda t, h, u: [t])
-    system = system_of(
-        [clock, slow, fast], {"slow.u": "clock.y", "fast.u": "slow.y"}, every={"slow": 3}, start=2.0
-    )
+    system = system_of([clock, slow, fast], {"slow.u": "clock.y", "fast.u": "slow.y"}, every={"slow": 3}, start=2.0)
     results = simulate(system, 7, 0.5, rows=rows_for(system, 7))
     assert clock.steps == fast.steps == [(2.0 + 0.5 * k, 0.5) for k in range(7)]
     assert slow.steps == [(2.0, 1.5), (3.5, 1.5)]

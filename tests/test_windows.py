@@ -42,7 +42,7 @@ from cosim.residuals.words import _and, horizon_name, input_words, quality, verd
 
 def log_of(time: Array, step: float = 0.02, outputs: Any = None, inputs: Any = None, **more: Any) -> Log:
     named = {"y": np.sin(time)} if outputs is None else outputs
-    units = {name: "rad" for name in (*named, *(inputs or {}))} | more.pop("units", {})
+    units = dict.fromkeys((*named, *(inputs or {})), "rad") | more.pop("units", {})
     return Log(Path("a.csv"), time, inputs or {}, named, units, step, more.pop("written", {}), {}, **more)
 
 
@@ -298,7 +298,8 @@ def test_no_delay_is_told_of_less_than_half_a_row_or_of_what_is_unlike() -> None
 
 
 @pytest.mark.parametrize(
-    ("factor", "kind"), [(1.0, None), (-1.0, "sign"), (57.3, "unit"), (40.0, None), (45.0, "unit"), (90.0, None), (4.9, None)]
+    ("factor", "kind"),
+    [(1.0, None), (-1.0, "sign"), (57.3, "unit"), (40.0, None), (45.0, "unit"), (90.0, None), (4.9, None)],
 )
 def test_a_signal_in_another_unit_moves_as_the_model_does_but_so_many_times_as_far(factor: float, kind: Any) -> None:
     log, model = shaken()
@@ -317,7 +318,9 @@ def test_a_signal_in_another_unit_moves_as_the_model_does_but_so_many_times_as_f
 def channel(
     name: str = "y", error: float = 1.0, noise: float = 1.0, limit: float = 1.5, astray: float = 0.0, **more: Any
 ) -> ChannelSummary:
-    scores = more.get("scores", {2.0: Score(error, more.get("fit", 50.0), 100), FREE_RUN: Score(7.0 * error, 20.0, 200)})
+    scores = more.get(
+        "scores", {2.0: Score(error, more.get("fit", 50.0), 100), FREE_RUN: Score(7.0 * error, 20.0, 200)}
+    )
     inputs = more.get("inputs", ())
     white = more.get("whiteness", Whiteness(np.array([1.0, 0.3]), 0.1, 0.5))
     return ChannelSummary(name, "m", 2.0, 0.1, Floor(noise, limit, astray), scores, white, inputs)
@@ -361,7 +364,9 @@ def test_what_is_matched_is_explained_unless_it_follows_a_command() -> None:
 def test_the_verdict_is_the_first_that_applies() -> None:
     noise = "no more than the noise of the sensors explains: this log shows nothing that the model lacks."
     assert said(channel(error=0.5)) == f"Over 2 s the model misses y by 0.500 m (rms), {noise}"
-    assert "could explain in size, but not in kind. The residual of y follows u" in said(channel(inputs=(follows(3.0),)))
+    assert "could explain in size, but not in kind. The residual of y follows u" in said(
+        channel(inputs=(follows(3.0),))
+    )
     far = said(channel("x", 2.0), channel("y", 3.0), channel("z", 0.5), channel("w", 4.0))
     assert "That is 4.0 times what the noise of the sensors explains for w, 3.0 times for y and 2.0 times for x." in far
     assert far.startswith("Over 2 s the model misses x by 2.00 m, y by 3.00 m, z by 0.500 m and w by 4.00 m (rms). ")
@@ -373,7 +378,9 @@ def test_the_verdict_is_the_first_that_applies() -> None:
     free = said(
         channel("x", scores={FREE_RUN: Score(9.0, 30.0, 9)}), channel("y", scores={FREE_RUN: Score(9.0, 20.0, 9)})
     )
-    assert free.startswith("Over a free run of 10.0 s the model misses x by 9.00 m and y by 9.00 m (rms); y fits to 20 %.")
+    assert free.startswith(
+        "Over a free run of 10.0 s the model misses x by 9.00 m and y by 9.00 m (rms); y fits to 20 %."
+    )
 
 
 def test_the_cause_is_a_delay_of_more_than_a_row_or_a_command_that_stands_out() -> None:
@@ -441,7 +448,7 @@ def test_a_start_value_is_a_number_in_a_unit_of_its_variable(text: str, unit: st
 
 @pytest.mark.parametrize(("text", "unit"), [("1 kg", "m"), ("1 m", ""), ("m", "m"), ("1e999", "m"), ("1,5", "m")])
 def test_a_start_value_that_is_no_such_number_is_refused(text: str, unit: str) -> None:
-    with pytest.raises(ValueError, match="it is a|is no unit of it"):
+    with pytest.raises(ValueError, match=r"it is a|is no unit of it"):
         _number(text, unit)
 
 
