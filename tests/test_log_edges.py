@@ -297,6 +297,7 @@ def test_lost_rows_are_put_on_the_line_of_an_input_that_runs_smoothly_and_held_o
     assert np.flatnonzero(np.isnan(found.outputs["y"])).tolist() == [20, 41, 42, 43]
     whole = log_of(0.02 * k, {"u": smooth}, {"y": 1.0 * k})
     assert filled(whole) is whole
+    assert filled(without(whole, [58])).time == pytest.approx(0.02 * k)
     only_held = without(log_of(0.02 * k, {"v": held}, {"y": 1.0 * k}), [20])
     assert filled(only_held) is only_held
 
@@ -455,3 +456,18 @@ def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
     faults = gate_faults(log, [Finding("fault", "sign", "y", "is wrong"), Finding("warning", "x", "y", "is not")])
     assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
     assert gate_faults(log, [Finding("fault", "rate", "", "is slow")])[0].column == 1
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])
+def test_a_sign_takes_eight_blocks_of_half_a_second_and_an_angle_that_moves(seconds: float, told: bool) -> None:
+    log = turning(-1.0)
+    rows = round(seconds / 0.02)
+    short = {name: values[:rows] for name, values in log.outputs.items()}
+    found = [f.kind for f in frames(replace(log, time=log.time[:rows], outputs=short)) if f.kind == "sign"]
+    assert found == (["sign"] if told else [])
+    t = log.time
+    for outputs in (
+        {"psi": 1e-10 * np.sin(0.9 * t), "psi_dot": 0.45 * np.cos(0.9 * t)},  # rounding
+        {"psi": 0.5 * np.sin(0.9 * t), "psi_dot": 0.0 * t},
+    ):
+        assert list(frames(replace(log, outputs=outputs))) == []

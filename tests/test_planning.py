@@ -14,6 +14,7 @@ from cosim.blocks.interface import Signal
 from cosim.errors import Fault, InputError, SimulationError
 from cosim.results import Results
 from cosim.simulation import feasible, parts
+from cosim.simulation.coupling import CouplingError, _largest, differences
 from cosim.simulation.criteria import evaluate, sentence
 from cosim.simulation.diagnosis import LONGEST, Diagnosis
 from cosim.simulation.matching import alike, matched
@@ -392,3 +393,29 @@ def test_a_file_of_the_run_is_taken_from_beside_the_manifest_where_it_is_no_more
 def test_a_system_by_hand_has_its_columns() -> None:
     a = Block("a", ["u"], ["y"], lambda t, h, u: u)
     assert system_of([a], {"a.u": "a.y"}, held=["a.u"]).columns == ("a.u", "a.y")
+
+
+# -- the coupling error -----------------------------------------------------------------------------
+
+
+def test_a_coupling_error_is_the_largest_difference_where_both_runs_have_a_row() -> None:
+    def run(step: float, rows: int, scale: float, names: tuple[str, ...] = ("a.y", "a.x[1]", "a.z")) -> Results:
+        time = step * np.arange(rows)
+        return Results(time, names, np.column_stack([scale * time**2] * len(names)))
+
+    whole, halved = run(0.1, 6, 1.0), run(0.05, 11, 0.5)
+    assert differences(whole, halved, ["a.y", "a.x"]) == pytest.approx({"a.y": 0.125, "a.x[1]": 0.125})
+    # one that ended at 0.25 s has a row at 0.2 s in common
+    assert differences(whole, run(0.05, 6, 0.5), ["a.y"]) == pytest.approx({"a.y": 0.02})
+    assert _largest(whole, "a.y") == pytest.approx((0.25, 0.5))
+
+
+def test_the_sentence_of_a_coupling_error_says_what_is_known() -> None:
+    assert CouplingError({}, "it crashed").sentence == "coupling error not known: with half the step it crashed"
+    assert CouplingError({}).sentence == "half the step changes at most nothing, for nothing is connected"
+    base = "half the step changes at most a.y 0.12, b.y 3; the coupling error is about twice that"
+    of = {"a.y": 0.123, "b.y": 3.0}
+    assert CouplingError(of).sentence == base
+    assert CouplingError(of, without="why").sentence == f"{base}; of single steps not known: why"
+    single = CouplingError(of, steps={"a.y": (0.0456, 1.5)}).sentence
+    assert single == f"{base}; of a single step, taken back and made again in halves: a.y 0.046 at t = 1.5 s"

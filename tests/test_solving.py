@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.blocks.derivatives import slopes_at
 from cosim.blocks.interface import EndedEarly, Signal
 from cosim.blocks.kinds import FMI1, FMI2, FMI3, Exchange, element_names, goes, kinds_of
 from cosim.blocks.model_exchange import MOST_EVENTS, ModelExchange2
@@ -343,3 +344,48 @@ def test_inputs_of_fmi_1_are_shown_at_what_is_given_else_at_their_start(
 )
 def test_a_unit_is_converted_by_factor_and_offset(here: Signal, there: Signal, found: Any) -> None:
     assert here.conversion(there) == (None if found is None else pytest.approx(found))
+
+
+# -- slopes -----------------------------------------------------------------------------------------
+
+
+class Bent:
+    """x' = x² u, y = x + 3 u: its slopes are 2 x u, x², 1 and 3."""
+
+    name = "m"
+
+    def __init__(self) -> None:
+        self.asked: list[list[float]] = []
+
+    def move(self, t: float, states: Any, inputs: Any) -> Any:
+        return states
+
+    def rates(self, states: Any, inputs: Any) -> Any:
+        (x,), (u,) = states, inputs
+        self.asked.append([float(x), float(u)])
+        return np.array([x * x * u, x + 3.0 * u])
+
+    def given_slopes(self) -> Any:
+        return np.array([[7.0, 7.0], [7.0, 7.0]])
+
+
+@pytest.mark.parametrize(("x", "u"), [(0.5, -0.25), (4.0, 100.0)])
+def test_slopes_are_central_differences_by_a_share_of_the_value_or_of_one(x: float, u: float) -> None:
+    block: Any = Bent()
+    slopes, here, after = slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, given=False)
+    assert slopes == pytest.approx(np.array([[2 * x * u, x * x], [1.0, 3.0]]), rel=1e-9)
+    assert here == pytest.approx([x * x * u, x + 3.0 * u])
+    assert after.tolist() == [x]
+    size_x, size_u = 1e-3 * max(1.0, abs(x)), 1e-3 * max(1.0, abs(u))
+    asked = [[x, u], [x + size_x, u], [x - size_x, u], [x, u + size_u], [x, u - size_u], [x, u]]
+    assert np.array(block.asked) == pytest.approx(np.array(asked))
+    assert slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, given=True)[0].tolist() == [[7, 7], [7, 7]]
+
+
+def test_slopes_that_are_not_finite_are_told() -> None:
+    block: Any = Bent()
+    with pytest.raises(SimulationError, match="its derivatives or outputs are not finite there"):
+        slopes_at(block, 0.0, np.array([math.inf]), np.array([1.0]), 1e-3, given=False)
+    block.given_slopes = lambda: np.array([[math.nan]])
+    with pytest.raises(SimulationError, match="its slopes are not finite there"):
+        slopes_at(block, 0.0, np.array([1.0]), np.array([1.0]), 1e-3, given=True)
