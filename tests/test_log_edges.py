@@ -471,3 +471,23 @@ def test_a_sign_takes_eight_blocks_of_half_a_second_and_an_angle_that_moves(seco
         {"psi": 0.5 * np.sin(0.9 * t), "psi_dot": 0.0 * t},
     ):
         assert list(frames(replace(log, outputs=outputs))) == []
+
+
+@pytest.mark.parametrize(("size", "answers"), [(0.04, False), (0.06, True)])
+def test_a_jump_is_a_twentieth_of_the_range_of_its_input(size: float, answers: bool) -> None:
+    k = np.arange(1500)
+    y = NOISE * np.random.default_rng(5).standard_normal(1500)
+    y[700] = 0.5
+    u = (1.0 - size) * (k >= 100) + size * (k >= 700)  # 0 … 1
+    log = replace(with_output(y), inputs={"u": u})
+    assert (700 not in out_of_line(log, y, 0.3)[0]) is answers
+
+
+@pytest.mark.parametrize(("times", "answers"), [(7.0, False), (9.0, True)])
+def test_a_jump_is_eight_times_the_usual_change_of_its_input(times: float, answers: bool) -> None:
+    k = np.arange(1500)
+    y = NOISE * np.random.default_rng(5).standard_normal(1500)
+    y[700] = 0.5
+    u = 0.01 * np.abs((k + 10) % 20 - 10) + times * 0.01 * (k >= 700)  # a triangle that changes by 0.01 a row
+    log = replace(with_output(y), inputs={"u": u})
+    assert (700 not in out_of_line(log, y, 0.3)[0]) is answers

@@ -23,6 +23,7 @@ from cosim.simulation.pinned import sha256, with_files_beside
 from cosim.simulation.scenario import Criterion, Scenario
 from cosim.simulation.start_values import Misfit, settable, typed, with_elements
 from cosim.simulation.wiring import MOST_NAMED, Transfer, _some, lay_out
+from cosim.sweeps.design import drawn_rows, saltelli_base
 from cosim.yaml_file import MOST_FAULTS
 from tests.own_blocks import Block, system_of
 from tests.test_schedule import Noted
@@ -419,3 +420,17 @@ def test_the_sentence_of_a_coupling_error_says_what_is_known() -> None:
     assert CouplingError(of, without="why").sentence == f"{base}; of single steps not known: why"
     single = CouplingError(of, steps={"a.y": (0.0456, 1.5)}).sentence
     assert single == f"{base}; of a single step, taken back and made again in halves: a.y 0.046 at t = 1.5 s"
+
+
+# -- the design of a sweep --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("runs", "count", "base"),
+    [(4, 2, 1), (3, 2, 0), (7, 2, 1), (8, 2, 2), (100, 3, 16), (0, 1, 0), (80, 3, 16), (79, 3, 8)],
+)
+def test_saltelli_takes_the_largest_power_of_two_that_fits(runs: int, count: int, base: int) -> None:
+    assert saltelli_base(runs, count) == base
+    assert drawn_rows(count, False, runs, "saltelli") == base * (count + 2) <= runs
+    assert drawn_rows(0, True, runs, "saltelli") == runs
+    assert drawn_rows(0, False, runs, "sobol") == 1
