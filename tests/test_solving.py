@@ -225,6 +225,8 @@ def test_solve_ivp_stops_just_behind_the_crossing() -> None:
     assert 0.75 <= time < 0.75 + 1e-9
     assert fmu.x < 0.25
     assert solver.step(time, 1.0)[0] is False
+    without = SolveIvp(Falling(), states=0, indicators=0, start=0.0, longest=0.1, tolerance=1e-8)
+    assert without.step(0.0, 0.5) == (False, None, 0.5)
 
 
 # -- over time --------------------------------------------------------------------------------------
@@ -269,7 +271,7 @@ def test_noise_is_of_its_variance_and_bias_and_each_source_has_a_stream_of_its_o
         ("UInt16", 65535, True), ("UInt16", 65536, False), ("UInt16", -1, False), ("Int32", math.inf, False),
         ("Enumeration", 2**53, True), ("Enumeration", 2**53 + 2, False), ("Boolean", 1, True), ("Boolean", 2, False),
         ("Float32", 3.4028234663852886e38, True), ("Float32", 3.41e38, False), ("Float64", 1e308, True),
-        ("Float32", -3.41e38, False),
+        ("Float32", -3.41e38, False), ("Float32", 3.4028236e38, False),
     ],
 )  # fmt: skip
 def test_a_type_of_fmi_holds_its_numbers_and_no_others(kind: str, value: float, sound: bool) -> None:
