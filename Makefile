@@ -5,8 +5,9 @@ RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
+MUTATING := .venv/.mutating
 
-.PHONY: run test thorough refine bench blind crash fuzz seed check docs clean fmus
+.PHONY: run test thorough refine bench blind crash fuzz mutants seed check docs clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -25,6 +26,10 @@ $(TESTING): $(RUNTIME)
 
 $(CHECKING): $(TESTING)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,check]'
+	@touch $@
+
+$(MUTATING): $(TESTING)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,mutants]'
 	@touch $@
 
 $(DOCUMENTING): $(RUNTIME)
@@ -56,6 +61,10 @@ crash: $(TESTING)
 # EXAMPLES in all; SEED of an earlier run finds the same again
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
+
+# N random faults in FILES (six rooms without), each tried against the tests of its subject; SEED draws them
+mutants: $(MUTATING)
+	$(BIN)/python -m tests.mutants $(FILES) $(if $(filter command line,$(origin N)),-n $(N)) $(if $(SEED),--seed $(SEED))
 
 # how often the intervals of `cosim identify` hold the truth, over SEEDS; the controllers, over 20
 seed: $(TESTING)

@@ -187,7 +187,7 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
         if scale is None:
             differences.append(of_other_units(name, unit, other, time, judged=tolerance is not None))
             continue
-        second = second * scale if scale != 1.0 else second
+        second = second * scale
         values[name] = first, second
         found = of_numbers(name, unit or other, time, first, second, tolerance, absolute, rounded=scale != 1.0)
         found = replace(found, note=of_units(unit, other, found))

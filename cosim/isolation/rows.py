@@ -88,7 +88,7 @@ def allocate(path: Path, size: int) -> None:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), 0, max(1, size))
             return
-        for first in range(0, max(1, size), BLOCK):
+        for first in range(0, size, BLOCK):
             stream.write(bytes(min(BLOCK, size - first)))
 
 

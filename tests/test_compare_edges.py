@@ -1,0 +1,292 @@
+"""A comparison at its edges: exactly at a tolerance, at times that are all but one, in every sentence it may say."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from cosim.arrays import Array
+from cosim.comparison.between import rows_between
+from cosim.comparison.differences import Compared, compared, criteria_of, sentence
+from cosim.comparison.page import compare, context
+from cosim.comparison.ran import Ran
+from cosim.comparison.signals import near, rows_of
+from cosim.errors import InputError
+from cosim.results import Results
+
+TIME = np.linspace(0.0, 1.0, 101)
+EPS = float(np.finfo(float).eps)
+
+
+def ran(
+    name: str, time: Array = TIME, /, text: Any = None, units: Any = None, criteria: Any = (), **signals: Any
+) -> Ran:
+    table = (
+        np.column_stack([np.broadcast_to(v, time.shape) for v in signals.values()])
+        if signals
+        else np.zeros((time.size, 0))
+    )
+    results = Results(time, tuple(signals), table, units or {}, exact=text or {})
+    return Ran(Path(name), name, results, {"criteria": list(criteria)})
+
+
+def held(a: Any, b: Any, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+    return compared(ran("a", x=a), ran("b", x=b), tolerance, absolute)
+
+
+def test_a_difference_of_the_tolerance_itself_is_within_it() -> None:
+    a = 4.0 * TIME
+    b = a + np.where(TIME == 0.0, 1.0, 0.0)
+    for tolerance, absolute in ((0.25, 0.0), (0.0, 1.0), (0.125, 0.5)):
+        assert held(a, b, tolerance, absolute).same
+        assert not held(a, b, tolerance * (1 - 1e-9), absolute * (1 - 1e-9)).same
+
+
+def test_largest_rms_scale_and_share_are_their_formulas() -> None:
+    rows = np.arange(101.0)
+    (found,) = held(0.04 * rows - 1.0, 0.04 * rows - 1.0 + np.where(rows % 10 == 0, -0.5, 0.0)).differences
+    assert (found.largest, found.scale, found.share, found.at) == (
+        pytest.approx(0.5), pytest.approx(4.0), pytest.approx(0.125), found.at,
+    )  # fmt: skip
+    assert round(100 * found.at) % 10 == 0
+    assert found.rms == pytest.approx(0.5 * math.sqrt(11 / 101))
+    assert held(np.full(101, -3.0), np.full(101, -3.3)).differences[0].share == pytest.approx(0.1)
+    assert held(0.0, 0.25).differences[0].share == 0.25  # a signal that is zero has no size: 1 in its unit
+    (found,) = held(np.where(TIME > 0.5, np.nan, 2.0 * TIME), TIME).differences
+    assert (found.scale, found.largest, found.rms) == (pytest.approx(1.0), math.inf, math.inf)
+
+
+def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is() -> None:
+    degrees = np.linspace(1.0, 100.0, 101)
+    radians = ran("a", units={"x": "rad"}, x=np.radians(degrees))
+    assert compared(radians, ran("b", units={"x": "deg"}, x=degrees), 0.0).same
+    found = compared(radians, ran("b", units={"x": "deg"}, x=degrees * (1.0 + 20 * EPS)), 0.0)
+    assert not found.same
+    assert found.differences[0].note == "deg in b, converted"
+    # without a change of unit the last bit counts
+    assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
+
+
+def test_a_unit_in_one_run_alone_is_told_where_the_numbers_differ() -> None:
+    one, none = ran("a", units={"x": "m"}, x=TIME), ran("b", x=2.0 * TIME)
+    assert compared(one, none).differences[0].note == "no unit in b, taken as m"
+    assert compared(none, one).differences[0].note == "no unit in a, taken as m"
+    assert compared(one, ran("b", x=TIME)).differences[0].note == ""
+    assert compared(one, one).differences[0].note == ""
+
+
+def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
+    a = ran("a", text={"mode": ["on"] * 101}, units={"x": "m", "y": "s"}, x=TIME, y=TIME)
+    b = ran("b", text={"mode": ["on"] * 50 + ["off"] * 51}, units={"x": "kg", "y": "s"}, x=TIME, y=TIME + 1.0)
+    found = compared(a, b, 0.1)
+    assert [d.name for d in found.differences] == ["x", "y", "mode"]
+    x, y, mode = found.differences
+    assert (x.alike, x.beyond, y.largest, y.beyond) == (False, True, 1.0, True)
+    assert (mode.largest, mode.at, mode.rms, mode.share, mode.beyond) == (1.0, 0.5, 1.0, 1.0, True)
+    assert [d.beyond for d in compared(a, b).differences] == [False, False, False]
+    assert found.reasons == ["2 signals beyond the tolerance", "x is in m in one, in kg in the other"]
+
+
+def test_times_within_rounding_are_one_and_others_are_not() -> None:
+    time = 1e6 + 0.01 * np.arange(101)
+    assert near(time) == pytest.approx(8 * EPS * 1e6, rel=0.01)  # rounding, more than 1e-9 of a step
+    assert near(0.01 * np.arange(11)) == pytest.approx(1e-11)
+    assert near(np.array([0.0, 0.0, 0.5, 2.5])) == pytest.approx(5e-10)  # of the shortest step that is one
+    assert near(np.array([3.0])) == pytest.approx(1e-9)
+    for shift, aligned in ((0.5, True), (0.9, True), (1.1, False)):
+        other = TIME + shift * near(TIME)
+        assert rows_of(ran("a", x=0), ran("b", other, x=0))[1] is aligned
+    rows, aligned = rows_of(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
+    assert (rows, aligned) == (slice(10, 41), False)
+    assert rows_of(ran("a", x=0), ran("b", TIME[:0], x=0)) == (slice(0, 0), False)
+
+
+def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
+    between = rows_between(
+        np.array([0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5]), 1e-9
+    )
+    assert between.time.tolist() == [0.5, 1.0, 1.0, 2.5]  # two at one time are none by themselves
+    assert between.first.tolist() == [0, 0, 0, 2]
+    assert between.last.tolist() == [1, 2, 2, 3]
+    a = np.array([0.0, 2.0, 1.0, 5.0])
+    for value, outside in (
+        (1.0, 0.0),
+        (2.0, 0.0),
+        (2.5, 0.5),
+        (-0.75, 0.75),
+        (math.nan, math.inf),
+        (math.inf, math.inf),
+    ):
+        b = np.array([9.0, 0.0, value, 2.0, 2.0, 1.0, 3.0, 5.0, 9.0])
+        found, at = between.outside(a, b)
+        assert found == outside
+        assert at == 0.5 or not outside
+    assert rows_between(TIME, TIME, 1e-9).outside(TIME, TIME) == (0.0, 0.0)
+
+
+def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
+    fine = np.linspace(0.0, 1.0, 1001)
+    spike = 2.0 * fine + np.where(np.arange(1001) == 505, 0.5, 0.0)
+    found = compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.2)
+    (one,) = found.differences
+    # the rows of a around 0.505 s say 1.00 … 1.02
+    assert (one.largest, one.at, one.share, one.beyond) == (pytest.approx(0.49), 0.505, pytest.approx(0.245), True)
+    assert one.note == "between rows of a"
+    assert compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.25).same
+    assert compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
+
+
+def test_shorter_names_both_runs_and_both_times() -> None:
+    found = compared(ran("a", x=TIME), ran("b", TIME[10:91], x=TIME[10:91]))
+    assert found.shorter == "a begins at 0 s, b at 0.1 s; b ends at 0.9 s, a at 1 s"
+    assert found.as_json()["shorter"] == found.shorter
+    assert held(TIME, TIME).as_json()["shorter"] is None
+    late = TIME.copy()
+    late[-1] += 0.9e-8  # a millionth of a step is no other end
+    assert compared(ran("a", x=TIME), ran("b", late, x=TIME)).shorter == ""
+    late[-1] += 3e-8
+    assert "ends" in compared(ran("a", x=TIME), ran("b", late, x=TIME)).shorter
+
+
+@pytest.mark.parametrize(
+    ("offsets", "tolerance", "words"),
+    [
+        ({"x": 0}, None, "The signal is equal in every row."),
+        ({"x": 0, "y": 0}, 0.1, "All 2 signals are equal in every row."),
+        ({"x": 1}, None, "1 of 1 signal differs; most x, by 1.00 at 0 s (100 % of its range)."),
+        ({"x": 1, "y": 0}, None, "1 of 2 signals differs; most x, by 1.00 at 0 s (100 % of its range)."),
+        ({"x": 1, "y": 2}, None, "2 of 2 signals differ; most y, by 2.00 at 0 s (200 % of its range)."),
+        ({"x": 1}, 2.0, "Within the tolerance: most x, by 1.00 at 0 s (100 % of its range)."),
+        ({"x": 1, "y": 0}, 2.0, "All 2 signals are within the tolerance; most x, by 1.00 at 0 s (100 % of its range)."),
+        ({"x": 1, "y": 3}, 2.0, "1 of 2 signals is beyond the tolerance; most y, by 3.00 at 0 s (300 % of its range)."),
+        (
+            {"x": 4, "y": 3},
+            2.0,
+            "2 of 2 signals are beyond the tolerance; most x, by 4.00 at 0 s (400 % of its range).",
+        ),
+        ({"x": math.nan}, 2.0, "1 of 1 signal is beyond the tolerance; most x, which has no number in one run at 0 s."),
+    ],
+)
+def test_the_sentence_counts_and_names_what_differs_most(offsets: Any, tolerance: Any, words: str) -> None:
+    found = compared(
+        ran("a", **dict.fromkeys(offsets, TIME)), ran("b", **{n: TIME + v for n, v in offsets.items()}), tolerance
+    )
+    assert sentence(found).replace("\u00a0", " ") == words
+
+
+def test_the_sentence_tells_signals_of_one_run_alone() -> None:
+    one = compared(ran("a", x=TIME, y=TIME), ran("b", x=TIME))
+    assert sentence(one) == "The signal that both have is equal in every row. 1 signal of a is not in b."
+    two = compared(ran("a", x=TIME, y=TIME, z=TIME), ran("b", TIME[:51], x=TIME[:51]))
+    assert sentence(two) == (
+        "The signal that both have is equal in every row. 2 signals of a are not in b. b ends at 0.5 s, a at 1 s."
+    )
+    coarse = compared(ran("a", x=TIME, z=TIME, y=TIME), ran("b", TIME[::2], x=TIME[::2], z=TIME[::2]))
+    assert sentence(coarse) == (
+        "All 2 signals that both have are equal at the times of a, and between them nowhere outside of it. "
+        "1 signal of a is not in b."
+    )
+
+
+def test_reasons_name_up_to_twelve_missing_signals() -> None:
+    for count, more in ((1, ""), (12, ""), (13, ", …")):
+        names = [f"s{k}" for k in range(count)]
+        found = compared(ran("a", x=TIME, **dict.fromkeys(names, 0.0)), ran("b", x=TIME), 0.1)
+        verb = "signal of a is" if count == 1 else "signals of a are"
+        assert found.reasons == [f"{count} {verb} missing in b: {', '.join(names[:12])}{more}"]
+    assert held(TIME, TIME + 1).reasons == ["1 signal differs"]
+    assert compared(ran("a", x=0, y=0), ran("b", x=1, y=1)).reasons == ["2 signals differ"]
+
+
+def test_what_is_shown_ends_after_twelve_signals_the_most_different_first() -> None:
+    signals = {f"s{k:02}": TIME for k in range(14)}
+    other = {name: TIME * (1.0 + k) for k, name in enumerate(signals)}
+    found = compared(ran("a", **signals), ran("b", **other), 5.0)
+    shown = repr(found).splitlines()
+    assert len(shown) == 14
+    assert shown[1].split()[0] == "s13"
+    assert shown[-1].strip() == "… and 2 more"
+    page = found._repr_html_()
+    assert page.count("<tr>") == 13
+    assert "<p>… and 2 more</p>" in page
+    assert [d.name for d in found.beyond] == [f"s{k:02}" for k in range(13, 5, -1)]
+    few = compared(ran("a", x=TIME), ran("b", x=2.0 * TIME))
+    assert "more" not in repr(few)
+    assert repr(few).splitlines()[1].strip() == "x  1.00  1 s  100 %"
+
+
+def test_a_missing_signal_or_time_is_a_fault_of_the_file_as_a_whole() -> None:
+    for other in (ran("b", y=TIME), ran("b", TIME + 9.0, x=TIME)):
+        with pytest.raises(InputError) as error:
+            compared(ran("a", x=TIME), other)
+        assert [(f.file, f.line, f.column) for f in error.value.faults] == [(Path("b"), 0, 0)]
+
+
+CRITERION = {"kind": "rms_error", "of": "a.x", "to": "r.x", "value": 1.5, "max": 2.0, "unit": "m", "met": True}
+
+
+def test_criteria_stand_side_by_side_also_where_one_run_has_none() -> None:
+    missed = CRITERION | {"value": None, "met": False}
+    found = compared(ran("a", x=TIME, criteria=[CRITERION]), ran("b", x=TIME, criteria=[missed, CRITERION | {"to": 0}]))
+    both = criteria_of(found)
+    assert [what for what, *_ in both] == ["rms error of a.x to r.x", "rms error of a.x"]
+    assert both[0][1:] == (CRITERION, missed)
+    assert both[1][1] is None
+    shown = context(found)["criteria"]
+    assert shown[0][1:] == (("1.50\u00a0m of 2.00\u00a0m", "good"), ("never of 2.00\u00a0m", "bad"))
+    assert shown[1][1] == ("not asked", "")
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_the_page_says_how_it_was_judged_and_draws_the_most_different() -> None:
+    many = {f"s{k:02}": TIME for k in range(26)}
+    a, b = ran("a", **many), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(many)})
+    for tolerance, absolute, tone, told, options in (
+        (None, 0.0, "plain", "", ""),
+        (0.5, 0.0, "bad", "0.5 of each signal's range in a", " --tol 0.5"),
+        (30.0, 0.25, "good", "30 of each signal's range in a and 0.25 in its unit", " --tol 30 --abs 0.25"),
+    ):
+        page = context(compared(a, b, tolerance, absolute))
+        assert (page["tone"], page["tolerance"], page["undrawn"]) == (tone, told, 2)
+        assert page["repeat"] == f"cosim compare a b{options}"
+        assert [row["name"] for row in page["rows"]][:2] == ["s25", "s24"]
+        assert float(page["rows"][0]["rms"]) == pytest.approx(25 / math.sqrt(3), rel=0.02)  # of 25·t
+
+
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^a: --tol .*: give a number that is not negative"):
+        compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", tolerance=value)
+    with pytest.raises(InputError, match=r"^a: --abs .*: give a number that is not negative"):
+        compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", absolute=value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
+    a, b = (ran(str(tmp_path / name), x=TIME) for name in ("a.csv", "b.csv"))
+    _, place = compare(a, b, tmp_path / "out", tolerance=0.0, write=False)
+    assert not place.exists()
+    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)
+    assert [p.name for p in place.iterdir()] == ["comparison.json"]
+    compare(a, b, tmp_path / "out", tolerance=0.0)
+    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html"]
+    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
+    assert [p.name for p in place.iterdir()] == ["comparison.json"]
+
+
+def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:
+    signals = {f"s{k}": TIME for k in range(6)}
+    found = compared(ran("a", **signals), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(signals)}))
+    for names, drawn in (((), ["s5", "s4", "s3", "s2"]), (("s1",), ["s1"])):
+        figure = found.plot(*names)
+        texts = " ".join(text.get_text() for text in figure.findobj(Text))
+        assert [name for name in ("s5", "s4", "s3", "s2", "s1", "s0") if name in texts] == drawn
+        assert len(figure.axes) == 2 * len(drawn)
+    with pytest.raises(KeyError, match='no signal "s9" in both'):
+        found.plot("s1", "s9")

@@ -1,0 +1,493 @@
+"""What is said of a log on both sides of each limit: its clock, its inputs, its outputs, readings out of line."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.arrays import Array
+from cosim.logs.finding import Finding
+from cosim.logs.frames import frames
+from cosim.logs.gate import gate, gate_faults
+from cosim.logs.holes import filled
+from cosim.logs.log import Log, _absurd, _continuous, slowness, stretches, usual_step
+from cosim.logs.noise import noise_level, surprise
+from cosim.logs.planar import mirrored
+from cosim.logs.spikes import _neighbours_agree, cleaned, out_of_line
+from cosim.logs.tables import table_findings
+
+NOISE = 0.01
+
+
+def log_of(time: Array, inputs: Any = None, outputs: Any = None, step: float = 0.02, **more: Any) -> Log:
+    inputs, outputs = inputs or {}, outputs or {}
+    units = dict.fromkeys((*inputs, *outputs, "v"), "m") | more.pop("units", {})
+    return Log(
+        Path("a.csv"), time, inputs, outputs, units, step, more.pop("written", {}), more.pop("unwrapped", {}), **more
+    )
+
+
+def moving(rows: int = 1500, step: float = 0.02, seed: int = 1, **more: Any) -> Log:
+    rng, k = np.random.default_rng(seed), np.arange(rows)
+    u = np.sin(0.11 * k) + 0.5 * np.sin(0.37 * k)
+    return log_of(step * k, {"u": u}, {"y": np.sin(0.05 * k) + NOISE * rng.standard_normal(rows)}, step, **more)
+
+
+def kinds(log: Log, rate: float | None = None, **more: Any) -> dict[str, Finding]:
+    return {f.kind: f for f in gate(log, rate, **more)}
+
+
+def without(log: Log, rows: Any) -> Log:
+    keep = np.setdiff1d(np.arange(log.rows), rows)
+    pick = lambda table: {name: values[keep] for name, values in table.items()}  # noqa: E731
+    return replace(log, time=log.time[keep], inputs=pick(log.inputs), outputs=pick(log.outputs))
+
+
+# -- the clock --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("seconds", "short"), [(9.98, True), (10.0, False)])
+def test_a_log_below_ten_seconds_is_short(seconds: float, short: bool) -> None:
+    found = kinds(moving(round(seconds / 0.02) + 1))
+    assert ("short" in found) is short
+    if short:
+        assert found["short"].numbers["duration"] == pytest.approx(seconds)
+        assert "20.0 s and more" in found["short"].sentence.replace("\u00a0", " ")
+    slow = moving(300, 1.0)  # rows every second: everything lasts 20 times as long
+    assert slow.slowness == 20
+    assert "short" not in kinds(slow)
+    assert "short" in kinds(moving(199, 1.0))
+
+
+@pytest.mark.parametrize(("start", "told"), [(0.0, False), (1e6, False), (1.1e6, True), (-1.1e6, True)])
+def test_a_time_that_starts_at_an_epoch_is_noted(start: float, told: bool) -> None:
+    log = moving()
+    assert ("epoch" in kinds(replace(log, time=log.time + start))) is told
+
+
+def test_rows_that_are_missing_are_counted_in_their_places() -> None:
+    log = moving()
+    found = kinds(without(log, [100, 200, 201, 202]))["dropouts"].numbers
+    assert found == {"rows": 4, "places": 2, "first": pytest.approx(99 * 0.02), "longest": pytest.approx(0.08)}
+    pause = kinds(without(log, range(100, 125)))  # 0.52 s without a row
+    assert "dropouts" not in pause
+    assert pause["gaps"].numbers == {
+        "rows": 25,
+        "places": 1,
+        "first": pytest.approx(1.98),
+        "longest": pytest.approx(0.52),
+    }
+    assert "gaps" not in kinds(without(log, range(100, 123)))  # 0.48 s
+    both = kinds(without(log, [50, *range(100, 130)]))
+    assert (both["dropouts"].numbers["rows"], both["gaps"].numbers["rows"]) == (1, 30)
+    assert not {"dropouts", "gaps"} & kinds(log).keys()
+
+
+def test_jitter_is_noted_from_a_hundredth_and_a_warning_from_a_tenth() -> None:
+    log, rng = moving(), np.random.default_rng(2)
+    for size, severity in ((0.004, None), (0.02, "note"), (0.06, "note"), (0.25, "warning")):
+        late = size * 0.02 * rng.uniform(-1.0, 1.0, log.rows)
+        found = kinds(replace(log, time=log.time + late)).get("jitter")
+        assert (found and found.severity) == severity
+        if found:
+            assert found.numbers["spread"] == pytest.approx(size * math.sqrt(2.0 / 3.0), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "strict", "severity", "words"),
+    [
+        (1.0, False, None, ""),
+        (1.01, False, None, ""),
+        (1.3, False, "note", "no whole number of rows a step"),
+        (1.5, True, "note", "no whole number"),
+        (1.6, False, "warning", "what was commanded between two rows"),
+        (1.6, True, "fault", "log every command"),
+        (0.5, False, "note", ": 2 rows a step"),
+        (0.4, False, "note", "no whole number"),
+        (1 / 49, False, "note", "49 rows a step"),
+        (1 / 51, False, "warning", "fewer would do"),
+        (600.0, False, "fault", 'in ms? Then call it "time [ms]"'),
+        (1900.0, False, "fault", 'in ms? Then call it "time [ms]"'),
+        (2100.0, False, "warning", "what was commanded between"),
+        (6e5, False, "fault", "in us"),
+    ],
+)
+def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any, words: str) -> None:
+    found = kinds(moving(), 0.02 / ratio, strict=strict).get("rate")
+    assert (found and found.severity) == severity
+    assert found is None or words in found.sentence.replace("\u00a0", " ")
+
+
+def test_minutes_are_meant_only_where_a_log_seems_to_be_over_in_seconds() -> None:
+    rows = moving(400, 0.02 / 60.0)
+    assert "min?" in kinds(rows, 0.02)["rate"].sentence
+    assert kinds(replace(rows, written={"time": "s"}), 0.02)["rate"].severity == "warning"
+    assert kinds(moving(400, 0.04), 2.4)["rate"].severity == "warning"  # of 16 s
+
+
+# -- inputs -----------------------------------------------------------------------------------------
+
+
+def test_an_input_that_changes_less_than_three_times_excites_nothing() -> None:
+    k = np.arange(1500)
+    for changes, constant in ((2, True), (3, False)):
+        u = sum(1.0 * (k > 100 * (n + 1)) for n in range(changes))
+        assert ("constant" in kinds(replace(moving(), inputs={"u": u}))) is constant
+    for size, constant in ((0.9e-9, True), (1.2e-9, False)):
+        u = 5.0 * (1.0 - size * (k % 2))
+        assert ("constant" in kinds(replace(moving(), inputs={"u": u}))) is constant
+    assert kinds(replace(moving(), inputs={"u": 0.0 * k}))["no_excitation"].severity == "warning"
+    assert "no_excitation" not in kinds(replace(moving(), inputs={"u": 0.0 * k, "v": np.sin(0.1 * k)}))
+
+
+@pytest.mark.parametrize(("rho", "alike"), [(0.97, False), (0.99, True), (-0.97, False), (-0.99, True)])
+def test_inputs_that_move_alike_cannot_be_separated(rho: float, alike: bool) -> None:
+    k = 2.0 * np.pi * np.arange(1500) / 1500
+    u, v = np.sin(20 * k), np.cos(20 * k)
+    found = kinds(replace(moving(), inputs={"u": u, "v": rho * u + math.sqrt(1 - rho**2) * v})).get("alike")
+    assert (found is not None) is alike
+    if found:
+        assert found.numbers["correlation"] == pytest.approx(rho, abs=1e-3)
+        assert found.sentence.startswith("moves with v" if rho > 0 else "moves against v")
+
+
+def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
+    k = np.arange(1000)
+    slow, fast = np.sin(2 * np.pi * 10 * k / 1000), 0.3 * np.sin(2 * np.pi * 200 * k / 1000)
+    for u, hertz in ((slow, 0.5), (slow + fast, 10.0), (slow + 0.1 * fast, 0.5)):  # fast holds 8 % of the power, 0.1 %
+        found = kinds(replace(moving(1000), inputs={"u": 3.0 + u}))["excitation"].numbers
+        assert found["bandwidth"] == pytest.approx(hertz)
+        assert found["rms"] == pytest.approx(math.sqrt(float(np.mean(u**2))))
+        assert found["saturated"] == 0.0 or found["low"] < 2.5
+    clipped = kinds(replace(moving(1000), inputs={"u": np.clip(2.0 * slow, -1.0, 1.0)}))["excitation"].numbers
+    assert clipped["saturated"] == pytest.approx(2 / 3, abs=0.02)
+    assert (clipped["low"], clipped["high"]) == (-1.0, 1.0)
+
+
+# -- outputs ----------------------------------------------------------------------------------------
+
+
+def with_output(values: Array, **more: Any) -> Log:
+    return replace(moving(values.size, **more), outputs={"y": values})
+
+
+def test_an_output_that_stands_still_is_named_with_its_value() -> None:
+    k = np.arange(1500)
+    for size, still in ((0.9e-12, True), (3e-12, False)):
+        found = kinds(with_output(1.0 + size * (k % 2))).get("constant")
+        assert (found is not None) is still
+        assert found is None or found.numbers == {"value": 1.0}
+
+
+def test_missing_cells_are_a_share_and_a_time_apart() -> None:
+    y = moving().outputs["y"].copy()
+    y[np.arange(1500) % 5 != 0] = np.nan
+    assert kinds(with_output(y))["missing"].numbers == {"share": 0.2, "every": pytest.approx(0.1)}
+    assert "missing" not in kinds(moving())
+
+
+@pytest.mark.parametrize(("every", "kind"), [(1, None), (2, "held"), (5, "held")])
+def test_a_slower_sensor_that_is_held_is_told_by_its_rows(every: int, kind: str | None) -> None:
+    y = moving().outputs["y"]
+    found = kinds(with_output(y[np.arange(1500) // every * every])).get("held")
+    assert (found and found.kind) == kind
+    assert found is None or found.numbers == {"rows": every}
+
+
+def test_a_sensor_that_freezes_is_told_from_one_that_rests() -> None:
+    y = moving().outputs["y"].copy()
+    for rows, frozen in ((9, False), (10, False), (12, True), (300, True)):  # more than 0.2 s, ten rows at least
+        stuck = y.copy()
+        stuck[400 : 400 + rows] = stuck[400]
+        found = kinds(with_output(stuck)).get("frozen")
+        assert (found is not None) is frozen
+        assert found is None or found.numbers == {"rows": rows, "first": pytest.approx(8.0)}
+    fast = y.copy()
+    fast[400:409] = fast[400]
+    assert "frozen" not in kinds(replace(with_output(fast), step=0.1))  # nine rows
+
+
+@pytest.mark.parametrize(("times", "told"), [(6.0, False), (14.0, True)])
+def test_a_value_out_of_line_is_told_with_place_and_size(times: float, told: bool) -> None:
+    rng = np.random.default_rng(5)
+    y = NOISE * rng.standard_normal(1500)  # the 1st to 99th percentile span 4.7 NOISE
+    y[700] = times * NOISE
+    found = kinds(with_output(y)).get("outliers")
+    assert (found is not None) is told
+    if found:
+        assert (found.numbers["count"], found.numbers["first"]) == (1.0, pytest.approx(14.0))
+        assert found.numbers["worst"] == pytest.approx(times * NOISE, rel=0.15)
+
+
+def test_a_value_out_of_line_is_a_twentieth_of_the_range_at_least() -> None:
+    k = np.arange(1500)
+    swing = np.sin(2 * np.pi * k / 500)  # 1st to 99th percentile: very nearly 2
+    for size, told in ((0.09, False), (0.12, True)):
+        y = swing + 1e-4 * np.random.default_rng(6).standard_normal(1500)
+        y[700] += size
+        assert ("outliers" in kinds(with_output(y))) is told
+
+
+def test_where_an_input_has_jumped_an_output_may_answer() -> None:
+    y = NOISE * np.random.default_rng(5).standard_normal(1500)
+    y[700] = 0.5
+    for jump, told in ((694, True), (695, False), (700, False), (702, False), (703, True)):
+        log = replace(with_output(y), inputs={"u": 1.0 * (np.arange(1500) >= jump)})
+        assert (700 in out_of_line(log, y, 0.3)[0]) is told, jump
+        assert out_of_line(log, y, 0.3, answers=False)[0].tolist() == [700]
+    slow = replace(with_output(y), inputs={"u": np.sin(0.01 * np.arange(1500))})
+    assert out_of_line(slow, y, 0.3)[0].tolist() == [700]
+
+
+def test_a_wild_reading_is_left_out_from_twelve_times_the_noise() -> None:
+    y = NOISE * np.random.default_rng(8).standard_normal(1500)
+    for times, lost in ((8.0, {}), (20.0, {"y": 1})):
+        wild = y.copy()
+        wild[600] += times * NOISE
+        cleaned_log, found = cleaned(with_output(wild))
+        assert found == lost
+        assert np.isnan(cleaned_log.outputs["y"]).sum() == len(lost)
+
+
+def test_neighbours_agree_where_they_change_evenly_without_the_one_between() -> None:
+    even = np.array([0.0, 1.0, 9.0, 3.0, 4.0])
+    assert _neighbours_agree(even, 2, 1.0)
+    assert not _neighbours_agree(np.array([0.0, 1.0, 3.5, 3.0, 0.0]), 2, 1.0)
+    for k in (0, 1, 3, 4):  # there are no two on each side
+        assert not _neighbours_agree(even, k, 1.0)
+    # bends of 1 beside a reading that is 9 off: less than a quarter of it, though more than half the noise
+    assert _neighbours_agree(np.array([-1.0, 1.0, 11.0, 3.0, 5.0]), 2, 1.0)
+
+
+# -- noise ------------------------------------------------------------------------------------------
+
+
+def test_neighbours_of_a_slower_sensor_are_its_own_and_those_beyond_a_gap_are_none() -> None:
+    values = np.full(200, np.nan)
+    values[::4] = np.arange(50.0) ** 3 / 100  # a cubic is no surprise
+    found = surprise(values)
+    assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(8, 192, 4))
+    assert np.nanmax(np.abs(found)) < 1e-9
+    values[100:112] = np.nan  # three readings lost: 28 rows for five where 16 are usual
+    finite = np.flatnonzero(np.isfinite(surprise(values)))
+    assert not {92, 96, 112, 116} & {*finite.tolist()}
+    assert math.isnan(noise_level(np.ones(4)))
+    assert noise_level(np.ones(5)) < 1e-15
+
+
+# -- lost rows --------------------------------------------------------------------------------------
+
+
+def test_lost_rows_are_put_on_the_line_of_an_input_that_runs_smoothly_and_held_otherwise() -> None:
+    k = np.arange(60)
+    smooth, held = 0.5 * k + np.sin(k / 9.0), np.repeat(np.arange(12.0), 5)
+    log = without(log_of(0.02 * k, {"u": smooth, "v": held}, {"y": 1.0 * k}), [20, 41, 42, 43])
+    found = filled(log)
+    assert found.time == pytest.approx(0.02 * k)
+    assert found.inputs["v"][[20, 41, 42, 43]].tolist() == [3, 8, 8, 8]
+    assert found.inputs["u"][20] == pytest.approx(0.5 * (smooth[19] + smooth[21]))
+    assert found.inputs["u"][41:44] == pytest.approx(
+        smooth[40] + (smooth[44] - smooth[40]) * np.array([0.25, 0.5, 0.75])
+    )
+    assert np.flatnonzero(np.isnan(found.outputs["y"])).tolist() == [20, 41, 42, 43]
+    whole = log_of(0.02 * k, {"u": smooth}, {"y": 1.0 * k})
+    assert filled(whole) is whole
+    assert filled(without(whole, [58])).time == pytest.approx(0.02 * k)
+    only_held = without(log_of(0.02 * k, {"v": held}, {"y": 1.0 * k}), [20])
+    assert filled(only_held) is only_held
+
+
+def test_a_log_is_cut_where_rows_or_readings_pause() -> None:
+    log = moving(200)
+    assert stretches(log) == [log]
+    parts = stretches(without(log, range(80, 110)))
+    assert [(p.rows, p.time[0]) for p in parts] == [(80, 0.0), (90, pytest.approx(2.2))]
+    assert len(stretches(without(log, range(80, 104)))) == 1  # 0.5 s from row to row
+    y = log.outputs["y"].copy()
+    y[80:110] = np.nan
+    assert [p.rows for p in stretches(replace(log, outputs={"y": y}))] == [80, 90]
+    y[:] = np.nan
+    y[::40] = 1.0  # every 0.8 s: slow, no pause
+    assert len(stretches(replace(log, outputs={"y": y}))) == 1
+    y[:] = np.nan
+    y[50:150] = 1.0  # nothing for a second before and after: these rows are no part
+    assert [(p.rows, p.time[0]) for p in stretches(replace(log, outputs={"y": y}))] == [(100, pytest.approx(1.0))]
+    y[30:180] = 1.0  # for 0.6 and 0.4 s
+    assert [p.rows for p in stretches(replace(log, outputs={"y": y}))] == [170]
+
+
+def test_the_step_is_the_slope_of_the_times_by_their_number() -> None:
+    k = np.arange(1000)
+    assert usual_step(0.02 * k) == 0.02
+    late = 0.02 * k + 1e-3 * np.random.default_rng(1).uniform(0.0, 1.0, 1000)
+    assert usual_step(late) == pytest.approx(0.02, rel=2e-5)
+    assert usual_step(late[np.setdiff1d(k, range(300, 340))]) == pytest.approx(0.02, rel=2e-5)
+    assert [slowness(step) for step in (0.001, 0.05, 0.054, 0.06, 0.1, 0.5, 1.0)] == [1, 1, 1, 2, 2, 10, 20]
+
+
+def test_marks_of_a_logger_are_far_beyond_the_rest() -> None:
+    for values, rows in (
+        ([1.0] * 9 + [3.4e38], [9]),
+        ([1.0] * 9 + [0.9e9], []),  # a column that mostly rests may jump
+        ([1.0] * 9 + [-1.1e9], [9]),
+        ([1e5] * 9 + [0.9e11], []),
+        ([1e5] * 9 + [1.1e11], [9]),
+        ([1e28] * 9 + [2e30], [9]),
+        ([math.nan] * 4, []),
+    ):
+        assert _absurd(np.array(values)).tolist() == rows
+
+
+def test_jumps_of_a_turn_are_undone_and_an_angle_of_many_turns_is_left_alone() -> None:
+    steady = np.linspace(3.0, 5.0, 21)
+    wrapped = (steady + np.pi) % (2 * np.pi) - np.pi
+    angle, jumps = _continuous(wrapped)
+    assert angle - angle[0] == pytest.approx(steady - steady[0])
+    assert jumps.tolist() == [2]
+    assert _continuous(steady)[1].size == 0
+    turns = np.array([0.0, 4.0, 0.0, 7.0])
+    assert _continuous(turns)[0] is turns
+
+
+# -- frames -----------------------------------------------------------------------------------------
+
+
+def turning(scale: float = 1.0, bias: float = 0.0, **more: Any) -> Log:
+    t = 0.02 * np.arange(2000)
+    rng = np.random.default_rng(4)
+    psi, rate = 0.5 * np.sin(0.9 * t), scale * 0.45 * np.cos(0.9 * t) + bias
+    outputs = {"psi": psi + 1e-3 * rng.standard_normal(t.size), "psi_dot": rate + 1e-3 * rng.standard_normal(t.size)}
+    return log_of(t, {}, outputs, units={"psi": "rad", "psi_dot": "rad/s"}, **more)
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind", "channel"),
+    [
+        (1.0, None, ""),
+        (1.02, None, ""),
+        (1.05, "scale", "psi_dot"),
+        (0.95, "scale", "psi_dot"),
+        (-1.0, "sign", "psi_dot"),
+        (45.0, "degrees", "psi_dot"),
+        (75.0, "degrees", "psi_dot"),
+        (100.0, "scale", "psi_dot"),
+        (1 / 57.3, "degrees", "psi"),
+        (0.01, "scale", "psi_dot"),
+    ],
+)
+def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channel: str) -> None:
+    found = {f.kind: f for f in frames(turning(scale)) if f.kind != "drift"}
+    assert [*found] == ([kind] if kind else [])
+    assert kind is None or found[kind].channel == channel
+    if kind == "scale":
+        assert found[kind].numbers["slope"] == pytest.approx(1 / scale, rel=0.02)
+
+
+def test_a_bias_of_the_rate_is_noted_with_its_sign() -> None:
+    (drift,) = frames(turning(bias=0.05))
+    assert drift.kind == "drift"
+    assert drift.numbers["drift"] == pytest.approx(-0.05, rel=0.03)
+    assert drift.sentence.startswith("is 2.9")
+    assert list(frames(turning(bias=1e-5))) == []
+
+
+def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
+    t = 0.02 * np.arange(1000)
+    for size, told in ((6.2, False), (6.4, True)):
+        log = log_of(t, {"tilt": size * np.sin(t)}, {}, units={"tilt": "rad"})
+        assert [f.kind for f in frames(log)] == (["degrees"] if told else [])
+        assert [f.kind for f in frames(replace(log, written={"tilt": "rad"}))] == []
+    for size, told in ((125.0, False), (126.5, True)):
+        log = log_of(t, {}, {"psi": size * t / t[-1]}, units={"psi": "rad"})
+        assert [f.kind for f in frames(log)] == (["degrees"] if told else [])
+    jumpy = log_of(t, {}, {"psi": np.where(t >= 5.0, 3.2, 0.0)}, units={"psi": "rad"})
+    (found,) = frames(jumpy)
+    assert (found.kind, found.numbers) == ("jumps", {"count": 1.0, "first": pytest.approx(5.0)})
+    assert list(frames(replace(jumpy, outputs={"psi": np.where(t >= 5.0, 3.1, 0.0)}))) == []
+
+
+def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
+    t = 0.02 * np.arange(2000)
+    heading = 0.8 * np.sin(0.3 * t) + 0.3
+    x, y = np.cumsum(np.cos(heading)) * 0.02, np.cumsum(np.sin(heading)) * 0.02
+    frame: Any = type("Frame", (), {"x": "x", "y": "y", "heading": "psi"})()
+
+    def found(sign: float, rows: int = 2000) -> int:
+        outputs = {"x": x[:rows], "y": sign * y[:rows], "psi": heading[:rows]}
+        return len(list(mirrored(log_of(t[:rows], {}, outputs), frame)))
+
+    assert (found(1.0), found(-1.0)) == (0, 1)
+    assert (found(-1.0, 191), found(-1.0, 190)) == (1, 0)  # every 10th row: 20 places, 19
+
+
+# -- tables -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("rows", "severity"), [(1, "fault"), (2, "warning"), (7, "warning"), (8, None)])
+def test_a_table_of_few_rows_says_little(rows: int, severity: str | None) -> None:
+    k = np.arange(12.0)
+    y = np.where(k < rows, k * k, np.nan)
+    log = replace(log_of(k, {"u": np.sin(k)}, {"y": y}), table=True)
+    found = {f.kind: f for f in table_findings(log)}
+    assert (("short" in found and found["short"].severity) or None) == severity
+    assert "short" not in found or found["short"].numbers == {"rows": rows}
+    assert ("missing" in found) is True
+    assert found["missing"].numbers == {"share": rows / 12}
+
+
+def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
+    k = np.arange(12.0)
+    u = np.sin(k)
+    for v, kind in ((2.0 * u + 0.1 * np.cos(k), "alike"), (np.cos(k), None), (5.0 + 2e-9 * u, "constant")):
+        log = replace(log_of(k, {"u": u, "v": v}, {"y": k}), table=True)
+        assert [f.kind for f in table_findings(log) if f.channel in "uv"] == ([kind] if kind else [])
+    still = replace(log_of(k, {"u": 0.0 * k + 3.0}, {"y": 0.0 * k + 2.0}), table=True)
+    assert [(f.kind, f.channel) for f in gate(still)] == [("no_excitation", ""), ("constant", "y"), ("constant", "u")]
+    assert [f.kind for f in gate(replace(still, written={"time": "s"})) if f.channel == "time"] == ["time"]
+
+
+def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
+    log = replace(moving(), header=3, cells={"y": 7})
+    faults = gate_faults(log, [Finding("fault", "sign", "y", "is wrong"), Finding("warning", "x", "y", "is not")])
+    assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
+    assert gate_faults(log, [Finding("fault", "rate", "", "is slow")])[0].column == 1
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])
+def test_a_sign_takes_eight_blocks_of_half_a_second_and_an_angle_that_moves(seconds: float, told: bool) -> None:
+    log = turning(-1.0)
+    rows = round(seconds / 0.02)
+    short = {name: values[:rows] for name, values in log.outputs.items()}
+    found = [f.kind for f in frames(replace(log, time=log.time[:rows], outputs=short)) if f.kind == "sign"]
+    assert found == (["sign"] if told else [])
+    t = log.time
+    for outputs in (
+        {"psi": 1e-10 * np.sin(0.9 * t), "psi_dot": 0.45 * np.cos(0.9 * t)},  # rounding
+        {"psi": 0.5 * np.sin(0.9 * t), "psi_dot": 0.0 * t},
+    ):
+        assert list(frames(replace(log, outputs=outputs))) == []
+
+
+@pytest.mark.parametrize(("size", "answers"), [(0.04, False), (0.06, True)])
+def test_a_jump_is_a_twentieth_of_the_range_of_its_input(size: float, answers: bool) -> None:
+    k = np.arange(1500)
+    y = NOISE * np.random.default_rng(5).standard_normal(1500)
+    y[700] = 0.5
+    u = (1.0 - size) * (k >= 100) + size * (k >= 700)  # 0 … 1
+    log = replace(with_output(y), inputs={"u": u})
+    assert (700 not in out_of_line(log, y, 0.3)[0]) is answers
+
+
+@pytest.mark.parametrize(("times", "answers"), [(7.5, False), (8.5, True)])
+def test_a_jump_is_eight_times_the_usual_change_of_its_input(times: float, answers: bool) -> None:
+    k = np.arange(1500)
+    y = NOISE * np.random.default_rng(5).standard_normal(1500)
+    y[700] = 0.5
+    u = 0.01 * np.abs(k % 20 - 10) + (times - 1.0) * 0.01 * (k >= 700)  # a triangle that rises by 0.01 there
+    log = replace(with_output(y), inputs={"u": u})
+    assert (700 not in out_of_line(log, y, 0.3)[0]) is answers

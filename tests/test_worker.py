@@ -1,0 +1,209 @@
+"""What a caller and its worker share: tables and progress in files, limits as people write them, folders, words."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError, SimulationError
+from cosim.isolation import process, scratch, worker
+from cosim.isolation.limits import BYTES, SECONDS, read_limits
+from cosim.isolation.memory import resident
+from cosim.isolation.process import _Printed
+from cosim.isolation.rows import NOTHING, BesideFile, Rows, allocate, mapped_progress, mapped_table, read_table
+from cosim.isolation.worker import Said, _along, _restore, _sent
+
+
+def test_a_table_in_a_file_is_read_back_as_far_as_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "table"
+    allocate(path, 8 * 5 * 3)
+    assert path.stat().st_size == 120
+    table = mapped_table(path, 5, 3)
+    assert not table.any()
+    table[:] = np.arange(15.0).reshape(5, 3)
+    assert read_table(path, 5, 3).tolist() == table.tolist()
+    assert read_table(path, 2, 3).tolist() == [[0, 1, 2], [3, 4, 5]]
+    for rows, columns in ((0, 3), (3, 0)):
+        assert mapped_table(path, rows, columns).shape == read_table(path, rows, columns).shape == (rows, columns)
+    assert Rows.in_memory(2, 3).table.shape == (2, 3)
+    assert Rows.in_memory(2, 3).doing[0] == NOTHING
+
+
+@pytest.mark.parametrize("size", [1, 1 << 20, (1 << 20) + 1, 3 << 20])
+def test_room_is_made_also_where_a_disk_cannot_be_asked_for_it(
+    tmp_path: Path, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, "posix_fallocate", raising=False)
+    allocate(tmp_path / "table", size)
+    assert (tmp_path / "table").stat().st_size == size
+
+
+def test_progress_is_the_same_for_both_who_map_it(tmp_path: Path) -> None:
+    ours, theirs = mapped_progress(tmp_path / "progress"), mapped_progress(tmp_path / "progress")
+    ours.made[0], ours.doing[0], ours.call = 3, 9, b"fmi2DoStep"
+    assert (theirs.made[0], theirs.doing[0], theirs.call) == (3, 9, b"fmi2DoStep")
+
+
+def test_a_row_that_is_not_written_whole_is_a_full_disk(tmp_path: Path) -> None:
+    kept: Any = BesideFile(tmp_path / "beside")
+    kept.append(("a",))
+    kept.close()
+    kept._stream = SimpleNamespace(write=lambda content: len(content) - 1)
+    with pytest.raises(OSError, match="no room") as full:
+        kept.append(("a",))
+    assert full.value.errno == errno.ENOSPC
+
+
+# -- limits -----------------------------------------------------------------------------------------
+
+
+def test_limits_of_a_command_have_every_unit() -> None:
+    for unit, factor in SECONDS.items():
+        assert read_limits(f"step: 2.5 {unit}").step == 2.5 * factor
+    for unit, factor in BYTES.items():
+        assert read_limits(f"{{memory: 1e2{unit}}}").memory == 100 * factor
+    both = read_limits(" step: 10 s, total:1 min ")
+    assert (both.step, both.total, both.loading) == (10.0, 60.0, 60.0)
+    assert read_limits("load: 5").loading == 5.0
+    assert read_limits("memory: 1 GB").loading is None
+    assert read_limits("total: 1").loading == 60.0
+    assert (SECONDS["h"], SECONDS["ms"], BYTES["MiB"], BYTES["MB"]) == (3600.0, 1e-3, 1048576.0, 1e6)
+
+
+def test_every_fault_of_limits_is_told_as_that_of_the_option() -> None:
+    with pytest.raises(InputError) as wrong:
+        read_limits("step: 0 s, steps: 3, memory: 3 parsecs, total: 1e300")
+    faults = wrong.value.faults
+    assert len(faults) == 4
+    assert all((f.file, f.line, f.column) == (Path("--limits"), 0, 0) for f in faults)
+    assert "steps: no such limit (known: step, total, load, memory)" in {f.message for f in faults}
+    assert not any("Value error" in f.message for f in faults)
+
+
+# -- the process ------------------------------------------------------------------------------------
+
+
+def test_what_a_process_holds_is_at_least_what_it_has_taken() -> None:
+    before = resident(os.getpid())
+    block = np.ones(8_000_000)
+    assert resident(os.getpid()) - before > 0.8 * block.nbytes
+    assert 1e6 < before < 1e11
+    assert resident(2**22 + 1) == 0
+
+
+def test_what_is_printed_is_passed_on_up_to_a_bound_and_its_end_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    def printed(content: bytes) -> _Printed:
+        reading, writing = os.pipe()
+        found = _Printed(os.fdopen(reading, "rb"))
+        with os.fdopen(writing, "wb") as stream:
+            stream.write(content)
+        found.join()
+        return found
+
+    assert printed(b"one\n two \n\n").last_line() == "two"
+    assert capsys.readouterr().err == "one\n two \n\n"
+    assert printed(b"").last_line() == ""
+    long = printed(b"x" * process.SHOWN + b"y" * process.KEPT)
+    assert long.last == b"y" * process.KEPT
+    told = capsys.readouterr().err
+    assert told.count("x") == process.SHOWN
+    assert "y" not in told
+    assert told.endswith("(the FMUs print more, which is left out)\n")
+    printed(b"x" * (process.SHOWN - 1))
+    assert "left out" not in capsys.readouterr().err
+
+
+def test_the_last_words_of_an_fmu_are_one_line_of_511_bytes() -> None:
+    mapped: Any = SimpleNamespace(words=b"")
+    worker.progress = mapped
+    try:
+        words = Said(maxlen=2)
+        for text in ("a", "b\n  c", "d" * 600):
+            words.append(text)
+            assert mapped.words == " ".join(text.split()).encode()[:511]
+        assert list(words) == ["b\n  c", "d" * 600]
+    finally:
+        del worker.progress
+
+
+def test_an_error_is_sent_as_itself_and_where_it_cannot_be_as_its_words() -> None:
+    class Local(Exception):
+        pass
+
+    own: Any = pickle.loads(_sent(SimulationError("a", 1.5, "why"), "place"))
+    assert own[0] is None
+    assert (str(own[1]), getattr(own[1], "__notes__", [])) == ("a at t = 1.5 s: why", [])
+    foreign = pickle.loads(_sent(KeyError("k"), "place"))[1]
+    assert isinstance(foreign, KeyError)
+    assert foreign.__notes__ == ["in a worker:\nplace"]
+    plain = pickle.loads(_sent(Local("x"), "place"))[1]
+    assert (type(plain), str(plain), plain.__notes__) == (RuntimeError, "Local: x", ["in a worker:\nplace"])
+
+
+def test_the_environment_is_as_the_caller_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "changed")
+    _restore("PYTHONPATH", "before")
+    assert os.environ["PYTHONPATH"] == "before"
+    _restore("PYTHONPATH", None)
+    _restore("PYTHONPATH", None)
+    assert "PYTHONPATH" not in os.environ
+
+
+def test_folders_to_take_along_are_read_as_they_were_written(tmp_path: Path) -> None:
+    assert _along(tmp_path) == []
+    (tmp_path / worker.ALONG).write_text("/a b\0/c\0")
+    assert _along(tmp_path) == [Path("/a b"), Path("/c")]
+
+
+# -- folders ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX")
+def test_a_folder_is_swept_once_nobody_holds_it(tmp_path: Path) -> None:
+    first = scratch.scratch("cosim-x-", tmp_path)
+    other = tmp_path / "cosim-y-1"
+    other.mkdir()
+    (other / scratch.LOCK).touch()
+    second = scratch.scratch("cosim-x-", tmp_path)
+    assert first.path.exists()  # it is held
+    assert other.exists()  # it has another name
+    assert first._stream is not None
+    first._stream.close()  # as where its process was killed
+    scratch.sweep(tmp_path, "cosim-x-")
+    assert not first.path.exists()
+    assert second.path.exists()
+    second.remove()
+    assert not second.path.exists()
+    second.remove()
+
+
+def test_a_folder_that_does_not_go_at_once_is_tried_again_ten_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries: list[float] = []
+    monkeypatch.setattr(scratch.time, "sleep", tries.append)
+    monkeypatch.setattr(scratch.shutil, "rmtree", lambda *_, **__: None)
+    scratch.remove(tmp_path)
+    assert tries == [scratch.MOMENT] * scratch.RETRIES
+    assert sum(tries) == pytest.approx(1.0)  # [s], no longer than a user waits for nothing
+    tries.clear()
+    scratch.remove(tmp_path / "gone")
+    assert tries == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_group_is_ended_with_all_that_it_started() -> None:
+    started = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+    process._end_group(started, kill=False)
+    assert started.returncode == -signal.SIGKILL
+    process._end_group(started, kill=True)  # nothing is left of it
