@@ -50,7 +50,7 @@ def read_description(path: Path) -> Any:
     return description
 
 
-RUNS = "FMI 2.0 and 3.0 for co-simulation or model exchange and FMI 1.0 for co-simulation are run here"
+RUNS = "FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ def ways(description: Any) -> tuple[Way, ...]:
     if version in {"1.0", "2.0"} or version == "3.0" or version.startswith("3.0."):
         if description.coSimulation is not None:
             found.append("co-simulation")
-        if description.modelExchange is not None and version != "1.0":
+        if description.modelExchange is not None:
             found.append("model-exchange")
     return tuple(found)
 

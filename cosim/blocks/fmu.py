@@ -28,7 +28,7 @@ from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimu
 from cosim.blocks.instance import Instance
 from cosim.blocks.interface import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.kinds import element_names
-from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
+from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot
@@ -41,6 +41,7 @@ FOUND: dict[tuple[str, Way], type[Calls]] = {
     ("1", "co-simulation"): CoSimulation1,
     ("2", "co-simulation"): CoSimulation2,
     ("3", "co-simulation"): CoSimulation3,
+    ("1", "model-exchange"): ModelExchange1,
     ("2", "model-exchange"): ModelExchange2,
     ("3", "model-exchange"): ModelExchange3,
 }

@@ -48,7 +48,8 @@ class Summary:
     capabilities: way → the flags and numbers of FMI that it sets
     runs_here:    it has a library for this machine
     experiment:   start, stop, step [s] and tolerance, of those that it declares
-    states:       names of its continuous states
+    states:       names of its continuous states, which FMI 1.0 tells at run time only
+    state_count:  number of its continuous states
     slips:        where its description breaks FMI's schema and runs all the same
     """
 
@@ -65,6 +66,7 @@ class Summary:
     states: list[str]
     variables: list[Variable]
     slips: list[str]
+    state_count: int = 0
 
     def of(self, *causalities: str) -> list[Variable]:
         """Variables of these causalities, in the order of the file."""
@@ -113,6 +115,7 @@ def summary_of(path: Path, description: Any) -> Summary:
         states=_states(description),
         variables=[_variable(v) for v in description.modelVariables],
         slips=[" ".join(str(s).split()) for s in slips_of(description)],
+        state_count=int(description.numberOfContinuousStates or 0),
     )
 
 

@@ -60,7 +60,7 @@ def _told(s: Summary, *, every: bool) -> list[str]:
     lines += [
         f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()
     ]
-    lines += [f"  states: {len(s.states)}" + (f" ({_some(s.states)})" if s.states else "")]
+    lines += [f"  states: {s.state_count}" + (f" ({_some(s.states)})" if s.states else "")]
     lines += [f"  warning: {slip}" for slip in s.slips[:5]]
     for causality, title in SHOWN.items():
         lines += _section(title, s.of(*(causality, "structuralParameter")[: 1 + (causality == "parameter")]), every)
