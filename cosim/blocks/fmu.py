@@ -14,6 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.compiling import permission
 from cosim.blocks.description import (
     Way,
     default_tolerance,
@@ -56,6 +57,7 @@ class FmuBlock:
     recorded:  names of further variables that are read at every communication point
     logging:   its debug messages are asked for
     solver:    of model exchange
+    compiles:  its sources may be compiled where it has no library for this platform; None: as `compiling` allows now
     """
 
     def __init__(
@@ -71,17 +73,22 @@ class FmuBlock:
         recorded: frozenset[str] = frozenset(),
         logging: bool = False,
         solver: Solver | None = None,
+        compiles: bool | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected = start, connected
-        asked: Any = {"way": way, "tolerance": tolerance, "recorded": recorded, "logging": logging, "solver": solver}
+        self.compiles = compiles = permission.get() if compiles is None else compiles
+        asked: Any = {
+            "way": way, "tolerance": tolerance, "recorded": recorded, "logging": logging, "solver": solver,
+            "compiles": compiles,
+        }  # fmt: skip
         made: Callable[..., FmuBlock] = partial(type(self), **asked)
         self._made_of = made, (name, path, description, start, connected)
         self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
-        self.instance = Instance(path, self._calls, logging=logging)
+        self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
         # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import library_of, offer_libm
+from cosim.blocks.compiling import compile_library
+from cosim.blocks.description import C_CODE, library_of, no_library, offer_libm, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import EndedEarly
@@ -36,9 +37,10 @@ class Instance:
     time:      to which it came [s], for messages
     place:     where the FMU lies unpacked already, which stays as it is
     logging:   its debug messages are asked for
+    compiles:  its sources may be compiled where it has no library for this platform
     """
 
-    def __init__(self, path: Path, calls: Calls, *, logging: bool = False) -> None:
+    def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
@@ -49,7 +51,7 @@ class Instance:
         self.place: Path | None = None
         self.time = 0.0
         self.initialized = False
-        self._logging = logging
+        self._logging, self._compiles = logging, compiles
         self._folder: Path | None = None
         self._stopped: BaseException | None = None
         self._words = ""  # its last message
@@ -61,7 +63,7 @@ class Instance:
         folder = self._folder or self._unpacked()
         here, self._words = os.getcwd(), ""
         try:
-            library, warning = library_of(folder, self.description, self.calls.identifier)
+            library, warning = self._library(folder)
             self._load_library(folder, library)
             if warning:
                 self.remember(warning)
@@ -76,6 +78,17 @@ class Instance:
             os.chdir(here)  # FMPy loads from within the FMU's folder
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
         let_go_at_exit(folder)  # of what pythonfmu, if it made this FMU, releases twice
+
+    def _library(self, folder: Path) -> tuple[Path, str]:
+        """The library for this platform, compiled where the FMU has none and the user allows it, and a warning."""
+        identifier = self.calls.identifier
+        found = library_of(folder, self.description, identifier)
+        if found is not None:
+            return found
+        platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
+        if self._compiles and C_CODE in platforms:
+            return compile_library(folder, self.description, identifier), ""
+        raise FmuError(no_library(platform_of(self.description), platforms))
 
     def _load_library(self, folder: Path, library: Path) -> None:
         """Load the library; FmuError with the loader's own text and the cure."""

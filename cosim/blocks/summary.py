@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import PLATFORMS, platform_of, read_description, slips_of, unit_of, ways
+from cosim.blocks.description import platform_of, platforms_among, read_description, slips_of, unit_of, ways
 from cosim.errors import Fault, FmuError, InputError
 from cosim.kinds import FMU, check_given
 
@@ -46,7 +46,7 @@ class Summary:
 
     ways:         co-simulation, model-exchange: as it can be run here
     capabilities: way → the flags and numbers of FMI that it sets
-    runs_here:    it has a library for this machine
+    runs_here:    it has a library for this machine; sources (`c-code` among the platforms) make one, where asked for
     experiment:   start, stop, step [s] and tolerance, of those that it declares
     states:       names of its continuous states, which FMI 1.0 tells at run time only
     state_count:  number of its continuous states
@@ -147,10 +147,7 @@ def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
 def platforms_of(path: Path) -> list[str]:
     """Platforms with a library; `c-code` where the sources are there too."""
     with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
-    found = {platform for platform, _, file in parts if file.endswith((".so", ".dll", ".dylib"))}
-    return [*sorted(found), *(["c-code"] if any(n.startswith("sources/") and n.endswith(".c") for n in names) else [])]
+        return platforms_among(archive.namelist())
 
 
 def _states(description: Any) -> list[str]:

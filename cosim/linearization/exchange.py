@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import (
     DifferentiableFmu,
     hides_states,
@@ -189,7 +190,8 @@ class ExchangeSource(Source):
 
     def _call(self, function: Any, *more: Any) -> Any:
         watch = Watch([NAME], [fmi_calls(self._description)])
-        return self._worker.call(function, self._path.resolve(), self._description, self._start, *more, watch=watch)
+        about = self._path.resolve(), self._description, self._start
+        return self._worker.call(with_permission, permission.get(), function, *about, *more, watch=watch)
 
 
 def check_differentiable(path: Path, description: Any) -> None:
