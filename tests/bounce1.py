@@ -30,6 +30,7 @@ DESCRIPTION = f"""<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="minus_h" valueReference="0" causality="internal" alias="negatedAlias"><Real/></ScalarVariable>
     <ScalarVariable name="h" valueReference="0" causality="output"><Real start="1"/></ScalarVariable>
     <ScalarVariable name="v" valueReference="1" causality="output"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="der(h)" valueReference="1" causality="internal" alias="alias"><Real/></ScalarVariable>
     <ScalarVariable name="wind" valueReference="2" causality="input"><Real start="0"/></ScalarVariable>
     <ScalarVariable name="steps" valueReference="9" causality="internal" variability="discrete"><Real/></ScalarVariable>
     <ScalarVariable name="events" valueReference="0" {DISCRETE}><Integer/></ScalarVariable>
@@ -52,10 +53,10 @@ def library() -> Path:
     return made
 
 
-def bounce_fmu(path: Path, *, compiled: bool = True, source: bool = False) -> Path:
+def bounce_fmu(path: Path, *, compiled: bool = True, source: bool = False, description: str = DESCRIPTION) -> Path:
     """The FMU, with its library, its source, or both."""
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION)
+        archive.writestr("modelDescription.xml", description)
         if compiled:
             archive.write(library(), "binaries/linux64/bounce1.so")
         if source:

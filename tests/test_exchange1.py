@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import cosim
 from cosim.cli import app
 from cosim.residuals.workflow import replay
 from cosim.results import Results
 from cosim.simulation.master import StoppedRun, simulate
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import build_system
-from tests.bounce1 import bounce_fmu
+from tests.bounce1 import DESCRIPTION, bounce_fmu
 
 FALL = math.sqrt(2 / 9.81)  # [s] to the first bounce from 1 m
 
@@ -91,6 +92,11 @@ def test_it_may_end_the_simulation(tmp_path: Path) -> None:
 def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
     with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d|3) s: fmi1GetDerivatives returned Error: it has a hole"):
         bounced(tmp_path, {"fail_at": 0.3})
+
+
+def test_without_outputs_its_states_are_recorded(tmp_path: Path) -> None:
+    fmu = bounce_fmu(tmp_path / "x.fmu", description=DESCRIPTION.replace('"output"', '"internal"'))
+    assert cosim.simulate(fmu).results.columns == ("x.wind", "x.h")  # of h alone it says der(h)
 
 
 def test_a_log_is_replayed_through_it(tmp_path: Path) -> None:

@@ -73,6 +73,15 @@ def ways(description: Any) -> tuple[Way, ...]:
     return tuple(found)
 
 
+def state_names(description: Any) -> list[str]:
+    """Names of the continuous states; of FMI 1.0, which does not list them, those x for which there is a der(x)."""
+    if description.fmiVersion != "1.0":
+        derivatives = (unknown.variable.derivative for unknown in description.derivatives)
+        return [state.name for state in derivatives if state is not None]
+    names = {v.name for v in description.modelVariables if v.type == "Real"}
+    return [v.name for v in description.modelVariables if f"der({v.name})" in names and v.name in names]
+
+
 def takes_any_step(description: Any) -> bool:
     """Communication steps may be of any length."""
     cosimulation = description.coSimulation
