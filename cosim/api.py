@@ -34,6 +34,7 @@ def run(
     figures: bool = False,
     force: bool = False,
     in_process: bool = False,
+    compile: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
@@ -42,14 +43,16 @@ def run(
     set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2};
             or "path=value" each
     force:  also over what the run of another scenario left in `out`
+    compile: the sources of FMUs that have no library for this machine are compiled and run
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
+    from cosim.blocks.compiling import compiling
     from cosim.simulation.workflow import run as run_file
 
     overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
-    with _folder(out) as folder, _scenario_file(scenario, folder) as path:
+    with compiling(compile), _folder(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
             path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
             figures=figures and out is not None, in_process=in_process, progress=progress,
@@ -69,6 +72,7 @@ def simulate(
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
+    compile: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run one FMU over its default experiment.
@@ -78,11 +82,13 @@ def simulate(
     input:      a CSV with time and columns named as inputs, played to them
     stop, step: [s], in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
+    compile:    its sources are compiled and run where it has no library for this machine
     Raises InputError, FmuError, SimulationError.
     """
+    from cosim.blocks.compiling import compiling
     from cosim.simulation.single import simulate as simulate_fmu
 
-    with _folder(out) as folder:
+    with compiling(compile), _folder(out) as folder:
         outcome, notes = simulate_fmu(
             fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
             report=report and out is not None, force=force, in_process=in_process, progress=progress,
@@ -101,6 +107,7 @@ def replay(
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
+    compile: bool = False,
     limits: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
@@ -110,11 +117,13 @@ def replay(
     start:   start values and parameters of the FMU
     columns: of the log under other names, column → variable, or `time`
     force:   also over what another command, or the replay of another log or FMU, left in `out`
+    compile: the sources of the FMU are compiled and run where it has no library for this machine
     Raises InputError, FmuError, SimulationError.
     """
+    from cosim.blocks.compiling import compiling
     from cosim.residuals.workflow import replay as replay_log
 
-    with _folder(out) as folder:
+    with compiling(compile), _folder(out) as folder:
         replay_log(
             log, folder, fmu, start=texts(start, "start"),
             columns=_pairs(columns), report=report and out is not None,
@@ -149,15 +158,19 @@ def check(
     model: str = "base",
     *,
     load: bool = True,
+    compile: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
 
     columns: of logs under other names than the model's, column → variable, or `time`
+    compile: the sources of FMUs that have no library for this machine are compiled and run
     """
+    from cosim.blocks.compiling import compiling
     from cosim.checks import check_files
 
-    return check_files(files, model, load=load, columns=columns or {})
+    with compiling(compile):
+        return check_files(files, model, load=load, columns=columns or {})
 
 
 def compare(

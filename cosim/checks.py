@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, NoReturn
 
 from cosim import kinds
+from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
 from cosim.errors import Crashed, DiskFull, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, TimedOut
@@ -58,6 +59,9 @@ def check_files(
     columns: name in the logs → name in their model, or `time`, where they differ
     What is to be known and no fault, a line each; InputError with all faults of all files.
     """
+    if permission.get() and not load:
+        told = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
+        raise InputError([Fault(Path("--compile"), 0, 0, told)])
     faults: list[Fault] = []
     said: list[str] = []
     with Worker(*MODULES) if load else nullcontext() as worker:
@@ -224,7 +228,8 @@ def check_ssp(path: Path, worker: Worker | None = None) -> list[str]:
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
     """Why the first step of a scenario fails; `path` is what it is told of."""
-    limits = file.scenario.limits or Limits(step=LONGEST, load=LONGEST)
+    to_load = LONGEST + (LIMIT if permission.get() else 0.0)
+    limits = file.scenario.limits or Limits(step=LONGEST, load=to_load)
     worker.start()
     beside = Path(tempfile.gettempdir())
     try:

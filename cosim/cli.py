@@ -19,6 +19,7 @@ from cosim.verbs import register
 from cosim.verbs.outcome import told, told_left
 from cosim.verbs.streams import echo, open_streams
 from cosim.verbs.terminal import (
+    Compile,
     Force,
     InProcess,
     Json,
@@ -80,15 +81,17 @@ def run(
     as_json: Json = False,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     in_process: InProcess = False,
+    compile_: Compile = False,
     coupling: Annotated[
         bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
     ] = False,
 ) -> None:
     """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
+    from cosim.blocks.compiling import compiling
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
-    with progress_bar() as progress:
+    with compiling(compile_), progress_bar() as progress:
         outcome = run_scenario(
             scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
             in_process=in_process, progress=progress,
@@ -97,7 +100,8 @@ def run(
         from cosim.simulation.coupling import coupling_error
 
         source = Path(outcome.manifest["source"])
-        changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
+        with compiling(compile_):
+            changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
         echo(changed, err=True) if as_json else say(changed)
     told(outcome, report=report, open_=open_, as_json=as_json)
 
@@ -186,14 +190,17 @@ def check(
         list[str] | None,
         typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
     ] = None,
+    compile_: Compile = False,
     as_json: Json = False,
 ) -> None:
     """Say what is wrong with files, all faults at once."""
+    from cosim.blocks.compiling import compiling
     from cosim.checks import check_files
     from cosim.logs.log import renamed
 
     try:
-        lines = check_files(files, model, load=load, columns=renamed(column or (), files[0]))
+        with compiling(compile_):
+            lines = check_files(files, model, load=load, columns=renamed(column or (), files[0]))
     except Signalled as ended:
         raise FmuError(ended.reason) from None
     except Terminated as ended:

@@ -5,14 +5,18 @@ Refused is what would fill disk or memory, what would be written outside its fol
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 import re
+import shutil
 import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, TypeVar
 from xml.parsers import expat
@@ -22,8 +26,10 @@ from fmus.files import is_full
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
 MOST_FILES = 20_000
-MOST_UNPACKED = 1_000_000_000  # bytes
-LARGE, MOST_RATIO = 50_000_000, 100.0  # bytes, from which a ratio of packing beyond this is a bomb
+MOST_UNPACKED = 1_000_000_000  # bytes of all files together, however well they are packed
+MOST_OF_FREE = 0.9  # of the room on the disk
+BOMB_RATIO = 100.0  # of packing, from which an archive beyond MOST_UNPACKED is taken for a bomb
+LOCAL_HEADER = 30  # bytes before each file's own, at least
 MOST_XML = 20_000_000  # bytes of a description: some 100 000 variables
 DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100  # elements within elements, in all, attributes of one
 END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
@@ -75,12 +81,15 @@ def description_of(path: Path) -> bytes:
 
 
 def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
-    """Unpack it into a folder; BadArchive where that fails, OSError where there is no room.
+    """Unpack it into a folder; BadArchive where that fails, OSError before anything is written where there is no room.
 
     A link in it becomes a file that holds its target.
     """
 
     def all_of(archive: zipfile.ZipFile) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        if _unpacked_size(archive.infolist()) > MOST_OF_FREE * shutil.disk_usage(folder).free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         for member in archive.infolist():
             archive.extract(member, folder)
 
@@ -159,12 +168,27 @@ def _check_member(member: zipfile.ZipInfo) -> None:
         raise BadArchive(f'"{member.filename[:60]}" in it is packed in a way that is not known here')
 
 
-def _check_sizes(members: list[zipfile.ZipInfo], kind: Contents) -> None:
-    """What it would take on the disk: zipfile unpacks no more of a file than is declared."""
-    unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
-    ratio = unpacked / max(1, packed)
-    if unpacked > MOST_UNPACKED or (unpacked > LARGE and ratio > MOST_RATIO):
-        raise BadArchive(f"it would unpack to {unpacked / 1e6:.0f} MB, {ratio:.0f} times its size: a zip bomb?")
+def _unpacked_size(members: Sequence[zipfile.ZipInfo]) -> int:
+    """Return the bytes that all files take on the disk: zipfile unpacks no more of a file than is declared."""
+    return sum(member.file_size for member in members)
+
+
+def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
+    """Refuse files that together take too much room, share bytes in the archive, or are too large to be parsed.
+
+    How well a file is packed is no reason: a table of zeros is packed a thousand times.
+    """
+    unpacked, packed = _unpacked_size(members), sum(m.compress_size for m in members)
+    if unpacked > MOST_UNPACKED:
+        ratio = unpacked / max(1, packed)
+        bomb = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
+        most = f"more than the {MOST_UNPACKED / 1e6:.0f} MB that are unpacked"
+        raise BadArchive(f"it would unpack to {unpacked / 1e6:.0f} MB, {most}{bomb}")
+    in_order = sorted(members, key=lambda m: m.header_offset)
+    for member, following in pairwise(in_order):
+        if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
+            names = f'"{member.filename[:60]}" and "{following.filename[:60]}"'
+            raise BadArchive(f"{names} in it share bytes: a zip bomb?")
     for member in members:
         if kind.parses(member.filename) and member.file_size > MOST_XML:
             most = f"more than the {MOST_XML / 1e6:.0f} MB that are read"

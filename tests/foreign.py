@@ -198,6 +198,8 @@ def ways_of(path: Path) -> list[str]:
             text = archive.read("modelDescription.xml").decode("utf-8", "replace")
     except (KeyError, zipfile.BadZipFile):
         return []
+    if re.search(r"fmiVersion\s*=\s*.1\.0", text):  # which has an element for co-simulation alone
+        return ["co-simulation" if "<Implementation" in text else "model-exchange"]
     known = (("co-simulation", "<CoSimulation"), ("model-exchange", "<ModelExchange"))
     return [way for way, tag in known if tag in text] or ["co-simulation"]
 

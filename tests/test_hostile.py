@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zipfile
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from cosim import yaml_parsers
 from cosim.checks import check_files
 from cosim.errors import InputError
 from cosim.yaml_nodes import Document, NotYaml
-from fmus.archive import BadArchive, check_archive, unpack
+from fmus.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">
@@ -33,13 +34,44 @@ def archive(path: Path, description: str | None = DESCRIPTION, **members: bytes)
     return path
 
 
-def bomb(path: Path) -> None:
-    """60 MB of zeros in 60 kB."""
-    with zipfile.ZipFile(archive(path), "a", zipfile.ZIP_DEFLATED) as packed:
-        zeros = bytes(1_000_000)
-        with packed.open("resources/zeros", "w") as stream:
-            for _ in range(60):
-                stream.write(zeros)
+def zeros(path: Path, megabytes: int, name: str = "resources/zeros") -> Path:
+    """An archive with a file of zeros, packed to a thousandth of them."""
+    with zipfile.ZipFile(archive(path), "a", zipfile.ZIP_DEFLATED, compresslevel=1) as packed:
+        million = bytes(1_000_000)
+        with packed.open(name, "w") as stream:
+            for _ in range(megabytes):
+                stream.write(million)
+    return path
+
+
+def directory_of(raw: bytes) -> tuple[int, int]:
+    """Where the directory of an archive begins and ends."""
+    size, offset = struct.unpack_from("<II", raw, raw.rfind(b"PK\x05\x06") + 12)
+    return offset, offset + size
+
+
+def many(path: Path) -> None:
+    """Files of 60 MB each, beyond the room together; the directory says so, and it is what is believed."""
+    archive(path, **{f"resources/{k}": bytes(1000) for k in range(20)})
+    raw = bytearray(path.read_bytes())
+    at, end = directory_of(raw)
+    while at < end:
+        lengths = struct.unpack_from("<HHH", raw, at + 28)
+        if raw[at + 46 :].startswith(b"resources"):
+            struct.pack_into("<I", raw, at + 24, 60_000_000)
+        at += 46 + sum(lengths)
+    path.write_bytes(raw)
+
+
+def sharing(path: Path) -> None:
+    """Two files of 1 MB that are the same bytes of the archive."""
+    archive(path, **{"resources/z": bytes(1_000_000)})
+    raw = path.read_bytes()
+    begin, end = directory_of(raw)
+    last = raw[raw.rfind(b"PK\x01\x02", begin, end) : end]
+    count = struct.unpack_from("<H", raw, end + 10)[0] + 1
+    tail = struct.pack("<4sHHHHIIH", b"PK\x05\x06", 0, 0, count, count, end - begin + len(last), begin, 0)
+    path.write_bytes(raw[:end] + last.replace(b"resources/z", b"resources/y") + tail)
 
 
 def overlapping(path: Path) -> None:
@@ -74,7 +106,9 @@ ENTITIES = DESCRIPTION.replace(
     + "]>\n<fmiModelDescription",
 ).replace('modelName="m"', 'modelName="&i;"')
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
-    "bomb": (bomb, "a zip bomb"),
+    "bomb": (lambda p: zeros(p, 1074), "it would unpack to 1074 MB, more than the 1000 MB that are unpacked"),
+    "many": (many, "times its size: a zip bomb?"),
+    "sharing": (sharing, "share bytes: a zip bomb?"),
     "overlapping": (overlapping, "a zip bomb"),
     "link": (linked, "is a link"),
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
@@ -119,6 +153,28 @@ def test_a_sound_archive_is_unpacked_whole(tmp_path: Path) -> None:
     check_archive(path)
     unpack(path, tmp_path / "out")
     assert (tmp_path / "out/resources/a b/c.txt").read_bytes() == b"data"
+
+
+def test_zeros_that_are_well_packed_are_no_bomb(tmp_path: Path) -> None:
+    path = zeros(tmp_path / "m.fmu", 120)
+    assert path.stat().st_size < 1_200_000
+    unpack(path, tmp_path / "out")
+    assert (tmp_path / "out/resources/zeros").stat().st_size == 120_000_000
+
+
+@pytest.mark.parametrize("kind", [FMU, SSP])
+def test_what_the_disk_has_no_room_for_is_refused_before_it_is_written(
+    tmp_path: Path, kind: Contents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = zeros(tmp_path / "m.fmu", 2)
+    with zipfile.ZipFile(path, "a") as packed:
+        packed.writestr("SystemStructure.ssd", "<a/>")
+    room = shutil.disk_usage(tmp_path)._replace(free=2_100_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: room)
+    (tmp_path / "out").mkdir()
+    with pytest.raises(OSError, match="No space left"):
+        unpack(path, tmp_path / "out", kind)
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_an_archive_with_a_damaged_file_is_refused(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from cosim.errors import InputError
 from cosim.results import Results
 from cosim.simulation.export import export_ssp
 from cosim.simulation.workflow import run
+from fmus import archive as archive_rules
 from fmus.native.source import build_source
 from tests.hosts import table
 from tests.hosts_fmpy import Instance
@@ -299,7 +300,8 @@ def test_a_component_that_cannot_be_run_is_refused(tmp_path: Path, kind: str, wo
     assert "/tmp/cosim" not in str(caught.value)
 
 
-def test_a_hostile_archive_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+def test_a_hostile_archive_is_refused_before_it_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive_rules, "MOST_UNPACKED", 50_000_000)
     path = tmp_path / "x.ssp"
     for name, content, words in (
         ("../outside.txt", b"", "outside its folder"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import zipfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,9 +15,10 @@ from cosim.arrays import Array
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.kinds import element_names
-from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2
 from cosim.blocks.solvers import DOUBLES, derivatives_of
 from cosim.errors import SimulationError
+from fmus.archive import DESCRIPTION
 
 REALS = ("Real", "Float64")
 
@@ -25,6 +27,28 @@ def states_of(description: Any) -> list[Any]:
     """Variables that are continuous states, in the order of the derivatives; empty where the FMU tells of none."""
     found = [unknown.variable.derivative for unknown in description.derivatives]
     return [] if any(v is None for v in found) else found
+
+
+def hides_states(description: Any) -> bool:
+    """Return whether a description has the number of states alone: that of FMI 1.0, whose library names them."""
+    return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
+
+
+def name_states(path: Path, description: Any, references: Sequence[int]) -> None:
+    """Add the derivatives of states with these value references to a description of FMI 1.0, as later versions do.
+
+    Aliases of a variable share its value reference, and a negated one has the other sign: the variable itself is taken.
+    """
+    from fmpy.model_description import ModelVariable, Unknown
+
+    root = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION))
+    aliases = {v.get("name") for v in root.iter("ScalarVariable") if v.get("alias", "noAlias") != "noAlias"}
+    own = {v.valueReference: v for v in description.modelVariables if v.type == "Real" and v.name not in aliases}
+    for k, reference in enumerate(references, 1):
+        state = own.get(reference) or ModelVariable(name=f"state[{k}]", valueReference=reference, type="Real")
+        rate = ModelVariable(name=f"der({state.name})", type="Real")
+        rate.derivative = state
+        description.derivatives.append(Unknown(variable=rate))
 
 
 def reals(description: Any, causality: str) -> list[Any]:
@@ -64,11 +88,16 @@ class DifferentiableFmu(FmuBlock):
     @property
     def gives_slopes(self) -> bool:
         """It says that it has directional derivatives, of scalars."""
-        about = ElementTree.fromstring(zipfile.ZipFile(self.path).read("modelDescription.xml")).find("ModelExchange")
+        about = ElementTree.fromstring(zipfile.ZipFile(self.path).read(DESCRIPTION)).find("ModelExchange")
         # FMPy knows the word of FMI 2.0 only, which 3.0 has in the plural
         flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
         plain = all(not v.shape for v in (*self._states, *self._fed, *self._shown))
         return plain and any(flag in ("true", "1") for flag in flags)
+
+    def state_references(self) -> list[int]:
+        """Return the value reference of each state, of FMI 1.0."""
+        assert isinstance(self._calls, ModelExchange1)
+        return self._calls.state_references()
 
     def here(self) -> tuple[Array, Array]:
         """States and inputs as they are."""
@@ -79,12 +108,9 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.failing():
             self.instance.fmu.setTime(t)
             self._put_states(states)
-            self.instance.fmu.enterEventMode()
-            self._write_reals(self._fed, inputs)
             calls = self._calls
             assert isinstance(calls, ModelExchange2)
-            calls.update()
-            self.instance.fmu.enterContinuousTimeMode()
+            calls.event(lambda: self._write_reals(self._fed, inputs))
         return self._continuous()
 
     def rates(self, states: Array, inputs: Array) -> Array:

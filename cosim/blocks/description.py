@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import sys
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +15,9 @@ from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers,
 from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
-PLATFORMS = "binaries/"
+PLATFORMS, SOURCES = "binaries/", "sources/"
+LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # endings
+C_CODE = "c-code"  # what FMI calls the platform of sources
 MOST_ELEMENTS = 1_000_000  # of an array: a name each
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
@@ -50,7 +53,7 @@ def read_description(path: Path) -> Any:
     return description
 
 
-RUNS = "FMI 2.0 and 3.0 for co-simulation or model exchange and FMI 1.0 for co-simulation are run here"
+RUNS = "FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
@@ -65,9 +68,18 @@ def ways(description: Any) -> tuple[Way, ...]:
     if version in {"1.0", "2.0"} or version == "3.0" or version.startswith("3.0."):
         if description.coSimulation is not None:
             found.append("co-simulation")
-        if description.modelExchange is not None and version != "1.0":
+        if description.modelExchange is not None:
             found.append("model-exchange")
     return tuple(found)
+
+
+def state_names(description: Any) -> list[str]:
+    """Names of the continuous states; of FMI 1.0, which does not list them, those x for which there is a der(x)."""
+    if description.fmiVersion != "1.0":
+        derivatives = (unknown.variable.derivative for unknown in description.derivatives)
+        return [state.name for state in derivatives if state is not None]
+    names = {v.name for v in description.modelVariables if v.type == "Real"}
+    return [v.name for v in description.modelVariables if f"der({v.name})" in names and v.name in names]
 
 
 def takes_any_step(description: Any) -> bool:
@@ -93,22 +105,44 @@ def platform_of(description: Any) -> str:
     return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
 
 
-def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str]:
-    """The library of an unpacked FMU for this platform and, where it is not named as it should be, a warning."""
+def platforms_among(names: Sequence[str]) -> list[str]:
+    """Platforms with a library, by the names of an FMU's files; `c-code` where there are sources of C or C++ too."""
+    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
+    found = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
+    sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
+    return [*sorted(found), *([C_CODE] if sources else [])]
+
+
+def no_library(here: str, platforms: Sequence[str]) -> str:
+    """Why an FMU does not run on a platform, with the cure, by the platforms that it is for."""
+    others = ", ".join(p for p in platforms if p != C_CODE)
+    told = f"it has no library for {here}" + (f"; it has some for {others}" if others else " or another platform")
+    cure = "; it has sources: --compile (in Python compile=True) compiles and runs them"
+    return told + (cure if C_CODE in platforms else "")
+
+
+def library_file(folder: Path, description: Any, identifier: str) -> Path:
+    """Where the library for this platform lies in an unpacked FMU, as FMI says."""
     import fmpy
 
-    within = folder / "binaries" / platform_of(description)
-    named = within / f"{identifier}{fmpy.sharedLibraryExtension}"
+    return folder / "binaries" / platform_of(description) / f"{identifier}{fmpy.sharedLibraryExtension}"
+
+
+def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
+    """The library of an unpacked FMU for this platform and, where it is not named as it should be, a warning.
+
+    None where there is none; FmuError where there are several of other names.
+    """
+    named = library_file(folder, description, identifier)
     if named.is_file():
         return named, ""
-    libraries = sorted(within.glob(f"*{fmpy.sharedLibraryExtension}")) if within.is_dir() else []
+    libraries = sorted(named.parent.glob(f"*{named.suffix}")) if named.parent.is_dir() else []
     if len(libraries) == 1:
         return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
-    platforms = sorted(p.name for p in (folder / "binaries").glob("*") if p.is_dir())
     if libraries:
         held = ", ".join(p.name for p in libraries)
         raise FmuError(f"none of its libraries is {named.name}, as its modelIdentifier says: {held}")
-    raise FmuError(f"it has no library for {within.name}; it has some for {', '.join(platforms) or 'no platform'}")
+    return None
 
 
 def named(pattern: str, component: str, variable: str) -> bool:

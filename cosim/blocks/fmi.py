@@ -55,7 +55,7 @@ class Calls(ABC):
 
     def load(self, folder: Path, library: Path) -> None:
         """Load the library; bare Exceptions where that fails."""
-        # FMPy derives the library's path from the identifier, which is no use of it else but in FMI 1.0
+        # FMPy derives the library's path from the identifier, and uses it for nothing else but in FMI 1.0
         self.fmu = self._class()(
             guid=self.description.guid,
             modelIdentifier=library.stem,
@@ -157,18 +157,16 @@ class CoSimulation2(Calls):
             return t
 
 
-class CoSimulation1(CoSimulation2):
-    """FMI 1.0 co-simulation: one call initializes, and values are read only after it."""
+class Version1(Calls):
+    """The calls of FMI 1.0: one call initializes, and values are read only after it."""
 
-    prefix, step = "fmi", STEP1
+    prefix = "fmi"
     readable_before_start = False
 
     def load(self, folder: Path, library: Path) -> None:
-        from fmpy.fmi1 import FMU1Slave
-
-        self.fmu = FMU1Slave(
+        self.fmu = self._class()(
             guid=self.description.guid,
-            modelIdentifier=self.identifier,
+            modelIdentifier=self.identifier,  # which the names of the functions begin with
             unzipDirectory=str(folder),
             instanceName=self.name,
             libraryPath=str(library),
@@ -180,17 +178,28 @@ class CoSimulation1(CoSimulation2):
     def limit_logging(self) -> None:
         """FMI 1.0 has no categories."""
 
-    def prepare(self) -> None:
-        """FMI 1.0 is told when it is initialized."""
-
     def enter(self) -> None:
         """FMI 1.0 has no initialization mode."""
 
-    def leave(self) -> None:
-        self.fmu.initialize(tStart=self.start_time, stopTime=self.stop_time)
-
     def symbol(self, name: str) -> str:
         return f"{self.identifier}_fmi{name}"
+
+
+class CoSimulation1(Version1, CoSimulation2):
+    """FMI 1.0 co-simulation."""
+
+    step = STEP1
+
+    def _class(self) -> Any:
+        from fmpy.fmi1 import FMU1Slave
+
+        return FMU1Slave
+
+    def prepare(self) -> None:
+        """FMI 1.0 is told when it is initialized."""
+
+    def leave(self) -> None:
+        self.fmu.initialize(tStart=self.start_time, stopTime=self.stop_time)
 
     def stepping(self) -> Step:
         step = self.bare_step()

@@ -14,6 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.compiling import permission
 from cosim.blocks.description import (
     Way,
     default_tolerance,
@@ -28,7 +29,7 @@ from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimu
 from cosim.blocks.instance import Instance
 from cosim.blocks.interface import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.kinds import element_names
-from cosim.blocks.model_exchange import ModelExchange2, ModelExchange3
+from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot
@@ -41,6 +42,7 @@ FOUND: dict[tuple[str, Way], type[Calls]] = {
     ("1", "co-simulation"): CoSimulation1,
     ("2", "co-simulation"): CoSimulation2,
     ("3", "co-simulation"): CoSimulation3,
+    ("1", "model-exchange"): ModelExchange1,
     ("2", "model-exchange"): ModelExchange2,
     ("3", "model-exchange"): ModelExchange3,
 }
@@ -55,6 +57,7 @@ class FmuBlock:
     recorded:  names of further variables that are read at every communication point
     logging:   its debug messages are asked for
     solver:    of model exchange
+    compiles:  its sources may be compiled where it has no library for this platform; None: as `compiling` allows now
     """
 
     def __init__(
@@ -70,17 +73,22 @@ class FmuBlock:
         recorded: frozenset[str] = frozenset(),
         logging: bool = False,
         solver: Solver | None = None,
+        compiles: bool | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected = start, connected
-        asked: Any = {"way": way, "tolerance": tolerance, "recorded": recorded, "logging": logging, "solver": solver}
+        self.compiles = compiles = permission.get() if compiles is None else compiles
+        asked: Any = {
+            "way": way, "tolerance": tolerance, "recorded": recorded, "logging": logging, "solver": solver,
+            "compiles": compiles,
+        }  # fmt: skip
         made: Callable[..., FmuBlock] = partial(type(self), **asked)
         self._made_of = made, (name, path, description, start, connected)
         self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
-        self.instance = Instance(path, self._calls, logging=logging)
+        self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
         # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}

@@ -11,10 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import library_of, offer_libm
+from cosim.blocks.compiling import compile_library
+from cosim.blocks.description import C_CODE, library_of, no_library, offer_libm, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.interface import EndedEarly
+from cosim.blocks.loading import load_error
 from cosim.blocks.model_exchange import ModelExchange2
 from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
 from fmus.archive import unpack
@@ -32,12 +34,14 @@ class Instance:
     """One instance, and the folder in which its FMU lies unpacked.
 
     fmu:       FMPy's object, None while there is none and after Fatal; `component` is C's
+    log:       its last messages, and what is to be known of it beside them
     time:      to which it came [s], for messages
     place:     where the FMU lies unpacked already, which stays as it is
     logging:   its debug messages are asked for
+    compiles:  its sources may be compiled where it has no library for this platform
     """
 
-    def __init__(self, path: Path, calls: Calls, *, logging: bool = False) -> None:
+    def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
         self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
@@ -48,26 +52,22 @@ class Instance:
         self.place: Path | None = None
         self.time = 0.0
         self.initialized = False
-        self._logging = logging
+        self._logging, self._compiles = logging, compiles
         self._folder: Path | None = None
         self._stopped: BaseException | None = None
+        self._words = ""  # its last message
 
     # -- life ---------------------------------------------------------------------------------
 
     def load(self) -> None:
         """Unpack the FMU where that is to be done, load its library, make the instance. FmuError, DiskFull."""
         folder = self._folder or self._unpacked()
-        here = os.getcwd()
+        here, self._words = os.getcwd(), ""
         try:
-            library, warning = library_of(folder, self.description, self.calls.identifier)
+            library, warning = self._library(folder)
+            self._load_library(folder, library)
             if warning:
                 self.remember(warning)
-            try:
-                self.calls.load(folder, library)
-            except Exception as error:
-                if "undefined symbol" not in str(error) or not offer_libm():
-                    raise
-                self.calls.load(folder, library)
             # pythonfmu gives its reasons to who asks for debugging, and to nobody else
             talks = self._logging or self.by_pythonfmu
             self.calls.instantiate(self.listen, talks)
@@ -79,6 +79,29 @@ class Instance:
             os.chdir(here)  # FMPy loads from within the FMU's folder
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
         let_go_at_exit(folder)  # of what pythonfmu, if it made this FMU, releases twice
+
+    def _library(self, folder: Path) -> tuple[Path, str]:
+        """The library for this platform, compiled where the FMU has none and the user allows it, and a warning."""
+        identifier = self.calls.identifier
+        found = library_of(folder, self.description, identifier)
+        if found is not None:
+            return found
+        platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
+        if self._compiles and C_CODE in platforms:
+            return compile_library(folder, self.description, identifier), ""
+        raise FmuError(no_library(platform_of(self.description), platforms))
+
+    def _load_library(self, folder: Path, library: Path) -> None:
+        """Load the library; FmuError with the loader's own text and the cure."""
+        try:
+            try:
+                self.calls.load(folder, library)
+            except Exception as error:
+                if "undefined symbol" not in str(error) or not offer_libm():
+                    raise
+                self.calls.load(folder, library)
+        except Exception as error:  # FMPy raises bare Exceptions
+            raise FmuError(load_error(library, error)) from None
 
     def _unpacked(self) -> Path:
         if self.place is not None:
@@ -145,7 +168,8 @@ class Instance:
         """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
         try:
             if status >= WARNING or self._logging:
-                self.remember((message or b"").decode("utf-8", "replace"))
+                self._words = (message or b"").decode("utf-8", "replace")
+                self.remember(self._words)
         except (KeyboardInterrupt, Terminated) as stop:  # no exception passes through C
             self._stopped = stop
 
@@ -164,7 +188,7 @@ class Instance:
 
     def last_words(self) -> str:
         """The FMU's last log message, on one line."""
-        return without_wrapping(" ".join(self.log[-1].split())) if self.log else ""
+        return without_wrapping(" ".join(self._words[:LONGEST_MESSAGE].split()))
 
     # -- what its statuses mean ---------------------------------------------------------------
 

@@ -6,13 +6,15 @@ of step (the FMU asks for one after a step of the solver); inputs that change ar
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from cosim.blocks.description import Way
-from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step
+from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
 from cosim.blocks.interface import EndedEarly
 from cosim.blocks.solvers import Solver, SolverFailed, solver
 from cosim.errors import SimulationError
@@ -22,6 +24,7 @@ LONGEST = 50  # the solver's steps are at most this part of the whole time, as F
 MOST_EVENTS = 1000  # updates of discrete states at one time, or events that follow one another at once
 AT_ONCE = 1e-6  # of a communication step, in which so many events are chattering
 CLOSE = 1e-9  # of a communication step: times that are one
+NO_VARIABLE = 2**32 - 1  # the value reference of a state that is no variable, in FMI 1.0
 ULPS = 4  # spacings of doubles, nearer than which CVODE integrates nothing
 
 
@@ -50,10 +53,10 @@ class ModelExchange2(Calls):
         self.fmu.setupExperiment(startTime=self.start_time, stopTime=self.stop_time)  # the tolerance is the solver's
 
     def leave(self) -> None:
-        self.fmu.exitInitializationMode()
+        self._initialize()
         self.time = self.start_time
         self.update()
-        self.fmu.enterContinuousTimeMode()
+        self._enter_continuous_time()
         self.solver = self._solver()
         self._started = True
 
@@ -64,11 +67,37 @@ class ModelExchange2(Calls):
         if not self._started:
             take()
             return
-        self.fmu.enterEventMode()
-        take()
-        self.update()
-        self.fmu.enterContinuousTimeMode()
+        self.event(take)
         self.solver.reset(self.time)
+
+    def event(self, change: Callable[[], None] | None = None) -> None:
+        """Handle an event at the FMU's own time: change inputs, then update discrete states."""
+        self._enter_event()
+        if change is not None:
+            change()
+        self.update()
+        self._enter_continuous_time()
+
+    # -- the calls in which versions differ -----------------------------------------------------
+
+    def _initialize(self) -> None:
+        self.fmu.exitInitializationMode()
+
+    def _enter_event(self) -> None:
+        self.fmu.enterEventMode()
+
+    def _enter_continuous_time(self) -> None:
+        self.fmu.enterContinuousTimeMode()
+
+    def _completed_step(self) -> tuple[bool, bool]:
+        """Tell the FMU that a step of the solver is done; it asks for an event, or ends the simulation."""
+        if not self.description.modelExchange.needsCompletedIntegratorStep:
+            return False, False
+        event, terminate = self.fmu.completedIntegratorStep()
+        return event, terminate
+
+    def _updated(self) -> Any:
+        return self.fmu.newDiscreteStates()
 
     # -- within -------------------------------------------------------------------------------
 
@@ -99,11 +128,9 @@ class ModelExchange2(Calls):
                 target = event if event < end - close else max(event, end)
             state_event, self.time = self._integrate(target, ULPS * spacing)
             self.fmu.setTime(self.time)
-            step_event = False
-            if self.description.modelExchange.needsCompletedIntegratorStep:
-                step_event, terminate = self.fmu.completedIntegratorStep()
-                if terminate:
-                    self._end()
+            step_event, terminate = self._completed_step()
+            if terminate:
+                self._end()
             if state_event or at_event or step_event:
                 self._handle_event(h)
         return 0
@@ -133,9 +160,7 @@ class ModelExchange2(Calls):
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
             within = f"{len(self._events)} events within {AT_ONCE * h:.2g} s"
             raise SimulationError(self.name, self.time, f"it chatters: {within}, so that time stands still")
-        self.fmu.enterEventMode()
-        self.update()
-        self.fmu.enterContinuousTimeMode()
+        self.event()
         self.solver.reset(self.time)
 
     def update(self) -> None:
@@ -151,18 +176,59 @@ class ModelExchange2(Calls):
             if due is None or due > self.time:
                 self.next_event = due
                 return
-            self.fmu.enterContinuousTimeMode()  # the event that is due now is one of its own
-            self.fmu.enterEventMode()
+            self._enter_continuous_time()  # the event that is due now is one of its own
+            self._enter_event()
         told = f"its discrete states still change after {MOST_EVENTS} updates"
         if due is not None and due <= self.time:
             told = f"{MOST_EVENTS} times over it names t = {due:.6g} s as that of its next event, which has passed"
         raise SimulationError(self.name, self.time, told)
 
-    def _updated(self) -> Any:
-        return self.fmu.newDiscreteStates()
-
     def _end(self) -> None:
         raise EndedEarly(self.name, self.time, "the FMU ended the simulation", readable=False)
+
+
+class ModelExchange1(Version1, ModelExchange2):
+    """FMI 1.0 model exchange: no modes, and every event is one call, which initialization handles too."""
+
+    def __init__(self, name: str, description: Any) -> None:
+        super().__init__(name, description)
+        self._first: Any = None  # what initialization says of discrete states
+
+    def _class(self) -> Any:
+        from fmpy.fmi1 import FMU1Model
+
+        return FMU1Model
+
+    def prepare(self) -> None:
+        self._started, self.solver = False, None
+        self.fmu.setTime(self.start_time)
+
+    def _initialize(self) -> None:
+        self._first = self.fmu.initialize()
+
+    def _enter_event(self) -> None:
+        """FMI 1.0 has no modes."""
+
+    def _enter_continuous_time(self) -> None:
+        """FMI 1.0 has no modes."""
+
+    def _completed_step(self) -> tuple[bool, bool]:
+        return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands it of every host
+
+    def _updated(self) -> Any:
+        first, self._first = self._first, None
+        converged, *more = self.fmu.eventUpdate() if first is None else (True, *first[1:])
+        return (not converged, more[2], more[0], more[1], *more[3:])
+
+    def state_references(self) -> list[int]:
+        """Return the value reference of each continuous state, which FMI 1.0 tells at run time only, if at all."""
+        from fmpy.fmi1 import FMICallException
+
+        count = self.description.numberOfContinuousStates
+        references = (ctypes.c_uint * count)(*[NO_VARIABLE] * count)
+        with contextlib.suppress(FMICallException):  # some exporters do not implement it
+            self.fmu.getStateValueReferences(references, count)
+        return list(references)
 
 
 class ModelExchange3(ModelExchange2):

@@ -140,7 +140,8 @@ def derivatives_of(fmu: Any) -> Any:
 
 def nominals(fmu: Any, where: Any, count: int) -> None:
     """Nominal values of the states, above 0; 1 where the FMU knows none, for solvers need some."""
-    fmu.getNominalsOfContinuousStates(where, count)
+    named = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
+    named(where, count)
     values = ctypes.cast(where, DOUBLES)
     for k in range(count):
         values[k] = abs(values[k]) if math.isfinite(values[k]) and values[k] else 1.0

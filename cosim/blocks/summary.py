@@ -8,7 +8,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import PLATFORMS, platform_of, read_description, slips_of, unit_of, ways
+from cosim.blocks.description import (
+    platform_of,
+    platforms_among,
+    read_description,
+    slips_of,
+    state_names,
+    unit_of,
+    ways,
+)
 from cosim.errors import Fault, FmuError, InputError
 from cosim.kinds import FMU, check_given
 
@@ -46,9 +54,10 @@ class Summary:
 
     ways:         co-simulation, model-exchange: as it can be run here
     capabilities: way → the flags and numbers of FMI that it sets
-    runs_here:    it has a library for this machine
+    runs_here:    it has a library for this machine; sources (`c-code` among the platforms) make one, where asked for
     experiment:   start, stop, step [s] and tolerance, of those that it declares
-    states:       names of its continuous states
+    states:       names of its continuous states; of FMI 1.0, which tells them at run time only, those with a der(…)
+    state_count:  number of its continuous states
     slips:        where its description breaks FMI's schema and runs all the same
     """
 
@@ -65,6 +74,7 @@ class Summary:
     states: list[str]
     variables: list[Variable]
     slips: list[str]
+    state_count: int = 0
 
     def of(self, *causalities: str) -> list[Variable]:
         """Variables of these causalities, in the order of the file."""
@@ -110,9 +120,10 @@ def summary_of(path: Path, description: Any) -> Summary:
         platforms=platforms_of(path),
         runs_here=platform_of(description) in platforms_of(path),
         experiment=experiment_of(description),
-        states=_states(description),
+        states=state_names(description),
         variables=[_variable(v) for v in description.modelVariables],
         slips=[" ".join(str(s).split()) for s in slips_of(description)],
+        state_count=int(description.numberOfContinuousStates or 0),
     )
 
 
@@ -144,15 +155,7 @@ def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
 def platforms_of(path: Path) -> list[str]:
     """Platforms with a library; `c-code` where the sources are there too."""
     with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
-    found = {platform for platform, _, file in parts if file.endswith((".so", ".dll", ".dylib"))}
-    return [*sorted(found), *(["c-code"] if any(n.startswith("sources/") and n.endswith(".c") for n in names) else [])]
-
-
-def _states(description: Any) -> list[str]:
-    derivatives = (unknown.variable.derivative for unknown in description.derivatives)
-    return [state.name for state in derivatives if state is not None]
+        return platforms_among(archive.namelist())
 
 
 def _variable(v: Any) -> Variable:

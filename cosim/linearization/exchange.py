@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Array
-from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, slopes_at, states_of, units_of
+from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.derivatives import (
+    DifferentiableFmu,
+    hides_states,
+    name_states,
+    reals,
+    scalars,
+    slopes_at,
+    states_of,
+    units_of,
+)
 from cosim.blocks.description import ways
 from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.isolation import worker as here
@@ -31,6 +41,15 @@ GIVEN = "directional derivatives of the FMU"
 Found = tuple[Array, Array, Array, list[str], list[Kink], bool]
 
 # -- in the worker ------------------------------------------------------------------------------
+
+
+def state_references(path: Path, description: Any, start: Mapping[str, Any]) -> list[int]:
+    """Return the value references of the states of an FMU of FMI 1.0."""
+    block = _opened(path, description, start)
+    try:
+        return block.state_references()
+    finally:
+        block.close()
 
 
 def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -131,6 +150,8 @@ class ExchangeSource(Source):
     ) -> None:
         check_differentiable(path, description)
         self._worker, self._path, self._description, self._start = worker, path, description, dict(start)
+        if hides_states(description):
+            name_states(path, description, self._call(state_references))
         self.title, self.files = description.modelName or path.stem, (path,)
         listed = states_of(description), reals(description, "input"), reals(description, "output")
         self.states, self.inputs, self.outputs = (scalars(group) for group in listed)
@@ -169,7 +190,8 @@ class ExchangeSource(Source):
 
     def _call(self, function: Any, *more: Any) -> Any:
         watch = Watch([NAME], [fmi_calls(self._description)])
-        return self._worker.call(function, self._path.resolve(), self._description, self._start, *more, watch=watch)
+        about = self._path.resolve(), self._description, self._start
+        return self._worker.call(with_permission, permission.get(), function, *about, *more, watch=watch)
 
 
 def check_differentiable(path: Path, description: Any) -> None:

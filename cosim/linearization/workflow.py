@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.arrays import Array
+from cosim.blocks.compiling import compiling
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable, named_path
 from cosim.folder_lock import folder_locks
@@ -67,6 +68,7 @@ def linearize(
     side: str | None = None,
     report: bool = True,
     force: bool = True,
+    compile: bool = False,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
 
@@ -78,6 +80,7 @@ def linearize(
     step:        of central differences, for an FMU in place of its directional derivatives
     side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
     force:       also over what another model's, or another command, left in `out`
+    compile:     the sources of an FMU that has no library for this machine are compiled and run
     Raises InputError, FmuError, SimulationError.
     """
     if side is not None and side not in SIDES:
@@ -86,6 +89,7 @@ def linearize(
     where, folder = read_at(texts(at, "at")), None if out is None else named_path(out)
     asked = Asked(states, inputs, outputs, residualize)
     with ExitStack() as stack:
+        stack.enter_context(compiling(compile))
         source = _source(stack, Path(model), given_values, step)
         asked = _checked(source, asked)
         if folder is not None:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from cosim.arrays import Array
+from cosim.blocks.compiling import with_permission
 from cosim.errors import SimulationError
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -190,7 +191,7 @@ class DriveApart(Drive):
         allocate(self._file, 8 * self._most * len(self.outputs))
         between = frozenset(name for name in self.inputs if name in self._interpolated)
         asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)
-        self._worker.call(load, asked, watch=self._watch(()))
+        self._worker.call(with_permission, self.block.compiles, load, asked, watch=self._watch(()))
         self._process = self._worker.starts
 
     def _watch(self, times: Any) -> Watch:

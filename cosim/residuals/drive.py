@@ -146,8 +146,10 @@ class Drive:
         return other
 
     def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
-        """Outputs at the end of initialization at a row of the log."""
+        """Return the outputs after initialization at a row of the log."""
         self._begin(start, row, float(self.log.time[-1]))
+        self.block.start()
+        self.block.get()
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
@@ -201,6 +203,7 @@ class Drive:
             doing[0] = OTHER
             self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
             block.start()
+            block.get()  # of FMI 1.0 for the first time, and some FMUs are right only from now on
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import read_description, ways
+from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmu import FmuBlock, named
 from cosim.blocks.interface import Component
@@ -130,8 +130,7 @@ def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[
         if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
     }
     if not any(v.causality == "output" for v in description.modelVariables):  # as FMPy does
-        derivatives = (unknown.variable.derivative for unknown in description.derivatives)
-        found |= {state.name for state in derivatives if state is not None}
+        found |= set(state_names(description))
     return frozenset(found)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.description import platform_of
+from cosim.blocks.description import no_library, platform_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.interface import Signal
 from cosim.blocks.summary import experiment_of, platforms_of
@@ -178,7 +178,7 @@ def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
     for part in parts:
         here, there = platform_of(part.description), platforms_of(part.path)
         if here not in there:
-            yield f"{part.name} does not run on this machine, {here}: it has libraries for {', '.join(there) or 'none'}"
+            yield f"{part.name} does not run on this machine: {no_library(here, there)}"
 
 
 def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:

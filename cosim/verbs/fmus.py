@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cosim.blocks.description import C_CODE
 from cosim.kinds import as_typed
 from cosim.verbs.outcome import told
-from cosim.verbs.terminal import Force, Json, Open, Report, progress_bar, say, say_json, table, warn
+from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, say_json, table, warn
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -55,12 +56,13 @@ def _told(s: Summary, *, every: bool) -> list[str]:
     lines += [
         f"  default experiment: {', '.join(named) or 'none'}",
         f"  platforms: {', '.join(s.platforms) or 'none'}"
-        + ("" if s.runs_here else ", so it does not run on this machine"),
+        + ("" if s.runs_here else ", so it does not run on this machine")
+        + (" without --compile" if not s.runs_here and C_CODE in s.platforms else ""),
     ]
     lines += [
         f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()
     ]
-    lines += [f"  states: {len(s.states)}" + (f" ({_some(s.states)})" if s.states else "")]
+    lines += [f"  states: {s.state_count}" + (f" ({_some(s.states)})" if s.states else "")]
     lines += [f"  warning: {slip}" for slip in s.slips[:5]]
     for causality, title in SHOWN.items():
         lines += _section(title, s.of(*(causality, "structuralParameter")[: 1 + (causality == "parameter")]), every)
@@ -185,11 +187,13 @@ def simulate(
     in_process: Annotated[
         bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
     ] = False,
+    compile_: Compile = False,
 ) -> None:
     """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
+    from cosim.blocks.compiling import compiling
     from cosim.simulation.single import simulate as simulate_fmu
 
-    with progress_bar() as progress:
+    with compiling(compile_), progress_bar() as progress:
         outcome, notes = simulate_fmu(
             fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
             force=force, in_process=in_process, progress=progress,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.folders import folder_named, name_of
-from cosim.verbs.terminal import Force, Json, Open, Report, say, say_json, show, table, warn
+from cosim.verbs.terminal import Compile, Force, Json, Open, Report, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.linearization.outcome import Outcome
@@ -51,6 +51,7 @@ def linearize(
     report: Report = True,
     open_: Open = False,
     force: Force = False,
+    compile_: Compile = False,
     as_json: Json = False,
 ) -> None:
     """Linearise a model about a point: A, B, C, D, poles, rank; linear.json, linear.mat, linear.py and report.html."""
@@ -60,7 +61,7 @@ def linearize(
     outcome = linearize_model(
         model, place, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs),
         outputs=_names(outputs), residualize=_names(residualize), component=component, step=step, side=side,
-        report=report, force=force,
+        report=report, force=force, compile=compile_,
     )  # fmt: skip
     for note in outcome.notes:
         warn(note)

@@ -12,7 +12,20 @@ import typer
 from cosim.folders import folder_named, folder_of_file, name_of
 from cosim.program import ending_when_stuck
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, progress_bar, say, say_json, show, stages, warn
+from cosim.verbs.terminal import (
+    Compile,
+    Force,
+    InProcess,
+    Json,
+    Open,
+    Report,
+    progress_bar,
+    say,
+    say_json,
+    show,
+    stages,
+    warn,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -39,6 +52,7 @@ def replay(
     ] = None,
     report: Report = True,
     in_process: InProcess = False,
+    compile_: Compile = False,
     limits: Annotated[
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
     ] = "",
@@ -47,12 +61,13 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    from cosim.blocks.compiling import compiling
     from cosim.residuals.record import as_json as numbers
     from cosim.residuals.words import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     place = folder_of_file(log) if out is None else out
-    with progress_bar("replaying") as progress:
+    with compiling(compile_), progress_bar("replaying") as progress:
         comparison = replay_log(
             log, place, plant, start=start or (), columns=column or (), report=report, force=force,
             in_process=in_process, limits=limits, progress=progress,

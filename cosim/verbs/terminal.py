@@ -27,6 +27,10 @@ Open = Annotated[bool, typer.Option("--open", help="Open the report in the brows
 InProcess = Annotated[
     bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
 ]
+Compile = Annotated[
+    bool,
+    typer.Option("--compile", help="Compile and run the sources of FMUs that have no library for this machine."),
+]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
 

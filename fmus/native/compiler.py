@@ -16,6 +16,7 @@ from fmus.native.cache import cached, discard_untrusted
 from fmus.scratch import temporary_folder
 
 OPTIONS = ("-O3", "-fno-math-errno", "-shared", "-fPIC", "-std=c99")  # errno of sin and pow is not looked at
+LIMIT = 900.0  # [s] that a compiler may take
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # Linux, Windows; macOS
 
 
@@ -35,15 +36,29 @@ def _words(command: str) -> list[str]:
 
 
 class CompilerFailed(RuntimeError):
-    """What the compiler said."""
+    """What the compiler said, in a line; `output` holds all of it."""
+
+    def __init__(self, reason: str, output: str = "") -> None:
+        super().__init__(reason)
+        self.output = output
 
 
-def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str], exports: Sequence[str] = ()) -> bytes:
+def library_of(
+    files: Mapping[str, bytes],
+    main: str,
+    command: Sequence[str],
+    exports: Sequence[str] = (),
+    *,
+    libraries: Sequence[str] = ("-lm",),
+    limit: float = LIMIT,
+) -> bytes:
     """The shared library of sources, from the cache or compiled now; CompilerFailed with what the compiler said.
 
+    files:   by their path below the folder in which the compiler runs
     exports: functions that it is looked at for: some commands end without an error and make something else
+    limit:   of the compiler's time [s]
     """
-    content = hashlib.sha256(repr((sorted(files.items()), main, list(command))).encode()).hexdigest()
+    content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
     for kept in _kept(stem):
         if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
@@ -51,19 +66,26 @@ def library_of(files: Mapping[str, bytes], main: str, command: Sequence[str], ex
         kept.unlink(missing_ok=True)
     with temporary_folder("compile") as folder:
         for file, data in files.items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(data)
         library = folder / "library"
-        full = [*command, "-o", library.name, main, "-lm"]
+        full = [*command, "-o", library.name, main, *libraries]
         try:  # in the folder, so that no path of this machine gets into the library
-            done = subprocess.run(full, cwd=folder, capture_output=True, text=True, timeout=900)
-        except (OSError, subprocess.TimeoutExpired) as error:
+            done = subprocess.run(
+                full, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+                timeout=limit,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
+        except OSError as error:
             raise CompilerFailed(f"{command[0]}: {error}") from error
         if done.returncode or not library.is_file():
-            said = (done.stderr or done.stdout).strip().splitlines()
+            output = (done.stderr or done.stdout).strip()
+            said = output.splitlines()
             first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
             if done.returncode == 0:
                 first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
-            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}")
+            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}", output)
         if missing := _missing(library.read_bytes(), exports):
             told = f"it ended without an error, but what it made is no library that has {missing[0]}"
             raise CompilerFailed(f"{shlex.join(full[:1])} failed: {told}")

@@ -68,6 +68,17 @@ def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     return {p: [*_compiler(p, p == own, bool(asked)), *OPTIONS, *_position(p)] for p in wanted}
 
 
+def library_command() -> list[str]:
+    """The command that makes a library of this machine, without a language or an optimization; NoCompiler."""
+    own = here()
+    if own is None:
+        command = compiler()
+        if command is None:
+            raise NoCompiler(f"no C compiler is found; {CURE}")
+        return [*command, "-shared", "-fPIC"]
+    return [*_compiler(own, own=True, asked=False), "-shared", *_position(own)]
+
+
 def _compiler(wanted: Platform, own: bool, asked: bool) -> list[str]:
     """This machine's compiler for itself, the one that crosses for the others and for old versions of glibc."""
     local = compiler() if own else None

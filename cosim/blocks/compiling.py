@@ -1,0 +1,144 @@
+"""The library of an FMU that has sources but none for this platform: compiled, where the user has asked for that.
+
+Sources of others are programs of others. Nothing here runs unless a command was given `--compile`, or a function of
+Python `compile=True`; `permission` holds that for the command, and every FMU takes it along into its worker process.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cosim.blocks.description import CPP, C, library_file
+from cosim.errors import FmuError
+from fmus.native.compiler import CompilerFailed, library_of
+from fmus.native.platforms import NoCompiler, library_command
+
+SOURCES = "sources"
+LIMIT = 300.0  # [s] that a compiler may take for one FMU
+SHOWN_LINES, SHOWN_WIDTH = 20, 200  # of a compiler's output
+OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
+PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # as a shared library has them
+STANDARDS = {
+    "": "", "C89": "gnu90", "C90": "gnu90", "C99": "gnu99", "C11": "gnu11", "C17": "gnu17", "C18": "gnu17",
+    "C23": "gnu2x", "C++98": "gnu++98", "C++03": "gnu++03", "C++11": "gnu++11", "C++14": "gnu++14",
+    "C++17": "gnu++17", "C++20": "gnu++20", "C++23": "gnu++2b",
+}  # fmt: skip
+ENTRY = {"1": "{identifier}_fmiGetVersion", "2": "fmi2GetVersion", "3": "fmi3GetVersion"}
+permission: ContextVar[bool] = ContextVar("compile the sources of FMUs", default=False)
+Answer = TypeVar("Answer")
+
+
+@contextmanager
+def compiling(allowed: bool) -> Iterator[None]:
+    """Allow that sources of FMUs are compiled and run, or not, while the block lasts."""
+    token = permission.set(allowed)
+    try:
+        yield
+    finally:
+        permission.reset(token)
+
+
+def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: Any) -> Answer:
+    """Call a function with the permission of another process."""
+    with compiling(allowed):
+        return function(*arguments)
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The sources of one library, below the folder `sources` of an FMU.
+
+    files:       to be compiled
+    standard:    of the language, as compilers call it; "" takes the compiler's own
+    definitions: of the preprocessor, NAME or NAME=VALUE
+    includes:    folders with headers
+    """
+
+    files: tuple[str, ...]
+    standard: str = ""
+    definitions: tuple[str, ...] = ()
+    includes: tuple[str, ...] = ()
+
+
+def compile_library(folder: Path, description: Any, identifier: str) -> Path:
+    """Compile the sources of an unpacked FMU into its folder, or take the library from the cache; FmuError."""
+    import fmpy
+
+    try:
+        sources = _sources_of(folder / SOURCES, description, identifier)
+        headers = Path(fmpy.__file__).parent / "c-code"
+        includes = (f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes)))
+        command = [
+            *library_command(), *OPTIMIZED, *PLAIN_NAMES, *([f"-std={sources.standard}"] if sources.standard else ()),
+            *(f"-D{text}" for text in sources.definitions), *includes, f"-I{headers}",
+        ]  # fmt: skip
+        *others, last = (f"{SOURCES}/{name}" for name in sources.files)
+        libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in sources.files) else [])]
+        entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
+        files = {p.relative_to(folder).as_posix(): p.read_bytes() for p in _files_in(folder / SOURCES)}
+        made = library_of(files, last, [*command, *others], [entry], libraries=libraries, limit=LIMIT)
+    except NoCompiler as error:
+        raise FmuError(f"its sources cannot be compiled: {error}") from None
+    except CompilerFailed as error:
+        raise FmuError(f"its sources do not compile: {error}{_shown(error.output)}") from None
+    library = library_file(folder, description, identifier)
+    library.parent.mkdir(parents=True, exist_ok=True)
+    draft = library.with_name(f".{library.name}.{os.getpid()}")
+    draft.write_bytes(made)
+    return draft.replace(library)
+
+
+def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
+    """Return what a build description says, else `all.c`, else every source in the folder; FmuError."""
+    builds = [b for b in description.buildConfigurations if b.modelIdentifier == identifier]
+    sets = [part for build in (builds or description.buildConfigurations)[:1] for part in build.sourceFileSets]
+    if sets:
+        listed = Sources(
+            files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
+            standard=_standard(part.language for part in sets),
+            definitions=tuple(dict.fromkeys(_defined(d) for part in sets for d in part.preprocessorDefinitions)),
+            includes=tuple(dict.fromkeys(name for part in sets for name in part.includeDirectories)),
+        )
+    elif (folder / "all.c").is_file():
+        listed = Sources(("all.c",))
+    else:
+        listed = Sources(tuple(sorted(p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))))
+    for name in (*listed.files, *listed.includes):
+        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+            raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
+    missing = [name for name in listed.files if not (folder / name).is_file()]
+    if missing or not listed.files:
+        raise FmuError(f"its sources cannot be compiled: it lists {', '.join(missing) or 'none'}, which is not there")
+    return listed
+
+
+def _standard(languages: Iterable[str | None]) -> str:
+    """Return the standard of a language as compilers call it, the last of several; FmuError."""
+    asked = [language for language in languages if language] or [""]
+    for language in asked:
+        if language not in STANDARDS:
+            known = ", ".join(name for name in STANDARDS if name)
+            raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {known}")
+    return STANDARDS[asked[-1]]
+
+
+def _defined(definition: Any) -> str:
+    value = definition.value
+    return str(definition.name) if value is None else f"{definition.name}={value}"
+
+
+def _files_in(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _shown(output: str) -> str:
+    """Return the first lines of a compiler's output, each behind a line break."""
+    lines = output.splitlines()
+    more = [f"… and {len(lines) - SHOWN_LINES} lines more"] if len(lines) > SHOWN_LINES else []
+    return "".join(f"\n  {line[:SHOWN_WIDTH]}" for line in [*lines[:SHOWN_LINES], *more])

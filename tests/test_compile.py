@@ -1,0 +1,207 @@
+"""Sources of an FMU without a library for this platform: compiled and run where the user asks, and only there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cosim
+from cosim.blocks import compiling
+from cosim.cli import app
+from cosim.errors import CosimError, FmuError, InputError
+from fmus.native.compiler import compiler
+from tests.bounce1 import bounce_fmu, library
+from tests.typed import HERE, TYPED2, TYPED3
+
+ASKED = "it has sources: --compile (in Python compile=True) compiles and runs them"
+BUILD3 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="typed">
+    <SourceFileSet language="C99">
+      <SourceFile name="code/typed3.c"/><SourceFile name="two.c"/>
+      <PreprocessorDefinition name="TWO" value="2"/><PreprocessorDefinition name="BARE"/>
+      <IncludeDirectory name="headers"/>
+    </SourceFileSet>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
+TWO = '#include "two.h"\n#ifndef BARE\n#error no BARE\n#endif\nint two[TWO == 2 ? 1 : -1];\n'
+
+
+@pytest.fixture
+def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
+    """How often the compiler was called since; its cache is the test's own."""
+    library()  # skips where there is no compiler for this platform
+    calls, script = tmp_path / "calls", tmp_path / "cc"
+    script.write_text(f'#!/bin/sh\necho x >> {shlex.quote(str(calls))}\nexec {shlex.join(compiler() or [])} "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return lambda: len(calls.read_text().splitlines()) if calls.exists() else 0
+
+
+def fmu_of(path: Path, description: str, files: dict[str, str]) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        for name, text in files.items():
+            archive.writestr(f"sources/{name}", text)
+    return path
+
+
+def fmu2(path: Path, files: dict[str, str] | None = None, listed: tuple[str, ...] = ("typed2.c",)) -> Path:
+    """Of FMI 2.0, its sources in the lists of both ways."""
+    names = "".join(f'<File name="{name}"/>' for name in listed)
+    text = TYPED2.replace('"typed"/>', f'"typed"><SourceFiles>{names}</SourceFiles></ModelExchange>')
+    text = text.replace('StepSize="true"/>', f'StepSize="true"><SourceFiles>{names}</SourceFiles></CoSimulation>')
+    return fmu_of(path, text, {"typed2.c": (HERE / "typed2.c").read_text()} if files is None else files)
+
+
+def refusal(*paths: Path, **more: bool) -> str:
+    with pytest.raises(CosimError) as caught:
+        cosim.check(paths, **more)
+    assert caught.value.exit_code == 3  # type: ignore[attr-defined]
+    return str(caught.value)
+
+
+def test_sources_are_compiled_where_it_is_asked_for_alone(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    fmu = bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
+    assert "it has no library for linux64 or another platform; " + ASKED in refusal(fmu)
+    cosim.check(fmu, load=False)
+    with pytest.raises(InputError, match="--compile: is to load FMUs, which --no-load"):
+        cosim.check(fmu, load=False, compile=True)
+    with pytest.raises(FmuError, match="--compile"):
+        cosim.simulate(fmu)
+    assert compiled() == 0
+    before = hashlib.sha256(fmu.read_bytes()).hexdigest()
+    assert cosim.check(fmu, compile=True) == []
+    assert cosim.check(fmu, compile=True) == []
+    assert compiled() == 1  # then it is in the cache
+    assert ASKED in refusal(fmu)  # which is no leave to run it
+    assert hashlib.sha256(fmu.read_bytes()).hexdigest() == before
+
+
+def test_every_verb_that_runs_an_fmu_compiles_it(
+    tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
+    (tmp_path / "built").mkdir()
+    bounce_fmu(tmp_path / "built" / "x.fmu")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text("time,wind,h\n" + "".join(f"{k / 100:.2f},0,1\n" for k in range(30)))
+
+    def done(*command: str) -> str:
+        result = CliRunner().invoke(app, list(command))
+        assert result.exit_code == 0, (command, result.output, result.exception)
+        return result.output
+
+    assert "so it does not run on this machine without --compile" in done("info", "x.fmu")
+    done("init", "x.fmu", "-o", "s.yaml")
+    done("check", "x.fmu", "s.yaml", "--compile")
+    done("run", "s.yaml", "--compile", "--out", "run", "--no-report", "--coupling-error")
+    done("simulate", "x.fmu", "--compile", "--out", "alone", "--no-report")
+    done("simulate", "x.fmu", "--compile", "--in-process", "--out", "here", "--no-report")
+    done("replay", "log.csv", "--plant", "x.fmu", "--compile", "--out", "replay", "--no-report")
+    done("linearize", "x.fmu", "--compile", "--out", "linear", "--no-report")
+    done("simulate", "built/x.fmu", "--out", "twin", "--no-report")
+    assert compiled() == 1
+    header, *rows = (tmp_path / "alone" / "results.csv").read_text().splitlines()
+    assert rows == (tmp_path / "twin" / "results.csv").read_text().splitlines()[1:]
+    assert rows == (tmp_path / "here" / "results.csv").read_text().splitlines()[1:]
+    assert "x.h" in header
+
+
+def test_python_compiles_too(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    fmu = bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
+    scenario = {"name": "s", "duration": 1, "step": 0.01, "components": {"x": {"fmu": str(fmu)}}}
+    alone = cosim.simulate(fmu, stop=1.0, step=0.01, compile=True).results
+    assert np.array_equal(cosim.run(scenario, compile=True).results["x.h"], alone["x.h"])
+    (tmp_path / "log.csv").write_text(
+        "time,wind,h\n" + "".join(f"{t:.2f},0,{h:.17g}\n" for t, h in zip(alone.time, alone["x.h"], strict=True))
+    )
+    replayed = cosim.replay(tmp_path / "log.csv", fmu=fmu, compile=True)
+    assert np.abs(replayed.residual.results.values).max() < 1e-4  # the solver's steps are others
+    assert cosim.linearize(fmu, compile=True).linear[0].states == ("h", "v")
+    assert compiled() == 1
+
+
+def test_lists_of_sources_are_followed(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    two = fmu2(tmp_path / "two.fmu")
+    files = {"code/typed3.c": (HERE / "typed3.c").read_text(), "two.c": TWO, "headers/two.h": "", "unused.c": "#error"}
+    three = fmu_of(tmp_path / "three.fmu", TYPED3, {**files, "buildDescription.xml": BUILD3})
+    whole = fmu_of(tmp_path / "all.fmu", TYPED2, {"all.c": '#include "typed2.c"', "typed2.c": files_of(2)})
+    every = fmu_of(tmp_path / "every.fmu", TYPED2, {"typed2.c": files_of(2), "two.c": "int two;"})
+    cosim.check([two, three, whole, every], compile=True)
+    assert compiled() == 4
+
+
+def files_of(version: int) -> str:
+    return (HERE / f"typed{version}.c").read_text()
+
+
+def test_a_library_for_this_platform_is_taken_before_sources(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    assert cosim.check(bounce_fmu(tmp_path / "x.fmu", source=True), compile=True) == []
+    assert compiled() == 0
+
+
+def test_sources_that_do_not_compile_are_refused_with_what_the_compiler_said(
+    tmp_path: Path, compiled: Callable[[], int]
+) -> None:
+    told = refusal(fmu2(tmp_path / "x.fmu", {"typed2.c": "int a;\n#error not for this system\n"}), compile=True)
+    assert "its sources do not compile: " in told
+    assert "#error not for this system" in told.partition("\n")[2]  # all of it, not the first line alone
+    assert "sources/typed2.c:2" in told
+    assert str(tmp_path / "cache") not in told
+
+
+def test_sources_that_are_no_fmu_are_refused(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    told = refusal(fmu2(tmp_path / "x.fmu", {"typed2.c": "int a;"}), compile=True)
+    assert "is no library that has fmi2GetVersion" in told
+
+
+@pytest.mark.parametrize("name", ["../modelDescription.xml", "/etc/hostname", "missing.c"])
+def test_no_file_outside_the_sources_is_compiled(tmp_path: Path, compiled: Callable[[], int], name: str) -> None:
+    told = refusal(fmu2(tmp_path / "x.fmu", listed=("typed2.c", name)), compile=True)
+    assert "lies outside its folder" in told or "missing.c, which is not there" in told
+    assert compiled() == 0
+
+
+def test_another_language_is_refused(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    files = {"code/typed3.c": "", "buildDescription.xml": BUILD3.replace("C99", "Fortran 2008")}
+    told = refusal(fmu_of(tmp_path / "x.fmu", TYPED3, files), compile=True)
+    assert "they are in Fortran 2008; known are C89, " in told
+
+
+def test_without_a_compiler_the_cure_is_told(
+    tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fmus.native import platforms
+
+    monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
+    monkeypatch.setattr(platforms, "crossing", lambda: False)
+    with pytest.raises(FmuError, match="its sources cannot be compiled: no C compiler is found; install gcc or clang"):
+        cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
+
+
+def test_a_compiler_that_does_not_end_is_stopped(
+    tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cc").write_text("#!/bin/sh\nexec sleep 60\n")
+    monkeypatch.setattr(compiling, "LIMIT", 0.2)
+    with pytest.raises(FmuError, match=r"its sources do not compile: .*cc was not done in 0\.2 s"):
+        cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
+
+
+def test_the_permission_ends_with_the_command(tmp_path: Path, compiled: Callable[[], int]) -> None:
+    fmu = bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
+    cosim.simulate(fmu, in_process=True, compile=True)
+    with pytest.raises(FmuError, match="--compile"):
+        cosim.simulate(fmu, in_process=True)
+    assert json.loads(CliRunner().invoke(app, ["info", str(fmu), "--json"]).output)["runs_here"] is False

@@ -1,0 +1,136 @@
+"""Model exchange of FMI 1.0: states, event indicators and events of every kind, equal to FMPy's."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cosim
+from cosim.cli import app
+from cosim.residuals.workflow import replay
+from cosim.results import Results
+from cosim.simulation.master import StoppedRun, simulate
+from cosim.simulation.scenario_file import ScenarioFile
+from cosim.simulation.system import build_system
+from tests.bounce1 import DESCRIPTION, bounce_fmu
+
+FALL = math.sqrt(2 / 9.81)  # [s] to the first bounce from 1 m
+
+
+def bounced(folder: Path, start: dict[str, float] | None = None, **more: Any) -> Results:
+    component = {"fmu": str(bounce_fmu(folder / "bounce.fmu")), "start": start or {}}
+    component |= {"solver": more.pop("solver")} if "solver" in more else {}
+    path = folder / "bounce.yaml"
+    content = {"name": "bounce", "duration": 2, "step": 0.01, "record": ["a.*"], "components": {"a": component}}
+    components = content["components"] | more.pop("components", {})
+    path.write_text(json.dumps(content | more | {"components": components}))
+    file = ScenarioFile(path)
+    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+
+
+@pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.2}])
+def test_it_is_what_fmpy_makes_of_it_to_the_last_bit(tmp_path: Path, start: dict[str, float]) -> None:
+    import fmpy
+
+    ours = bounced(tmp_path, start, duration=1.5)
+    theirs = fmpy.simulate_fmu(
+        str(tmp_path / "bounce.fmu"), stop_time=1.5, output_interval=0.01, relative_tolerance=1e-6, start_values=start,
+        record_events=False, output=["h", "v", "events", "upwards"],
+    )  # fmt: skip
+    assert len(theirs) == len(ours.time) == 151
+    for name in ("h", "v", "events", "upwards"):
+        assert ours[f"a.{name}"].tolist() == theirs[name].tolist(), name
+    assert ours["a.events"][-1] >= 1
+
+
+@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
+def test_a_ball_bounces_when_and_as_high_as_it_must(tmp_path: Path, solver: str) -> None:
+    results = bounced(tmp_path, solver=solver, duration=1.0)
+    time, h = results.time, results["a.h"]
+    t = time - FALL
+    expected = np.where(t < 0, 1 - 9.81 * time**2 / 2, 0.7 * 9.81 * FALL * t - 9.81 * t**2 / 2)
+    assert h == pytest.approx(expected, abs=2e-5)  # the solver's tolerance is 1e-6 a step
+    assert (results["a.events"] > 0).tolist() == (t >= 0).tolist()
+    assert results.exact["a.label"] == ["a"] * len(time)
+
+
+def test_a_time_event_acts_at_its_time(tmp_path: Path) -> None:
+    kicked, plain = bounced(tmp_path, {"kick_at": 0.105}, duration=0.3), bounced(tmp_path, duration=0.3)
+    gained = kicked["a.v"] - plain["a.v"]
+    assert gained == pytest.approx((plain.time > 0.105).astype(float), abs=1e-6)
+    assert kicked["a.h"][-1] - plain["a.h"][-1] == pytest.approx(0.3 - 0.105, abs=1e-5)
+
+
+def test_the_fmu_is_told_of_each_step_of_the_solver_and_gets_the_event_that_it_asks_for(tmp_path: Path) -> None:
+    results = bounced(tmp_path, {"ask_at": 0.2}, duration=0.4)
+    assert results["a.events"].tolist() == (results.time >= 0.2 - 1e-9).astype(float).tolist()
+    assert (np.diff(results["a.steps"]) >= 1).all()
+
+
+def test_an_input_that_changes_is_an_event(tmp_path: Path) -> None:
+    wind = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0.2, "to": 9.81}]}}}
+    connections = [{"from": "w.u", "to": "a.wind"}]
+    results = bounced(tmp_path, duration=0.4, components={"w": wind}, connections=connections)
+    before, later = results["a.v"][results.time < 0.185], results["a.v"][results.time > 0.2 + 1e-9]
+    assert np.diff(before) == pytest.approx(-0.01 * 9.81, abs=1e-5)
+    assert np.diff(later) == pytest.approx(0.0, abs=1e-5)
+    assert results["a.events"][-1] - results["a.events"][1] == 1
+
+
+def test_it_may_end_the_simulation(tmp_path: Path) -> None:
+    results = bounced(tmp_path, {"end_at": 0.3})  # which it looks at when it bounces, at 0.4515 s
+    assert results.time[-1] == pytest.approx(0.45)
+    assert any("a ended the simulation at t = 0.45" in note for note in results.notes)
+
+
+def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
+    with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d|3) s: fmi1GetDerivatives returned Error: it has a hole"):
+        bounced(tmp_path, {"fail_at": 0.3})
+
+
+def test_without_outputs_its_states_are_recorded(tmp_path: Path) -> None:
+    fmu = bounce_fmu(tmp_path / "x.fmu", description=DESCRIPTION.replace('"output"', '"internal"'))
+    assert cosim.simulate(fmu).results.columns == ("x.wind", "x.h")  # of h alone it says der(h)
+
+
+def test_a_log_is_replayed_through_it(tmp_path: Path) -> None:
+    fmu = bounce_fmu(tmp_path / "bounce.fmu")
+    time = 0.01 * np.arange(101)
+    t = time - FALL
+    h = np.where(t < 0, 1 - 9.81 * time**2 / 2, 0.7 * 9.81 * FALL * t - 9.81 * t**2 / 2)
+    rows = (f"{x:.2f},0,{y:.17g}" for x, y in zip(time, h, strict=True))
+    (tmp_path / "log.csv").write_text("\n".join(["time,wind,h", *rows, ""]))
+    replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
+    missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
+    assert missed == pytest.approx(np.zeros(101), abs=2e-5)
+
+
+def test_every_verb_takes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bounce_fmu(tmp_path / "bounce.fmu")
+    monkeypatch.chdir(tmp_path)
+
+    def done(*command: str) -> str:
+        result = CliRunner().invoke(app, list(command))
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    told = done("info", "bounce.fmu")
+    assert "FMI 1.0 for model-exchange" in told
+    assert "states: 2" in told
+    assert "no fault" in done("check", "bounce.fmu")
+    done("simulate", "bounce.fmu", "--out", "alone", "--no-report")
+    done("init", "bounce.fmu", "-o", "s.yaml")
+    done("graph", "s.yaml")
+    done("run", "s.yaml", "--out", "run", "--no-report")
+    done("linearize", "bounce.fmu", "--out", "linear")
+    linear = json.loads((tmp_path / "linear" / "linear.json").read_text())
+    assert linear["states"] == ["h", "v"]  # by their value references, and not an alias of the other sign
+    (model,) = linear["models"]
+    assert np.array(model["A"]) == pytest.approx(np.array([[0, 1], [0, 0]]), abs=1e-6)
+    assert np.array(model["B"]) == pytest.approx(np.array([[0], [1]]), abs=1e-6)

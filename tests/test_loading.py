@@ -1,0 +1,113 @@
+"""Libraries that do not load: the text of the system's loader, what is missing, and the cure."""
+
+from __future__ import annotations
+
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.blocks.loading import load_error
+from cosim.checks import check_files
+from cosim.errors import InputError
+from fmus.native.compiler import compiler
+from tests.decay import DESCRIPTION, library
+
+
+def compiled(folder: Path, source: str, *more: str) -> bytes:
+    """The library of a source of C."""
+    library()  # skips where there is no compiler for this platform
+    (folder / "x.c").write_text(source)
+    command = [*(compiler() or ()), "-shared", "-fPIC", "-o", "x.so", "x.c", *more]
+    subprocess.run(command, check=True, cwd=folder)
+    return (folder / "x.so").read_bytes()
+
+
+def needing_another(folder: Path) -> bytes:
+    """A library that needs libgfortran-of-nobody.so.3, which is gone."""
+    compiled(folder, "int solve(void) { return 1; }", "-Wl,-soname,libgfortran-of-nobody.so.3")
+    (folder / "x.so").rename(folder / "solve.so")
+    made = compiled(folder, "int solve(void); int fmi2DoStep(void) { return solve(); }", "./solve.so")
+    (folder / "solve.so").unlink()
+    return made
+
+
+def patched(at: int, value: int) -> Callable[[Path], bytes]:
+    """The library of tests/decay.c with one byte of its header changed."""
+
+    def made(folder: Path) -> bytes:
+        content = bytearray(library().read_bytes())
+        content[at] = value
+        return bytes(content)
+
+    return made
+
+
+BROKEN: dict[str, tuple[Callable[[Path], bytes], tuple[str, ...]]] = {
+    "a library that it needs": (
+        needing_another,
+        (
+            "needs libgfortran-of-nobody.so.3",
+            "libgfortran-of-nobody.so.3: cannot open shared object file",
+            "LD_LIBRARY_PATH",
+        ),
+    ),
+    "a symbol that nobody has": (
+        lambda folder: compiled(folder, "int nowhere(void); int f(void) { return nowhere(); }", "-Wl,-z,now"),
+        ("needs nowhere", "undefined symbol: nowhere"),
+    ),
+    "a function of FMI": (
+        lambda folder: compiled(folder, "int fmi2DoStep(void) { return 0; }"),
+        ("has no function fmi2", "which FMI demands"),
+    ),
+    "another version of glibc": (
+        lambda folder: library().read_bytes().replace(b"GLIBC_2.2.5", b"GLIBC_9.9.9"),
+        ("needs glibc 9.9.9, this machine has glibc 2.", "version `GLIBC_9.9.9' not found"),
+    ),
+    "another processor": (patched(18, 183), ("is made for AArch64, this machine is x86-64",)),
+    "other bits": (patched(4, 1), ("has 32 bits (wrong ELF class), this Python 64",)),
+    "another system": (lambda folder: b"MZ" + bytes(500), ("is made for Windows",)),
+    "a pointer of git-lfs": (lambda folder: b"version https://git-lfs.github.com/spec/v1\noid", ("git lfs pull",)),
+    "nothing": (lambda folder: b"", ("is no library (it begins with nothing)",)),
+}
+
+
+@pytest.mark.parametrize("name", ["decay", "renamed"])
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_library_that_does_not_load_is_told_by_the_loader_with_the_cure(tmp_path: Path, kind: str, name: str) -> None:
+    make, words = BROKEN[kind]
+    if not library().read_bytes().startswith(b"\x7fELF"):
+        pytest.skip("libraries are not of the format ELF here")
+    path = tmp_path / "broken.fmu"
+    content = make(tmp_path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", DESCRIPTION)
+        archive.writestr(f"binaries/linux64/{name}.so", content)
+    with pytest.raises(InputError) as caught:
+        check_files(path)
+    assert caught.value.exit_code == 3
+    told = str(caught.value)
+    assert f"does not load: its library {name}.so: " in told
+    assert all(word in told for word in words), told
+    assert "modelIdentifier" not in told  # a library of another name is no reason
+    assert "cosim-" not in told  # nor is the folder of this run anybody's business
+    assert told.count("\n") == 0
+
+
+def test_a_folder_without_programs_is_named_as_such(tmp_path: Path) -> None:
+    made = tmp_path / "x.so"
+    made.write_bytes(library().read_bytes())
+    error = OSError(f"{made}: failed to map segment from shared object: Operation not permitted")
+    assert "set TMPDIR to a folder in which programs may be executed" in load_error(made, error)
+
+
+def test_an_fmu_for_another_system_names_the_platforms_that_it_is_for(tmp_path: Path) -> None:
+    path = tmp_path / "windows.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", DESCRIPTION)
+        archive.writestr("binaries/win64/decay.dll", b"MZ")
+    with pytest.raises(InputError, match=r"it has no library for .*; it has some for win64") as caught:
+        check_files(path)
+    assert caught.value.exit_code == 3
