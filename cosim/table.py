@@ -46,6 +46,7 @@ class Column:
     """How a column is read.
 
     factor: what its numbers are multiplied by
+    offset: what is added then
     known:  what it is, "the time" or "an input", where it has a value at every row; else "", an empty cell is NaN
     spare:  nobody needs it: a cell without a finite number is no fault, the column is left out
     """
@@ -54,6 +55,7 @@ class Column:
     factor: float = 1.0
     known: str = ""
     spare: bool = False
+    offset: float = 0.0
 
     @property
     def cell(self) -> int:
@@ -64,6 +66,11 @@ class Column:
     def name(self) -> str:
         """What it is called."""
         return self.heading.name
+
+    def converted(self, value: float) -> float:
+        """Return a number of the column in the unit that is wanted; without an offset its zero keeps its sign."""
+        scaled = value * self.factor
+        return scaled + self.offset if self.offset else scaled
 
     @property
     def cure(self) -> str:
@@ -322,7 +329,7 @@ class _Reader:
             value = math.nan
         if not math.isfinite(value):
             self.table.spoiled.add(column.name)
-        return value * column.factor
+        return column.converted(value)
 
     def _value(self, line: int, column: Column, text: str) -> float:
         """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
@@ -341,7 +348,7 @@ class _Reader:
             known = f"{column.known} is known at every row, so fill the cell or leave the row out"
             message = f"{column.name} has no value here; {known}"
             self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
-        return value * column.factor
+        return column.converted(value)
 
 
 def is_time(name: str) -> bool:

@@ -179,7 +179,7 @@ class Factors:
     def _try(self, where: Location, *overrides: str) -> list[str]:
         """Faults of a scenario with one value are noted; its warnings."""
         try:
-            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides))
+            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides), option="")
             system = build_system(file, designed_values(file))
         except InputError as error:
             self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in error.faults]
@@ -253,7 +253,9 @@ class Factors:
         way = self.file.vary[factor.name].way
         for drawn in (min(column), max(column)):
             try:
-                file = ScenarioFile(self.scenario.path, (*self.overrides, f"{factor.name}={json.dumps(drawn)}"))
+                file = ScenarioFile(
+                    self.scenario.path, (*self.overrides, f"{factor.name}={json.dumps(drawn)}"), option=""
+                )
                 build_system(file, designed_values(file))
             except InputError as error:
                 for f in error.faults:
