@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath
 from cosim.folders import content_of
-from cosim.given import Given, given, texts
+from cosim.given import Files, Given, ModelName, NotNegative, PositiveSeconds, Seconds, Seed, given, texts
 from cosim.outcomes import Refined, Replay, Run, Runs, Signals
 from cosim.results import Results
 
@@ -28,7 +28,7 @@ def run(
     out: FilePath | None = None,
     set: Given | None = None,
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     nearest: bool = False,
     report: bool = True,
     figures: bool = False,
@@ -63,8 +63,8 @@ def simulate(
     set: Given | None = None,
     *,
     input: FilePath | None = None,
-    stop: float | None = None,
-    step: float | None = None,
+    stop: Seconds | None = None,
+    step: PositiveSeconds | None = None,
     record: Sequence[str] = (),
     report: bool = True,
     force: bool = False,
@@ -76,7 +76,7 @@ def simulate(
     out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
     set:        parameters and inputs → value; or "name=value" each
     input:      a CSV with time and columns named as inputs, played to them
-    stop, step: [s], in place of those of the FMU
+    stop, step: [s], or text such as "4 min", in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
     Raises InputError, FmuError, SimulationError.
     """
@@ -145,8 +145,8 @@ def refine(
 
 
 def check(
-    files: FilePath | Sequence[FilePath],
-    model: str = "base",
+    files: FilePath | Files,
+    model: ModelName = "base",
     *,
     load: bool = True,
     columns: Mapping[str, str] | None = None,
@@ -165,8 +165,8 @@ def compare(
     b: FilePath | Signals,
     out: FilePath | None = None,
     *,
-    tolerance: float | None = None,
-    absolute: float = 0.0,
+    tolerance: NotNegative | None = None,
+    absolute: NotNegative = 0.0,
     force: bool = False,
 ) -> Compared:
     """Hold run b against run a, each a folder, a CSV or what a verb returned.

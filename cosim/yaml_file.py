@@ -11,8 +11,21 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Tag, ValidationError
-from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core.core_schema import (
+    CoreSchema,
+    no_info_before_validator_function,
+    no_info_wrap_validator_function,
+)
 
 from cosim.errors import Fault, InputError
 from cosim.yaml_nodes import Location, NotYaml, document_of
@@ -53,6 +66,27 @@ NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
 Amount = Annotated[Number, NUMBER_OR_TEXT]
 PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
 NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
+
+
+class UnitOfKey:
+    """A number in the unit of what its key names: text with a unit stays text until `YamlFile.in_units` converts it."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_wrap_validator_function(self.number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        found = handler(schema)
+        if "anyOf" in found:
+            return {**found, "anyOf": [*found["anyOf"], {"type": "string"}]}
+        return {**found, "type": ["number", "string"]}
+
+    @staticmethod
+    def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+        """Return text with a unit as it is, a number as `inner` takes it."""
+        return value if isinstance(value, str) and has_unit(value) else inner(value)
+
+
+UNIT_OF_KEY = UnitOfKey()
 Share = InUnit("1")  # of a number, or text such as `5 %`
 
 MOST_BYTES = 8_000_000  # of a file
@@ -111,6 +145,25 @@ class YamlFile:
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
         return Fault(self.path, *self.place(location, key), message, exit_code)
+
+    def in_units(
+        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[dict[str, Any], list[Fault]]:
+        """Return values below a key, text such as `400 kg` as a number in the unit of its name, and the faults.
+
+        A faulty value is left out; one whose name is not known becomes a number, for the name is the fault.
+        """
+        numbers: dict[str, Any] = {}
+        faults = []
+        for name, value in values.items():
+            if not isinstance(value, str) or name not in units:
+                numbers[name] = 1.0 if isinstance(value, str) else value
+                continue
+            try:
+                numbers[name] = read_quantity(value, units[name], difference=difference)
+            except ValueError as error:
+                faults.append(self.fault((*at, name), f"{name} is {shown(value)}: {error}"))
+        return numbers, faults
 
     def _override_of(self, location: Location) -> str | None:
         """The last option that set a part, or a part around it; for one that the file lacks, an option within it."""

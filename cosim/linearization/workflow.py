@@ -13,7 +13,7 @@ from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.folders import check_left
-from cosim.given import Given, texts
+from cosim.given import Given, Positive, texts
 from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
@@ -61,7 +61,7 @@ def linearize(
     outputs: Sequence[str] = (),
     residualize: Sequence[str] = (),
     component: str = "",
-    step: float | None = None,
+    step: Positive | None = None,
     side: str | None = None,
     report: bool = True,
     force: bool = True,

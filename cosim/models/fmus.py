@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.files import FilePath, check_folder
+from cosim.given import ModelName
 from cosim.models.file import meant_model
 from cosim.registry import BASE_NAME, MODELS, resolve
 
 
 def build(
     folder: FilePath,
-    model: str | None = None,
+    model: ModelName | None = None,
     *,
     nearest: bool = False,
     native: bool = False,

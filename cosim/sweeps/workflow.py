@@ -15,6 +15,7 @@ import numpy as np
 from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.files import FilePath, atomic_write, check_writable
 from cosim.folders import check_left, folder_named
+from cosim.given import Count
 from cosim.simulation.scenario import Criterion
 from cosim.sweeps.batch import kinds_of
 from cosim.sweeps.outcome import Swept, criterion_names
@@ -37,7 +38,7 @@ Progress = Callable[[int, int], None]
 
 
 def sweep(
-    path: FilePath, out: FilePath | None = None, *, workers: int | None = None, dask: str | None = None,
+    path: FilePath, out: FilePath | None = None, *, workers: Count | None = None, dask: str | None = None,
     report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
 ) -> Swept:  # fmt: skip
     """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
