@@ -146,13 +146,14 @@ def refine(
 
 def check(
     files: FilePath | Files,
-    model: ModelName = "base",
+    model: ModelName | None = None,
     *,
     load: bool = True,
     columns: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
 
+    model:   whose logs they are; without, a log that is none of base is checked by itself
     columns: of logs under other names than the model's, column → variable, or `time`
     """
     from cosim.checks import check_files

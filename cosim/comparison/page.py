@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cosim.arrays import far_beyond
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.panels import panels_of
 from cosim.comparison.ran import Ran
@@ -27,6 +28,7 @@ DRAWN = 24  # signals, the most different first
 MADE = ("comparison.json", "report.html")
 
 
+@far_beyond
 def compare(
     a: Ran,
     b: Ran,

@@ -86,7 +86,7 @@ def of_numbers(
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0
-    scale = span or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
+    scale = (span if math.isfinite(span) else 0.0) or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
     largest = float(gap[row])
     beyond = tolerance is not None and not largest <= absolute + tolerance * scale
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf

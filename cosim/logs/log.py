@@ -126,10 +126,10 @@ def read_log(
     alone:   they are of this file alone, which must have each
     """
     known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    return _Reader(path, *known, not table, columns, alone).log()
+    return LogReader(path, *known, not table, columns, alone).log()
 
 
-class _Reader:
+class LogReader:
     """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
     def __init__(

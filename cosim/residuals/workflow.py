@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, far_beyond
 from cosim.errors import DiskFull, Terminated, stopped
 from cosim.files import FilePath, atomic_write, check_writable, is_full
 from cosim.folders import REPLAY, check_left
@@ -85,6 +85,7 @@ def replay(
         )
 
 
+@far_beyond
 def write_replay(
     folder: Path,
     log: Log,

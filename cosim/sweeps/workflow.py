@@ -21,7 +21,7 @@ from cosim.sweeps.batch import kinds_of
 from cosim.sweeps.outcome import Swept, criterion_names
 from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.runs import MOST_ROWS, Made, Way, sampled_rows
+from cosim.sweeps.runs import MOST_ROWS, Way, sampled_rows
 from cosim.sweeps.statistics import share
 from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
 from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
@@ -138,7 +138,7 @@ class _Sweep:
             self._make(who, repeated, "fmus", CHECKED)
             job = replace(self.study.job, whole=True)
             future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
-            on_arrays = next(iter(who.done({future})[0])).result()
+            on_arrays = who.runs(next(iter(who.done({future})[0])))
             apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
             if not apart <= EQUAL:
                 way, why = "fmus", f"on arrays runs are {plain(apart, 2)} apart from those through the FMUs"
@@ -169,7 +169,7 @@ class _Sweep:
                 pending.add(who.submit(job, asked, way, limits if way == "fmus" else None, len(self.goals)))
             finished, pending = who.done(pending)
             for future in finished:
-                found: list[Made] = future.result()
+                found = who.runs(future)
                 self.base.add(found, table)
                 done += len(found)
                 if table == MADE:
