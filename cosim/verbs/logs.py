@@ -11,7 +11,20 @@ import typer
 
 from cosim.folders import folder_named, folder_of_file, name_of
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, progress_bar, say, say_json, show, stages, warn
+from cosim.verbs.terminal import (
+    Force,
+    InProcess,
+    Json,
+    Open,
+    Report,
+    progress_bar,
+    say,
+    say_json,
+    seconds,
+    show,
+    stages,
+    warn,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -136,7 +149,12 @@ def excite(
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help="Of the experiment, in seconds; 40 without, longer for a slow model.")
+        float | None,
+        typer.Option(
+            help="Of the experiment, in seconds or 2min; 40 without, longer for a slow model.",
+            parser=seconds,
+            metavar="TIME",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
     force: Force = False,
