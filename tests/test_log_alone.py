@@ -38,16 +38,16 @@ def test_a_log_that_has_an_input_of_base_is_one_of_base(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='input "duty_left" is missing'):
         cosim.check(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text("time,u,x\n0,6,0\n1,6,1\n")
-    with pytest.raises(InputError, match="input .duty_right. is missing"):
+    with pytest.raises(InputError, match=r"input .duty_right. is missing"):
         cosim.check(tmp_path / "b.csv", "base")
 
 
 def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time\n0\n1\n")
-    with pytest.raises(InputError, match="a.csv:1:1: holds no column beside the time"):
+    with pytest.raises(InputError, match=r"a.csv:1:1: holds no column beside the time"):
         cosim.check(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text("time,,x\n0,1,2\n1,1,3\n")
-    with pytest.raises(InputError, match="b.csv:1:2: the column has no name"):
+    with pytest.raises(InputError, match=r"b.csv:1:2: the column has no name"):
         cosim.check(tmp_path / "b.csv")
 
 
