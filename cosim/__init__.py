@@ -62,4 +62,7 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)
+    from cosim.given import checked
+
+    function = globals()[name] = checked(getattr(import_module(_PLACES[name]), name))
+    return function

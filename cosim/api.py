@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.errors import Fault, InputError
 from cosim.files import FilePath, named_path
 from cosim.folders import content_of
-from cosim.given import Given, given, texts
+from cosim.given import Files, Given, ModelName, NotNegative, PositiveSeconds, Seconds, Seed, given, texts
 from cosim.outcomes import Refined, Replay, Run, Runs, Signals
 from cosim.results import Results
 from fmus.scratch import temporary_folder
@@ -28,7 +28,7 @@ def run(
     out: FilePath | None = None,
     set: Given | None = None,
     *,
-    seed: int | None = None,
+    seed: Seed | None = None,
     nearest: bool = False,
     report: bool = True,
     figures: bool = False,
@@ -66,8 +66,8 @@ def simulate(
     set: Given | None = None,
     *,
     input: FilePath | None = None,
-    stop: float | None = None,
-    step: float | None = None,
+    stop: Seconds | None = None,
+    step: PositiveSeconds | None = None,
     record: Sequence[str] = (),
     report: bool = True,
     force: bool = False,
@@ -80,7 +80,7 @@ def simulate(
     out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
     set:        parameters and inputs → value; or "name=value" each
     input:      a CSV with time and columns named as inputs, played to them
-    stop, step: [s], in place of those of the FMU
+    stop, step: [s], or text such as "4 min", in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
     compile:    its sources are compiled and run where it has no library for this machine
     Raises InputError, FmuError, SimulationError.
@@ -154,8 +154,8 @@ def refine(
 
 
 def check(
-    files: FilePath | Sequence[FilePath],
-    model: str = "base",
+    files: FilePath | Files,
+    model: ModelName | None = None,
     *,
     load: bool = True,
     compile: bool = False,
@@ -163,6 +163,7 @@ def check(
 ) -> list[str]:
     """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
 
+    model:   whose logs they are; without, a log that is none of base is checked by itself
     columns: of logs under other names than the model's, column → variable, or `time`
     compile: the sources of FMUs that have no library for this machine are compiled and run
     """
@@ -178,8 +179,8 @@ def compare(
     b: FilePath | Signals,
     out: FilePath | None = None,
     *,
-    tolerance: float | None = None,
-    absolute: float = 0.0,
+    tolerance: NotNegative | None = None,
+    absolute: NotNegative = 0.0,
     force: bool = False,
 ) -> Compared:
     """Hold run b against run a, each a folder, a CSV or what a verb returned.

@@ -22,6 +22,7 @@ from cosim.files import FilePath
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kinds import kind_by_form, kind_by_keys, refuse_unreadable
+from cosim.logs.alone import findings_alone
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, read_log
 from cosim.logs.spikes import find_spikes, without
@@ -36,6 +37,7 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.system import System, build_system
+from cosim.table import read_header
 from cosim.yaml_file import YamlFile
 from fmus.scratch import temporary_folder
 from plant.traits import Traits
@@ -47,13 +49,14 @@ STEP, STEPS = 0.01, 500  # [s] of an FMU that says nothing, steps in the experim
 
 def check_files(
     files: FilePath | Iterable[FilePath],
-    model: str = BASE,
+    model: str | None = None,
     *,
     load: bool = True,
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
     """Check a file, or each of several, by what it is, logs as those of `model` (base, a model.yaml, file.py:Class).
 
+    Without a model a log that has an input of base is one of base; another is checked by itself.
     load:    FMUs and scenarios are loaded and stepped once, and Python that a file names is executed, in a worker
              process; without, nothing that a file names is executed
     columns: name in the logs → name in their model, or `time`, where they differ
@@ -75,7 +78,7 @@ def check_files(
     return said
 
 
-def _checked(path: Path, model: str, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
+def _checked(path: Path, model: str | None, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
     """Check a file; Python that it names is executed in the worker, without one not at all."""
     try:
         with without_execution():
@@ -90,7 +93,7 @@ def _checked(path: Path, model: str, worker: Worker | None, columns: Mapping[str
         return lines
 
 
-def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
+def _check(path: Path, model: str | None, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
     """What is to be known of a file, a line each; InputError with its faults."""
     if not path.suffix.startswith(".py:"):
         refuse_unreadable(path, WANTED)
@@ -102,7 +105,7 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.SSP:
             return check_ssp(path, worker)
         case kinds.LOG:
-            return log_findings(path, load_model(model, Path()), columns)
+            return _of_log(path, model, columns)
         case kinds.CODE:
             kind = type(only_model(path)).__name__
             return _substep_of(load_model(f"{path}:{kind}", Path()))
@@ -142,6 +145,16 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
 def _refuse_unchecked(path: Path, kind: str) -> NoReturn:
     cure = kinds.READ_BY[kind].format(file=kinds.as_typed(path))
     raise InputError([Fault(path, 0, 0, f"is {kind}, in which there is nothing to check: {cure}")])
+
+
+def _of_log(path: Path, model: str | None, columns: Mapping[str, str]) -> list[str]:
+    """What is to be known of a log: of the model that is named, of base if it has an input of base, else by itself."""
+    meant = load_model(BASE if model is None else model, Path())
+    if model is None:
+        names = {columns.get(name, name) for name in read_header(path)}
+        if names and names.isdisjoint(q.name for q in meant.model.inputs):
+            return findings_alone(path, columns)
+    return log_findings(path, meant, columns)
 
 
 def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:

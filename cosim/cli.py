@@ -181,8 +181,8 @@ def export(
 def check(
     files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],
     model: Annotated[
-        str, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
-    ] = "base",
+        str | None, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
+    ] = None,
     load: Annotated[
         bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
     ] = True,

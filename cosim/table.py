@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TextIO
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class Column:
     """How a column is read.
 
     factor: what its numbers are multiplied by
+    offset: what is added then
     known:  what it is, "the time" or "an input", where it has a value at every row; else "", an empty cell is NaN
     spare:  nobody needs it: a cell without a finite number is no fault, the column is left out
     """
@@ -54,6 +55,7 @@ class Column:
     factor: float = 1.0
     known: str = ""
     spare: bool = False
+    offset: float = 0.0
 
     @property
     def cell(self) -> int:
@@ -64,6 +66,11 @@ class Column:
     def name(self) -> str:
         """What it is called."""
         return self.heading.name
+
+    def converted(self, value: float) -> float:
+        """Return a number of the column in the unit that is wanted; without an offset its zero keeps its sign."""
+        scaled = value * self.factor
+        return scaled + self.offset if self.offset else scaled
 
     @property
     def cure(self) -> str:
@@ -194,13 +201,25 @@ def read_table(
             most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
             faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
         else:
-            with path.open("rb") as stream:
+            with _opened(path) as stream:
                 reader.read(stream, holds)
     except OSError as error:
         faults.note(0, 0, f"cannot be read: {error.strerror}")
     except ValueError:  # a name that no file may have
         faults.note(0, 0, "no such file")
     return reader.table
+
+
+def read_header(path: Path) -> list[str]:
+    """Return the names of the columns of a CSV; none if it cannot be read."""
+    try:
+        with _opened(path) as stream:
+            header = next(filter(_filled, csv.reader(_lines(stream))), [])
+    except (OSError, ValueError, csv.Error, _NotText, _TooLong):
+        return []
+    mark = next((m for m in SEPARATORS if len(header) == 1 and m in header[0]), None)
+    cells = header if mark is None else next(csv.reader(header, delimiter=mark))
+    return [parted(text)[0] for text in cells]
 
 
 class _NotText(Exception):
@@ -211,11 +230,17 @@ class _TooLong(Exception):
     """A line that no CSV has."""
 
 
-def _lines(stream: BinaryIO) -> Iterator[str]:
-    """Lines of text; the first may begin with a byte order mark."""
-    while raw := stream.readline(LONGEST_LINE + 1):
-        if len(raw) > LONGEST_LINE:
+def _opened(path: Path) -> TextIO:
+    """Open a CSV so that a character is a byte, and a line ends with LF, CR LF or CR alone."""
+    return path.open(encoding="latin-1", newline="")
+
+
+def _lines(stream: TextIO) -> Iterator[str]:
+    """Yield lines of UTF-8 text from a file that `_opened` has opened; the first may begin with a byte order mark."""
+    while line := stream.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
             raise _TooLong
+        raw = line.encode("latin-1")
         try:
             yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
         except UnicodeDecodeError:
@@ -233,9 +258,11 @@ class _Reader:
         self.width = 0  # of the header
         self.signals: list[tuple[Column, int, array[float]]] = []  # all but the time: column, place in a row, numbers
 
-    def read(self, stream: BinaryIO, holds: str) -> None:
+    def read(self, stream: TextIO, holds: str) -> None:
         """Read the header and, below a time, the rows."""
-        rows = csv.reader(_lines(stream))
+        lines = _lines(stream)
+        rows = csv.reader(lines)
+        above = 0  # lines that another reader has read
         try:
             header = next(filter(_filled, rows), None)
             if header is None:
@@ -243,32 +270,34 @@ class _Reader:
                 self.faults.note(1, 1, f"is empty; the first line names the columns: {names}")
                 return
             self.table.header = rows.line_num
+            if len(header) == 1 and (mark := next((m for m in SEPARATORS if m in header[0]), None)):
+                cure = "separate them with commas, decimals with a point"
+                self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
+                header = next(csv.reader(header, delimiter=mark))  # what else is wrong is told too
+                above, rows = rows.line_num, csv.reader(lines, delimiter=mark)
             self._header(header)
             if self.timed and "time" not in self.table.columns:
                 return
             for row in rows:
                 if _filled(row):
-                    self._row(rows.line_num, row)
+                    self._row(above + rows.line_num, row)
                 if self.faults.many:
-                    self.faults.note(rows.line_num, 1, "nothing is read from here on")
+                    self.faults.note(above + rows.line_num, 1, "nothing is read from here on")
                     return
             self.table.whole = True
         except _NotText:
-            self.faults.note(rows.line_num + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
+            self.faults.note(above + rows.line_num + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
         except _TooLong:
-            self.faults.note(rows.line_num + 1, 1, f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?")
+            message = f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?"
+            self.faults.note(above + rows.line_num + 1, 1, message)
         except csv.Error as error:
-            self.faults.note(rows.line_num, 1, f"is not CSV: {error}")
+            self.faults.note(above + rows.line_num, 1, f"is not CSV: {error}")
 
     def _header(self, header: list[str]) -> None:
         self.width = len(header)
         if any("\0" in text for text in header):
             cure = "save it as plain CSV, UTF-8"
             self.faults.note(self.table.header, 1, f"is a binary file, or text of another encoding; {cure}")
-            return
-        if self.width == 1 and (mark := next((m for m in SEPARATORS if m in header[0]), None)):
-            cure = "separate them with commas, decimals with a point"
-            self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
             return
         self.table.first = parted(header[0], self.names)[0]
         for cell, text in enumerate(header, 1):
@@ -283,6 +312,8 @@ class _Reader:
         line, cell, name = heading.line, heading.cell, heading.name
         if self.timed and cell == 1 and name != "time":
             self.faults.note(line, 1, not_time(name))
+            self.table.columns["time"] = Column(replace(heading, name="time"), spare=True)  # the rest is still read
+            self.table.values["time"] = array("d")
         elif name in self.table.columns:
             first = self.table.columns[name].cell
             self.faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
@@ -307,6 +338,9 @@ class _Reader:
     def _time(self, line: int, text: str) -> bool:
         """Take the time of a row; false where there is none."""
         time, before = self._value(line, self.table.columns["time"], text), self.table.values["time"]
+        if self.table.columns["time"].spare:
+            before.append(time)
+            return True
         if math.isnan(time):
             return False
         if before and time <= before[-1]:
@@ -322,7 +356,7 @@ class _Reader:
             value = math.nan
         if not math.isfinite(value):
             self.table.spoiled.add(column.name)
-        return value * column.factor
+        return column.converted(value)
 
     def _value(self, line: int, column: Column, text: str) -> float:
         """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
@@ -341,7 +375,7 @@ class _Reader:
             known = f"{column.known} is known at every row, so fill the cell or leave the row out"
             message = f"{column.name} has no value here; {known}"
             self.faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
-        return value * column.factor
+        return column.converted(value)
 
 
 def is_time(name: str) -> bool:

@@ -6,18 +6,88 @@ import copy
 import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, Tag, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core.core_schema import (
+    CoreSchema,
+    no_info_before_validator_function,
+    no_info_wrap_validator_function,
+)
 
 from cosim.errors import Fault, InputError
 from cosim.yaml_nodes import Location, NotYaml, document_of
+from fmus.units import allowed_quantity, has_unit, read_quantity
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+
+
+@dataclass(frozen=True)
+class InUnit:
+    """A number of a file in a unit, or text such as `4 min`, which is converted to it."""
+
+    unit: str
+    difference: bool = False
+
+    def number(self, value: Any) -> Any:
+        """Return the number of a text; another value as it is."""
+        if not isinstance(value, str):
+            return value
+        if not has_unit(value):
+            raise ValueError(allowed_quantity(self.unit))
+        return read_quantity(value, self.unit, difference=self.difference)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_before_validator_function(self.number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {**handler(schema), "type": ["number", "string"]}
+
+
+Seconds = Annotated[Number, InUnit("s")]
+PositiveSeconds = Annotated[Positive, InUnit("s")]
+NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
+# In the unit of a signal, which only the whole scenario says: `simulation.quantities` converts text.
+NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
+Amount = Annotated[Number, NUMBER_OR_TEXT]
+PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
+NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
+
+
+class UnitOfKey:
+    """A number in the unit of what its key names: text with a unit stays text until `YamlFile.in_units` converts it."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_wrap_validator_function(self.number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        found = handler(schema)
+        if "anyOf" in found:
+            return {**found, "anyOf": [*found["anyOf"], {"type": "string"}]}
+        return {**found, "type": ["number", "string"]}
+
+    @staticmethod
+    def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+        """Return text with a unit as it is, a number as `inner` takes it."""
+        return value if isinstance(value, str) and has_unit(value) else inner(value)
+
+
+UNIT_OF_KEY = UnitOfKey()
+Share = InUnit("1")  # of a number, or text such as `5 %`
 
 MOST_BYTES = 8_000_000  # of a file
 MOST_FAULTS = 200  # shown of a file
@@ -49,6 +119,7 @@ class YamlFile:
 
     def __init__(self, path: Path, origin: Origin | None = None) -> None:
         self.path, self.origin = path, origin
+        self.overrides: dict[Location, str] = {}  # parts that the file does not say: `--set "step=0"`
         text = _text(path)
         try:
             self._document = document_of(text)
@@ -68,10 +139,47 @@ class YamlFile:
         return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
-        """A fault at a place of this file, or of the one from which it was made."""
+        """A fault at a place of this file, of the one from which it was made, or of the option that set the part."""
+        if (option := self._override_of(location)) is not None:
+            return Fault(self.path, 0, 0, f"{option}: {message}".removeprefix(": "), exit_code)
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
         return Fault(self.path, *self.place(location, key), message, exit_code)
+
+    def in_units(
+        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[dict[str, Any], list[Fault]]:
+        """Return values below a key, text such as `400 kg` as a number in the unit of its name, and the faults.
+
+        A faulty value is left out; one whose name is not known becomes a number, for the name is the fault.
+        """
+        numbers: dict[str, Any] = {}
+        faults = []
+        for name, value in values.items():
+            if not isinstance(value, str) or name not in units:
+                numbers[name] = 1.0 if isinstance(value, str) else value
+                continue
+            try:
+                numbers[name] = read_quantity(value, units[name], difference=difference)
+            except ValueError as error:
+                faults.append(self.fault((*at, name), f"{name} is {shown(value)}: {error}"))
+        return numbers, faults
+
+    def _override_of(self, location: Location) -> str | None:
+        """The last option that set a part, or a part around it; for one that the file lacks, an option within it."""
+        for at, option in reversed(self.overrides.items()):
+            if location[: len(at)] == at or (at[: len(location)] == location and not self._holds(location)):
+                return option
+        return None
+
+    def _holds(self, location: Location) -> bool:
+        data = self.root
+        for step in location:
+            try:
+                data = data[step]
+            except (KeyError, IndexError, TypeError):
+                return False
+        return True
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
         """The document, or what stands `at` a place of it, as a pydantic model; InputError with every fault."""

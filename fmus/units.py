@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 
 class Unit(NamedTuple):
-    """Exponents of SI base units, and value in SI = factor·value."""
+    """Exponents of SI base units, and value in SI = factor·value + offset."""
 
     exponents: Mapping[str, int]
     factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def is_coherent(self) -> bool:
+        """Values in this unit are values in SI."""
+        return self.factor == 1.0 and self.offset == 0.0
 
 
 def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[str, Unit]:
@@ -27,6 +33,8 @@ def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
 
 
+ZERO_CELSIUS = 273.15  # [K]
+ZERO_FAHRENHEIT = 459.67 * 5.0 / 9.0  # [K]
 LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
 FORCE = {"kg": 1, "m": 1, "s": -2}
 PRESSURE = {"kg": 1, "m": -1, "s": -2}
@@ -39,13 +47,13 @@ SYMBOLS: dict[str, Unit] = {
     "%": Unit({}, 0.01),
     **_sizes(LENGTH, {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}),
     **_sizes(TIME, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}),
-    **_sizes(MASS, {"kg": 1.0, "g": 1e-3}),
+    **_sizes(MASS, {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3}),
     **_sizes(ANGLE, {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0, "mrad": 1e-3, "rev": 2.0 * math.pi}),
     "rpm": Unit({"rad": 1, "s": -1}, math.pi / 30.0),
     **_prefixed("Hz", "kM", {"s": -1}),
     **_sizes(FORCE, {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 0.00980665, "kgf": 9.80665}),
     **_prefixed("Pa", "kM", PRESSURE),
-    "bar": Unit(PRESSURE, 1e5),
+    **_sizes(PRESSURE, {"bar": 1e5, "mbar": 1e2, "hPa": 1e2}),
     **_prefixed("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
     **_prefixed("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
     **_prefixed("A", "uµmk", {"A": 1}),
@@ -59,13 +67,20 @@ SYMBOLS: dict[str, Unit] = {
     **_prefixed("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
     **_prefixed("T", "m", {"kg": 1, "s": -2, "A": -1}),
     **_prefixed("K", "m", {"K": 1}),
+    **{symbol: Unit({"K": 1}, 1.0, ZERO_CELSIUS) for symbol in ("degC", "°C")},
+    **{symbol: Unit({"K": 1}, 5.0 / 9.0, ZERO_FAHRENHEIT) for symbol in ("degF", "°F")},
     **_prefixed("mol", "m", {"mol": 1}),
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
-# Other ways to write a symbol: superscripts, the signs for ohm and micro that look like the Greek letters.
-ONE_WAY = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5")
-TOKEN = re.compile(r"(1|%|°|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
+# Other ways to write a symbol: superscripts, signs for ohm, micro and degrees that look like others.
+ONE_WAY = str.maketrans(
+    dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5", strict=True)) | {"℃": "°C", "℉": "°F"}
+)
+TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# A unit that begins with a digit (1/min) stands behind a blank.
+QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 # What people are shown: unit → display unit, and display value per value.
 DEGREE = 180.0 / math.pi
@@ -77,6 +92,8 @@ def parse(text: str) -> Unit | None:
     words = _words(text)
     if words is None:
         return None
+    if len(words) == 1 and words[0][1] == 1:
+        return SYMBOLS[words[0][0]]  # within another unit, as in W/degC, a temperature is a difference
     size, exponents = 1.0, dict[str, int]()
     for symbol, power in words:
         unit = SYMBOLS[symbol]
@@ -99,28 +116,85 @@ def _words(text: str) -> list[tuple[str, int]] | None:
     return found
 
 
-def factor(written: str, wanted: str) -> float | None:
-    """What a value in the unit `written` is multiplied by to be in `wanted`; None where that makes no sense."""
+class Conversion(NamedTuple):
+    """Factor and offset from a value in one unit to the value in another."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: float) -> float:
+        """Return the value in the other unit."""
+        return self.factor * value + self.offset
+
+
+def conversion(written: str, wanted: str, *, difference: bool = False) -> Conversion | None:
+    """Return the conversion of a value from the unit `written` to `wanted`; None if the dimensions differ.
+
+    difference: of two values, such as a standard deviation, a tolerance or a step: the offset of degC does not count
+    """
     if not written or not wanted or written == wanted:
-        return 1.0
+        return Conversion()
     here, there = parse(written), parse(wanted)
     if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
-        return STANDARD_GRAVITY / there.factor  # of an accelerometer, never gram
+        return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer, never gram
     if here is None or there is None or here.exponents != there.exponents:
         return None
-    return here.factor / there.factor
+    offset = 0.0 if difference else (here.offset - there.offset) / there.factor
+    return Conversion(here.factor / there.factor, offset)
+
+
+def factor(written: str, wanted: str) -> float | None:
+    """Return the factor from a value in the unit `written` to `wanted`; None if a factor alone does not convert it."""
+    found = conversion(written, wanted)
+    return None if found is None or found.offset else found.factor
+
+
+def split_quantity(text: str) -> tuple[float, str] | None:
+    """Return the number and the unit of `-15 degC`, the unit "" of a number alone; None if the text is neither."""
+    whole = text.strip()
+    if re.fullmatch(NUMBER, whole):
+        return float(whole), ""
+    match = QUANTITY.fullmatch(whole)
+    return None if match is None else (float(match[1]), match[2].strip())
+
+
+def has_unit(text: str) -> bool:
+    """Return whether a text is a number with a unit behind it."""
+    found = split_quantity(text)
+    return found is not None and found[1] != ""
+
+
+def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
+    """Return the number of a text such as `4 min` in `unit`; ValueError says which units are allowed."""
+    found = split_quantity(text)
+    by = None if found is None else conversion(found[1], unit, difference=difference)
+    if found is None or by is None or (found[1] and not unit):
+        raise ValueError(allowed_quantity(unit))
+    number = by(found[0])
+    if not math.isfinite(number):
+        raise ValueError("it is not finite; write a finite number")
+    return number
+
+
+def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
+    """Return what may be written for a number in `unit`; more: other units that it may have."""
+    if not unit:
+        return "it is a number alone: no unit of it is declared"
+    offered = dict.fromkeys((unit, *more, *(alternatives(unit) if parse(unit) else ())))
+    return f"it is a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}"
 
 
 class Taken(NamedTuple):
     """How numbers in a written unit are taken where they go to a signal that declares none.
 
-    unit:     in which they are then; factor: what each is multiplied by
+    unit:     in which they are then; factor, offset: what each is multiplied by, and what is added then
     sentence: what is to be said of the signal, "" where the numbers stay and nobody can be mistaken
     """
 
     unit: str
     factor: float = 1.0
     sentence: str = ""
+    offset: float = 0.0
 
 
 def taken(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
@@ -133,13 +207,13 @@ def taken(written: str, of: str = "the model", cure: str = "leave the unit out o
         why = f'"{written}" is no unit known here' if unit is None else '"g" may be gram or standard gravity'
         other = "" if unit is None else "; write kg, or m/s2"
         return Taken(written, 1.0, f"has no unit in {of}, and {why}: its numbers are taken as they are{other}")
-    if unit.factor == 1.0:
+    if unit.is_coherent:
         return Taken(written)
     wanted = coherent(written)
     told = (
         f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
     )
-    return Taken(wanted, unit.factor, told)
+    return Taken(wanted, unit.factor, told, unit.offset)
 
 
 def coherent(written: str) -> str:
@@ -147,16 +221,29 @@ def coherent(written: str) -> str:
     powers: dict[str, int] = {}
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
-        sizes = (s for s, u in SYMBOLS.items() if u.factor == 1.0 and u.exponents == unit.exponents)
-        same = symbol if unit.factor == 1.0 else next(sizes, "")
+        sizes = (s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == unit.exponents)
+        same = symbol if unit.is_coherent else next(sizes, "")
         for name, count in {same: 1}.items() if same else unit.exponents.items():
             powers[name] = powers.get(name, 0) + power * count
+    return _written(powers)
+
+
+def _written(powers: Mapping[str, int]) -> str:
+    """A unit of symbols with their powers."""
     above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
     return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
 
 
 def _power(name: str, power: int) -> str:
     return name if power == 1 else f"{name}{power}"
+
+
+def squared(unit: str) -> str:
+    """Return the square of a unit, `rad2/s2` for `rad/s`; "" for none, or for one that is not known here."""
+    powers: dict[str, int] = {}
+    for symbol, power in _words(unit) or ():
+        powers[symbol] = powers.get(symbol, 0) + 2 * power
+    return _written(powers) if powers else ""
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
@@ -174,7 +261,7 @@ def alternatives(wanted: str) -> list[str]:
     if head and head[0] in SYMBOLS:
         exponents = SYMBOLS[head[0]].exponents
         found += [s + wanted[head.end() :] for s, u in SYMBOLS.items() if u.exponents == exponents and s != head[0]]
-    return [unit for unit in (*found, "g") if unit == wanted or factor(unit, wanted) is not None]
+    return [unit for unit in (*found, "g") if unit == wanted or conversion(unit, wanted) is not None]
 
 
 def unit_definitions(names: set[str]) -> Element:
@@ -188,6 +275,8 @@ def unit_definitions(names: set[str]) -> Element:
         base = {k: str(v) for k, v in unit.exponents.items()}
         if unit.factor != 1.0:
             base["factor"] = repr(unit.factor)
+        if unit.offset:
+            base["offset"] = repr(unit.offset)
         SubElement(node, "BaseUnit", base)
         if name in DISPLAY:
             display, factor = DISPLAY[name]

@@ -233,11 +233,11 @@ def test_every_stage_that_a_refine_tells_has_its_number() -> None:
     assert all(any(f'"{words}"' in text for text in sources) for words in listed)
 
 
-@pytest.mark.parametrize("verb", ["check", "replay"])
-def test_a_log_of_another_model_is_told_how_to_name_it(tmp_path: Path, verb: str) -> None:
+@pytest.mark.parametrize("verb", [["check", "--model", "base"], ["replay"]])
+def test_a_log_of_another_model_is_told_how_to_name_it(tmp_path: Path, verb: list[str]) -> None:
     log = tmp_path / "mine.csv"
     log.write_text("time,inflow,level\n" + "".join(f"{k},{k % 3},1.0\n" for k in range(30)))
-    run = CliRunner().invoke(app, [verb, str(log)])
+    run = CliRunner().invoke(app, [*verb, str(log)])
     assert isinstance(run.exception, InputError)
     (fault,) = run.exception.faults
     assert "mine.csv:1:1: holds none of the columns of the model" in str(fault)

@@ -226,7 +226,7 @@ def test_the_same_random_numbers_give_the_same_squares() -> None:
 
 def test_too_few_runs_are_refused() -> None:
     assert CliRunner().invoke(app, ["consistency", "--runs", "1"]).exit_code == 2
-    with pytest.raises(ValueError, match="at least 2 runs, 100 steps"):
+    with pytest.raises(InputError, match="runs: is 1; give 2 or more\nsteps: is 50; give 100 or more"):
         consistency(1, 50)
 
 

@@ -189,7 +189,7 @@ def test_a_value_is_converted_from_any_unit_of_its_dimension_and_others_are_offe
 def test_a_unit_for_a_variable_that_declares_none_is_refused_with_the_cure(tmp_path: Path) -> None:
     fmu = typed_fmu(tmp_path)
     refused = told("simulate", fmu, "--set", "r_in=500 mV", "--out", tmp_path / "o", code=2)
-    assert refused.endswith("it is a number alone: the FMU declares no unit of it")
+    assert refused.endswith("it is a number alone: no unit of it is declared")
 
 
 # -- init -----------------------------------------------------------------------------------------

@@ -270,7 +270,7 @@ def test_a_log_of_another_model_is_checked_as_such(tmp_path: Path) -> None:
     told = check_files([log], f"{tmp_path / 'table.py'}:Table")
     assert any("torque moves" in line for line in told)
     with pytest.raises(InputError, match="holds none of the columns of the model: duty_right, duty_left"):
-        check_files([log])
+        check_files([log], "base")
 
 
 def test_a_pause_passes_for_no_outlier_and_hides_no_wrong_scale(tmp_path: Path, flight: Flight) -> None:

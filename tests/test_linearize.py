@@ -390,8 +390,8 @@ def test_what_does_not_fit_is_said_all_at_once(tank: Path, project: Path) -> Non
     model = f"{tank}:Tank"
     both = refused(model, "lewel=1,inflow=many")
     assert 'no state or input "lewel"; did you mean "level"?' in both
-    assert "inflow=many: give a number [m3/s]" in both
-    assert "is not finite" in refused(model, "level=1e999")
+    assert "inflow=many: it is a number [m3/s], or text with a unit: 3 m3/s" in both
+    assert "it is not finite" in refused(model, "level=1e999")
     assert "neither NAME=VALUE" in refused(model, "level")
     assert 'no parameter "aera"; did you mean "area"?' in refused(model, set=["aera=1"])
     assert "lies in [0.01, 10]" in refused(model, set=["area=0"])

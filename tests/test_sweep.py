@@ -299,6 +299,37 @@ def test_a_dask_cluster_makes_the_same_table(tanks: Callable[..., Path]) -> None
     assert (there.folder / TABLE).read_bytes() == (here.folder / TABLE).read_bytes()
 
 
+STRANGER = """
+import asyncio, sys
+sys.modules["cosim"] = None  # importing it fails, as where it is not installed
+from distributed import Worker
+
+async def main():
+    async with Worker(sys.argv[1]) as worker:
+        await worker.finished()
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_dask_workers_that_cannot_import_the_package_are_told_in_one_message(tanks: Callable[..., Path]) -> None:
+    distributed = pytest.importorskip("distributed")
+    path = tanks(VARY.replace("runs: 40", "runs: 10"))
+    with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        worker = subprocess.Popen([sys.executable, "-c", STRANGER, address], stderr=subprocess.DEVNULL)
+        try:
+            with distributed.Client(address) as client:
+                client.wait_for_workers(1, timeout=60)
+            with pytest.raises(InputError, match=r"--dask: .* has 1 worker of 1 without cosim .*install cosim") as told:
+                sweep(path, path.parent / "there", dask=address, report=False)
+            assert len(str(told.value).splitlines()) == 1
+        finally:
+            worker.kill()
+            worker.wait()
+
+
 # -- designs -----------------------------------------------------------------------------------------
 
 

@@ -19,7 +19,7 @@ from cosim.outcomes import Replay
 from cosim.residuals.against import scales
 from cosim.results import read_results
 from cosim.table import read_columns
-from fmus.units import SYMBOLS, coherent, factor, parse, taken
+from fmus.units import SYMBOLS, Taken, coherent, factor, parse, taken
 from tests.typed import typed_fmu
 
 NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one
@@ -295,4 +295,4 @@ def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read
 def test_how_numbers_are_taken_is_what_factor_says() -> None:
     found = taken("rpm")
     assert (found.unit, found.factor) == ("rad/s", factor("rpm", "rad/s"))
-    assert taken("rad/s") == ("rad/s", 1.0, "")
+    assert taken("rad/s") == Taken("rad/s")

@@ -181,6 +181,12 @@ def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | N
     return None
 
 
+def is_difference(variable: Any) -> bool:
+    """Return whether a variable or its type is declared as a difference: offsets of units do not count."""
+    own, declared = variable.relativeQuantity, variable.declaredType
+    return bool((declared is not None and declared.relativeQuantity) if own is None else own)
+
+
 def unit_of(variable: Any) -> str:
     """Unit of a variable, its own or its type's."""
     unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)

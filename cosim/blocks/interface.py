@@ -71,7 +71,7 @@ class Signal:
         if self.definition is not None:
             return self.definition
         unit = parse(self.unit)
-        return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, 0.0)
+        return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
 
 
 class Component(Protocol):

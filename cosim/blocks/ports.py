@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from cosim.blocks.description import unit_definition, unit_of
+from cosim.blocks.description import is_difference, unit_definition, unit_of
 from cosim.blocks.interface import Signal
 from cosim.blocks.kinds import Exchange, element_names, kinds_of
 
@@ -92,9 +92,7 @@ class Ports:
     def _signal(self, variable: Any, name: str) -> Signal:
         unit, declared = unit_of(variable), variable.declaredType
         items = {i.name: int(i.value) for i in declared.items} if variable.type == "Enumeration" and declared else None
-        relative = variable.relativeQuantity
-        if relative is None:
-            relative = bool(declared is not None and declared.relativeQuantity)
+        relative = is_difference(variable)
         local = variable.causality not in {"input", "output"}
         array = variable.name if variable.shape else ""
         meaning = unit_definition(self.description, unit)

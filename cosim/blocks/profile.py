@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from cosim.arrays import Array
-from cosim.yaml_file import NotNegative, Number, Part, Positive
+from cosim.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
 
 ROUNDING = 1e-9  # [s] by which a time may be off
 
@@ -22,9 +22,9 @@ class Change(Part):
     rate: slope of a ramp, per second; a step without
     """
 
-    at: NotNegative
-    to: Number
-    rate: Positive | None = None
+    at: NotNegativeSeconds
+    to: Amount
+    rate: PositiveAmount | None = None
 
 
 class Profile(Part):
@@ -36,7 +36,7 @@ class Profile(Part):
     """
 
     unit: str = ""
-    start: Number = 0.0
+    start: Amount = 0.0
     changes: list[Change] = Field(default_factory=list)
 
     @field_validator("changes")

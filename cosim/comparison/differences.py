@@ -27,7 +27,7 @@ from cosim.comparison.signals import (
 )  # fmt: skip
 from cosim.errors import Fault, InputError
 from cosim.text import amount, counted
-from fmus.units import factor
+from fmus.units import Conversion, conversion
 
 if TYPE_CHECKING:
     import pandas
@@ -183,17 +183,20 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
         first = a.results[name][rows]
         second = b.results[name][: time.size] if aligned else at_times(time, b.results.time, b.results[name])
         unit, other = (r.results.units.get(name, "") for r in (a, b))
-        scale = factor(other, unit)
-        if scale is None:
+        by = conversion(other, unit)
+        if by is None:
             differences.append(of_other_units(name, unit, other, time, judged=tolerance is not None))
             continue
-        second = second * scale
+        is_converted = by != Conversion()
+        second = by.factor * second + by.offset if is_converted else second
         values[name] = first, second
-        found = of_numbers(name, unit or other, time, first, second, tolerance, absolute, rounded=scale != 1.0)
+        found = of_numbers(
+            name, unit or other, time, first, second, tolerance, absolute, rounded=is_converted, offset=by.offset
+        )
         found = replace(found, note=of_units(unit, other, found))
         if between is not None:
             found = with_rows_between(
-                found, *between.outside(a.results[name], b.results[name] * scale), tolerance, absolute
+                found, *between.outside(a.results[name], by.factor * b.results[name] + by.offset), tolerance, absolute
             )
         differences.append(found)
     only_a, only_b = (tuple(n for n in (*r.results.columns, *r.results.exact) if n not in {*shared}) for r in (a, b))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cosim.arrays import far_beyond
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.panels import panels_of
 from cosim.comparison.ran import Ran
@@ -29,6 +30,7 @@ MADE = ("comparison.json", "report.html")
 
 
 @folder_locks()
+@far_beyond
 def compare(
     a: Ran,
     b: Ran,

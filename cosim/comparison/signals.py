@@ -71,19 +71,22 @@ def at_times(time: Array, times: Array, values: Array) -> Array:
 
 def of_numbers(
     name: str, unit: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float,
-    *, rounded: bool,
+    *, rounded: bool, offset: float = 0.0,
 ) -> Difference:  # fmt: skip
-    """How far numbers of one unit lie apart; `rounded`: one side was converted, to the last bit or two."""
+    """How far numbers of one unit lie apart.
+
+    rounded: one side was converted, to the last bit or two; offset: of that conversion, whose rounding is of its size
+    """
     same = (first == second) | (np.isnan(first) & np.isnan(second))
     finite = np.isfinite(first) & np.isfinite(second)
     gap = np.where(same, 0.0, np.inf)
     gap[finite] = np.abs(second[finite] - first[finite])
     if rounded:
-        gap[finite & (gap <= ROUNDING * np.abs(first))] = 0.0
+        gap[finite & (gap <= ROUNDING * np.maximum(np.abs(first), abs(offset)))] = 0.0
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0
-    scale = span or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
+    scale = (span if math.isfinite(span) else 0.0) or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
     largest = float(gap[row])
     beyond = tolerance is not None and not largest <= absolute + tolerance * scale
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf

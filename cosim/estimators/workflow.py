@@ -13,22 +13,25 @@ from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.page import page
 from cosim.files import atomic_write, check_writable
 from cosim.folders import check_left
+from cosim.given import Count, Seed
 from cosim.registry import BASE_NAME, MODELS, resolve
 
+FEWEST = 2  # runs
 SHORTEST = 100  # steps; errors count after the first second
 MOST_SAMPLES = 20_000_000  # of all runs of a case: each takes some 400 bytes while it is made, 8 GB in all
 RECORD, PAGE = "consistency.json", "report.html"
 
 
 def consistency(
-    runs: int = 50, steps: int = 500, seed: int = 1, progress: Callable[[int, int], None] | None = None
+    runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
 ) -> Sequence[Row]:
-    """The estimators of the base model over Monte Carlo runs; ValueError for fewer than two runs or two seconds.
+    """Judge the estimators of the base model over Monte Carlo runs.
 
-    Raises InputError where they are too many, or there is too little memory for them.
+    Raises InputError for too few or too many runs or steps, or if there is too little memory for them.
     """
-    if runs < 2 or steps < SHORTEST or seed < 0:
-        raise ValueError(f"takes at least 2 runs, {SHORTEST} steps and a seed from 0 on: {runs}, {steps}, {seed}")
+    least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
+    if faults := [Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low]:
+        raise InputError(faults)
     check_size(runs, steps)
     squares_of = resolve(MODELS[BASE_NAME].estimators)
     cases = resolve(MODELS[BASE_NAME].cases)

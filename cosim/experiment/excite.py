@@ -23,6 +23,7 @@ from cosim.experiment.separation import Pair, Separation
 from cosim.files import FilePath, atomic_write, check_writable, named_path
 from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
+from cosim.given import Count, ModelName, PositiveSeconds, Seed
 from cosim.logs.log import slowness
 from cosim.table import write_columns
 from cosim.text import counted
@@ -125,16 +126,16 @@ def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float
 
 @folder_locks()
 def excite(
-    text: str,
+    text: ModelName,
     folder: FilePath,
     against: Sequence[str] = (),
     *,
     limits: Sequence[str] = (),
     ranges: Sequence[str] = (),
     measured: Sequence[str] = (),
-    duration: float | None = None,
-    seed: int = 1,
-    experiments: int = EXPERIMENTS,
+    duration: PositiveSeconds | None = None,
+    seed: Seed = 1,
+    experiments: Count = EXPERIMENTS,
     force: bool = True,
     progress: Progress | None = None,
 ) -> Excitation:

@@ -9,11 +9,10 @@ from collections.abc import Iterator, Sequence
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
 from cosim.yaml_file import did_you_mean
-from fmus.units import factor
+from fmus.units import NUMBER, conversion
 from plant.model import Model
 
-NUMBER = r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?"
-LIMIT = re.compile(r"(?P<name>[^=]+)=\s*(?P<number>\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>.*)")
+LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
 RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")
 
 
@@ -65,7 +64,9 @@ def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, 
         if name not in units:
             faults.append(f'--limit {item}: no input or output "{name}"{did_you_mean(name, units)}')
         elif (
-            read is None or not (size := float(read["number"]) * (factor(read["unit"].strip(), units[name]) or 0.0)) > 0
+            read is None
+            or (by := conversion(read["unit"].strip(), units[name], difference=True)) is None
+            or not (size := by(float(read["number"]))) > 0
         ):
             faults.append(f"--limit {item}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
         else:
@@ -82,8 +83,8 @@ def _narrowed(model: Model, given: Sequence[str], spans: dict[str, tuple[float, 
         if name not in units:
             yield f'--range {item}: no input "{name}"{did_you_mean(name, units)} (inputs: {", ".join(units)})'
             continue
-        scale = factor(read["unit"].strip(), units[name]) if read else None
-        asked = (scale * float(read["low"]), scale * float(read["high"])) if read and scale else (1.0, 0.0)
+        by = conversion(read["unit"].strip(), units[name]) if read else None
+        asked = (by(float(read["low"])), by(float(read["high"]))) if read and by else (1.0, 0.0)
         if not asked[0] < asked[1]:
             yield f"--range {item}: say between what {name} stays, lower end first [{units[name]}], as {name}=0..10"
             continue

@@ -5,14 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from cosim.errors import Fault, InputError
 from cosim.kinds import PROTOCOL, check_given
 from cosim.text import counted
-from cosim.yaml_file import NotNegative, Number, Part, Positive, YamlFile, did_you_mean
+from cosim.yaml_file import (
+    UNIT_OF_KEY,
+    Amount,
+    InUnit,
+    NotNegative,
+    NotNegativeSeconds,
+    Number,
+    Part,
+    Positive,
+    PositiveAmount,
+    PositiveSeconds,
+    Share,
+    YamlFile,
+    did_you_mean,
+)
 from fmus.units import factor
 from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
 
@@ -21,8 +35,12 @@ CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is comp
 BENCH = "bench"  # our own
 LONGEST = 3600.0  # [s] of a run that is played
 
-Window = tuple[NotNegative, NotNegative]
-Phase = tuple[NotNegative, NotNegative, Number]  # time [s], duty [%], tilt [deg]
+Metres = Annotated[Positive, InUnit("m")]
+Volts = Annotated[NotNegative, InUnit("V", difference=True)]
+Percent = InUnit("%")
+Window = tuple[NotNegativeSeconds, NotNegativeSeconds]
+# time [s], duty [%], tilt [deg]
+Phase = tuple[NotNegativeSeconds, Annotated[NotNegative, Percent], Annotated[Number, InUnit("deg")]]
 
 
 class CellFile(Part):
@@ -36,10 +54,19 @@ class CellFile(Part):
     """
 
     unit: str = "N"
-    full_scale: Positive
-    error: NotNegative = 0.0025
-    loads: list[Number] = Field(default=[])
-    points: list[tuple[Number, Number]] = Field(default=[])  # load, voltage
+    full_scale: PositiveAmount
+    error: Annotated[NotNegative, Share] = 0.0025
+    loads: list[Amount] = Field(default=[])
+    points: list[tuple[Amount, Annotated[Number, InUnit("V")]]] = Field(default=[])  # load, voltage
+
+    @field_validator("full_scale", "loads", "points", mode="before")
+    @classmethod
+    def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
+        """Loads in the unit of the cell."""
+        unit = InUnit(str(info.data.get("unit", "")))
+        if info.field_name == "points" and isinstance(value, list):
+            return [[unit.number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
+        return [unit.number(v) for v in value] if isinstance(value, list) else unit.number(value)
 
 
 class Draws(Part):
@@ -50,9 +77,9 @@ class Draws(Part):
     noise:  of each reading of each cell [V]
     """
 
-    thrust: NotNegative = 0.0
-    tare: dict[str, NotNegative] = Field(default={})
-    noise: dict[str, NotNegative] = Field(default={})
+    thrust: Annotated[NotNegative, Share] = 0.0
+    tare: dict[str, Volts] = Field(default={})
+    noise: dict[str, Volts] = Field(default={})
 
 
 class Test(Part):
@@ -60,8 +87,10 @@ class Test(Part):
 
     repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000, description="runs that are played")] = 1
     files: list[str] = Field(default=[], description="runs that were measured, a CSV each, in place of phases")
-    low_pass: NotNegative = Field(default=0.0, description="time constant of the filter of readings [s]; 0: none")
-    height: Positive = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
+    low_pass: NotNegativeSeconds = Field(
+        default=0.0, description="time constant of the filter of readings [s]; 0: none"
+    )
+    height: Metres = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
     phases: list[Phase] = Field(default=[], description="time [s], duty [%], tilt [deg] each, straight in between")
     rest: Window = Field(description="from and to [s], without thrust: the tare")
     window: Window = Field(description="from and to [s], what is looked at")
@@ -76,8 +105,8 @@ class HeightTest(Test):
     """
 
     heights: list[Positive] = Field(default=[])
-    free_height: Positive = FREE_HEIGHT
-    validation_duty: Positive | None = None
+    free_height: Metres = FREE_HEIGHT
+    validation_duty: Annotated[Positive, Percent] | None = None
 
 
 class HoldTest(Test):
@@ -95,7 +124,7 @@ class StepTest(Test):
     at: time [s]
     """
 
-    at: Positive
+    at: PositiveSeconds
 
 
 class SineTest(Test):
@@ -110,12 +139,12 @@ class SineTest(Test):
     thesis_skip: periods of each that the thesis leaves out
     """
 
-    frequencies: list[Positive]
+    frequencies: list[Annotated[Positive, InUnit("rad/s")]]
     periods: list[Positive]
-    amplitude: Positive = 10.0
-    duty: Positive
-    lead: Positive = 3.0
-    skip: Positive = 1.0
+    amplitude: Annotated[Positive, InUnit("deg")] = 10.0
+    duty: Annotated[Positive, Percent]
+    lead: PositiveSeconds = 3.0
+    skip: PositiveSeconds = 1.0
     thesis_skip: list[NotNegative] = Field(default=[])  # periods
 
 
@@ -166,8 +195,8 @@ class ProtocolFile(Part):
     bench: str | None = None
     model: str = "hovercraft"
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
-    step: Positive = 0.02
-    parameters: dict[str, Number] = Field(default={})
+    step: PositiveSeconds = 0.02
+    parameters: dict[str, Annotated[Number, UNIT_OF_KEY]] = Field(default={})
     draws: Draws = Draws()
     cells: dict[str, CellFile]
     tests: Tests
@@ -200,7 +229,10 @@ def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
     if content is None:
         raise InputError(faults)
     bench = Bench()
-    faults += _parameter_faults(yaml, content, bench)
+    units = {n: p.unit for n, p in bench.declared.items()}
+    parameters, of_units = yaml.in_units(("parameters",), content.parameters, units)
+    content = content.model_copy(update={"parameters": parameters})
+    faults += [*of_units, *_parameter_faults(yaml, content, bench)]
     faults += _cell_faults(yaml, content)
     faults += [fault for name, test in content.tests.given() for fault in _test_faults(yaml, content, name, test)]
     if not any(True for _ in content.tests.given()):

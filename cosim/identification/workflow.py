@@ -12,6 +12,7 @@ from cosim.errors import InputError
 from cosim.files import FilePath, check_writable, named_path
 from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
+from cosim.given import Seed
 from cosim.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from cosim.identification.cells import Cells, calibrated
 from cosim.identification.craft import CraftOutcome
@@ -43,7 +44,7 @@ def identify(
     progress: Progress | None = None,
     *,
     report: bool = True,
-    seed: int | None = None,
+    seed: Seed | None = None,
     force: bool = True,
 ) -> Outcome | CraftOutcome:
     """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,25 +11,18 @@ from pydantic import BeforeValidator, ValidationError
 
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import Part
+from fmus.units import read_quantity, split_quantity
 
-SECONDS = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
 LOADING = 60.0  # [s], where another time is limited
 
 
-def _quantity(units: dict[str, float], example: str) -> Any:
-    known = ", ".join(u for u in units if u)
-
+def _quantity(known: str, example: str, read_text: Callable[[str], float]) -> Any:
     def read(value: Any) -> float:
         number: Any = value
         if isinstance(value, str):
-            match = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*(\w*)\s*", value)
-            number = None
-            if match is not None and match[2] in units:
-                try:
-                    number = float(match[1]) * units[match[2]]
-                except ValueError:
-                    number = None
+            with suppress(ValueError):
+                number = read_text(value)
         if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < 1e300:
             raise ValueError(f"it is a number above 0 with its unit ({known}), {example} for one")
         return float(number)
@@ -36,8 +30,15 @@ def _quantity(units: dict[str, float], example: str) -> Any:
     return BeforeValidator(read)
 
 
-Seconds = Annotated[float, _quantity(SECONDS, "10 s")]
-Bytes = Annotated[float, _quantity(BYTES, "2 GB")]
+def _bytes(text: str) -> float:
+    found = split_quantity(text)
+    if found is None or found[1] not in BYTES:
+        raise ValueError
+    return found[0] * BYTES[found[1]]
+
+
+Seconds = Annotated[float, _quantity("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))]
+Bytes = Annotated[float, _quantity(", ".join(filter(None, BYTES)), "2 GB", _bytes)]
 
 
 class Limits(Part):

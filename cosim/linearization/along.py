@@ -12,7 +12,6 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import Fault, FmuError, InputError, SimulationError
 from cosim.linearization.linear import Point
-from cosim.linearization.parameters import read_value
 from cosim.linearization.point import AT, Moment
 from cosim.linearization.source import EquationSource, Source
 from cosim.results import Results
@@ -20,6 +19,7 @@ from cosim.simulation.packaged import is_ssp
 from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from fmus.scratch import temporary_folder
+from fmus.units import read_quantity
 from plant.integrate import Stepper
 
 SLACK = 1e-9  # [s]
@@ -107,7 +107,7 @@ class Along:
         memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
         units = {**memories, **{n: source.units[n] for n in source.states}}
         starts = {n.removesuffix("_start"): str(v) for n, v in self.given.items() if n.endswith("_start")}
-        values = {n: read_value(v, units[n]) for n, v in starts.items() if n in units}
+        values = {n: read_quantity(v, units[n]) for n, v in starts.items() if n in units}
         moment = stepper.start(float(time[0]), values)
         states, shown = [np.array(moment.state, float)], [self._outputs(source, moment.state, time[0], inputs[0])]
         for k in range(1, max(self._rows) + 1):

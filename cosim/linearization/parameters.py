@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import did_you_mean, short
-from fmus.units import factor
+from fmus.units import read_quantity
 from plant.model import Model
 
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-VALUE = re.compile(rf"({NUMBER})\s*([^\s\d.]\S*)?")
 SET = Path("--set")
-
-
-def read_value(text: str, unit: str) -> float:
-    """A finite number, in its unit or with one behind it; ValueError."""
-    match = VALUE.fullmatch(text.strip())
-    scale = 1.0 if match is None or not match[2] else factor(match[2], unit)
-    if match is None or scale is None:
-        raise ValueError(f"give a number [{unit or '1'}], or one with a unit of the same kind")
-    value = float(match[1]) * scale
-    if not math.isfinite(value):
-        raise ValueError("is not finite")
-    return value
 
 
 def with_parameters(model: Model, given: Sequence[str]) -> Model:
@@ -46,7 +30,7 @@ def with_parameters(model: Model, given: Sequence[str]) -> Model:
             values[name] = value == "true"
         else:
             try:
-                values[name] = read_value(value, declared.unit)
+                values[name] = read_quantity(value, declared.unit)
             except ValueError as error:
                 faults.append(f"{name}={short(value)}: {error}")
                 continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +12,10 @@ import numpy as np
 from cosim.arrays import Array
 from cosim.errors import Fault, InputError
 from cosim.linearization.linear import Point
-from cosim.linearization.parameters import NUMBER, read_value
 from cosim.linearization.source import Source
 from cosim.yaml_file import did_you_mean, short
+from fmus.units import read_quantity
 
-TIMES = re.compile(rf"({NUMBER})(?::({NUMBER}):({NUMBER}))?")
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MOST_TIMES = 100_000
 AT = Path("--at")
@@ -69,13 +67,15 @@ def read_at(given: Sequence[str]) -> Where:
 
 
 def _times(text: str) -> Array:
-    match = TIMES.fullmatch(text.strip())
-    if match is None:
-        raise ValueError("after @ stands a time in seconds, 2.5, or several, START:STOP:STEP, 0:10:0.5")
-    first = float(match[1])
-    if match[2] is None:
+    try:
+        first, *more = (read_quantity(part, "s") for part in text.split(":"))
+    except ValueError:
+        more = [math.nan]
+    if len(more) not in {0, 2}:
+        raise ValueError("after @ stands a time, 2.5 or 3 min, or several, START:STOP:STEP, 0:10:0.5")
+    if not more:
         return np.array([first])
-    last, step = float(match[2]), float(match[3])
+    last, step = more
     if not (last >= first and step > 0.0):
         raise ValueError("START:STOP:STEP go forward, with a step above 0")
     count = math.floor((last - first) / step + 1e-9) + 1
@@ -95,7 +95,7 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
                                           f"inputs: {', '.join(source.inputs) or 'none'})"))  # fmt: skip
             continue
         try:
-            value = read_value(text, source.units.get(name, ""))
+            value = read_quantity(text, source.units.get(name, ""))
         except ValueError as error:
             faults.append(Fault(AT, 0, 0, f"{name}={short(text)}: {error}"))
             continue

@@ -15,7 +15,7 @@ from cosim.errors import Fault, InputError
 from cosim.files import FilePath, atomic_write, check_writable, named_path
 from cosim.folder_lock import folder_locks
 from cosim.folders import check_left
-from cosim.given import Given, texts
+from cosim.given import Given, Positive, texts
 from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
 from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
@@ -64,7 +64,7 @@ def linearize(
     outputs: Sequence[str] = (),
     residualize: Sequence[str] = (),
     component: str = "",
-    step: float | None = None,
+    step: Positive | None = None,
     side: str | None = None,
     report: bool = True,
     force: bool = True,

@@ -20,7 +20,7 @@ from cosim.arrays import Array, Rows
 from cosim.errors import Fault, InputError
 from cosim.table import Column, Faults, Heading, read_table
 from cosim.yaml_file import closest, did_you_mean, short
-from fmus.units import alternatives, factor, taken
+from fmus.units import Conversion, alternatives, conversion, taken
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
@@ -126,10 +126,10 @@ def read_log(
     alone:   they are of this file alone, which must have each
     """
     known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    return _Reader(path, *known, not table, columns, alone).log()
+    return LogReader(path, *known, not table, columns, alone).log()
 
 
-class _Reader:
+class LogReader:
     """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
 
     def __init__(
@@ -226,13 +226,14 @@ class _Reader:
             self.units[name] = found.unit
             if found.sentence:
                 self.undeclared[name] = found.sentence
-            return Column(heading, found.factor, known)
-        scale = factor(heading.unit, wanted)
-        if scale is None:
+            return Column(heading, found.factor, known, offset=found.offset)
+        by = conversion(heading.unit, wanted)
+        if by is None:
             offered = ", ".join(alternatives(wanted))
             message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
             self.faults.note(heading.line, heading.cell, message)
-        return Column(heading, 1.0 if scale is None else scale, known)
+        by = by or Conversion()
+        return Column(heading, by.factor, known, offset=by.offset)
 
     def _check_header(self) -> None:
         """Every input of the model, and one output at least."""

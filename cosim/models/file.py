@@ -24,7 +24,7 @@ from cosim.models.declared import checked
 from cosim.models.refined import NoNearest, names_refine, refined_file
 from cosim.models.source import Source
 from cosim.registry import BASE, BASE_NAME, MODELS, resolve
-from cosim.yaml_file import YamlFile, did_you_mean
+from cosim.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from plant.model import Model
 
 if TYPE_CHECKING:
@@ -36,16 +36,19 @@ GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's 
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-    """One message where a value is neither, in place of one for each."""
+    """Return a number or a switch; one message if a value is neither, in place of one for each."""
     try:
         return inner(value)
     except ValidationError:
-        raise ValueError("give a finite number, or, of a switch, true or false") from None
+        raise ValueError(
+            "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        ) from None
 
 
 Value = Annotated[
     Annotated[float, Field(allow_inf_nan=False)] | bool,
     WrapValidator(_number_or_switch),
+    UNIT_OF_KEY,
 ]
 
 
@@ -70,7 +73,7 @@ class ModelFile(BaseModel):
     schema_version:  of this file
     model:           a name that is known, or `file.py:Class` of one's own
     parameters_from: another model file, or a refine's folder: what it says of parameters that this model has too
-    parameters:      name → value, in the unit of the parameter; over those of another file
+    parameters:      name → value, in the unit of the parameter or text such as `400 g`; over those of another file
     sensors:         sensor error → value
     substep:         longest substep of the integration [s], where the class of the model states none
     identified:      parameter → how well it is known, where `cosim identify` wrote the file
@@ -82,7 +85,7 @@ class ModelFile(BaseModel):
     model: str = BASE_NAME
     parameters_from: str = ""
     parameters: dict[str, Value] = {}
-    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False), UNIT_OF_KEY]] = {}
     substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
     identified: dict[str, Identified] = {}
 
@@ -159,7 +162,8 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
         if faults:
             raise InputError(faults) from None
         raise
-    faults += _value_faults(yaml, content, model)
+    content, of_units = _in_units(yaml, content, model)
+    faults += [*of_units, *_value_faults(yaml, content, model)]
     taken: dict[str, float | bool] = {}
     if content.parameters_from:
         try:
@@ -211,6 +215,15 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     if content.model not in MODELS and not file.is_file():
         raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
     return named_model(content.model) if content.model in MODELS else own_model(content.model, folder)
+
+
+def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
+    """Return the file with numbers in the units of the model, and the faults; sensor errors are differences."""
+    units = {n: p.unit for n, p in model.declared.items()}
+    parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
+    units = {n: p.unit for n, p in model.sensor_parameters.items()}
+    sensors, more = yaml.in_units(("sensors",), content.sensors, units, difference=True)
+    return content.model_copy(update={"parameters": parameters, "sensors": sensors}), [*faults, *more]
 
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:

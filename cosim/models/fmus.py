@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cosim.files import FilePath, check_folder, named_path
 from cosim.folder_lock import folder_locks
+from cosim.given import ModelName
 from cosim.models.file import meant_model
 from cosim.models.substep import with_substep
 from cosim.registry import BASE_NAME, MODELS, resolve
@@ -15,7 +16,7 @@ from cosim.registry import BASE_NAME, MODELS, resolve
 @folder_locks()
 def build(
     folder: FilePath,
-    model: str | None = None,
+    model: ModelName | None = None,
     *,
     nearest: bool = False,
     native: bool = False,

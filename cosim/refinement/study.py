@@ -6,13 +6,14 @@ import hashlib
 import math
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag
 
 from cosim.arrays import Rows
 from cosim.errors import Fault, InputError, NotExecuted
@@ -31,20 +32,23 @@ from cosim.refinement.groups import full_name, group_of, per_log_faults
 from cosim.registry import BASE
 from cosim.residuals.windows import SKIPPED
 from cosim.text import counted, plain
-from cosim.yaml_file import YamlFile, did_you_mean
+from cosim.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
+from fmus.units import has_unit, read_quantity
 from plant.model import Model
 from plant.traits import Traits
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise
 FINEST, COARSEST = 1e-12, 1e3  # of the largest reading, beyond which a standard deviation is no sensor's
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Between = Literal["held", "interpolated"]
 NARROWEST, WIDEST = 1e-6, 2.0  # of a parameter: a tolerance closer than any data sheet; one that says nothing of it
 
 
 def _share(value: Any) -> Any:
     """A tolerance: one message, with its cure, whatever is wrong with it."""
+    if isinstance(value, str) and has_unit(value):
+        with suppress(ValueError):
+            value = read_quantity(value, "1")
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not NARROWEST <= value <= WIDEST:
         text = f"a tolerance is a share of the parameter, at least {NARROWEST:g} and at most {WIDEST:g}: 0.1 for 10 %"
         raise ValueError(text)
@@ -86,7 +90,7 @@ class StudyFile(BaseModel):
 
     model:      a name that is known, a model.yaml, or `file.py:Class`
     logs:       files, relative to the study
-    noise:      output → standard deviation of its sensor, where it is not the model's own
+    noise:      output → standard deviation of its sensor, where it is not the model's own; in its unit, or `2 deg`
     tolerance:  share by which base parameters may be off: of all, or by name
     inputs:     held from row to row, or interpolated: all, or by name
     candidates: effects, sensor errors and parameters that are tried; all without
@@ -100,7 +104,7 @@ class StudyFile(BaseModel):
 
     model: str = BASE
     logs: LogLists
-    noise: dict[str, Positive] = {}
+    noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     tolerance: Annotated[
         Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_by_name)
     ] = {}
@@ -186,6 +190,10 @@ def read_study(path: Path) -> Study:
             raise InputError(faults) from None
         raise
     model = loaded.model
+    units = {q.name: q.unit for q in model.outputs}
+    noise, of_units = yaml.in_units(("noise",), content.noise, units, difference=True)
+    content = content.model_copy(update={"noise": noise})
+    faults += of_units
     faults += _unknown_names(yaml, content, loaded)
     lists, on_trial = content.logs, content.candidates or ()
     faults += per_log_faults(yaml, model, content.per_log, content.groups, lists.estimation, lists.validation, on_trial)

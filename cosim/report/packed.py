@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
+import sys
 import zlib
 from collections.abc import Iterable
 
@@ -30,7 +31,7 @@ def power(values: Array) -> int:
     if not good.size or not np.any(good):
         return 0
     largest = float(np.max(np.abs(good)))
-    span = float(np.max(good) - np.min(good))
+    span = min(float(np.max(good)) - float(np.min(good)), sys.float_info.max)
     digits = DIGITS - 1 - math.floor(math.log10(largest))
     if span > ROUNDING * largest:
         digits = max(digits, OF_SPAN - 1 - math.floor(math.log10(span)))

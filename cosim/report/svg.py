@@ -109,6 +109,7 @@ class Plot:
 
 
 NO_KEYS = Keys()
+LARGEST_DRAWN = 1e300  # ends of an axis: its span, and room beside it, are numbers of a double
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
@@ -120,6 +121,7 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
     """An axis over low … high with about `count` round ticks; huge and tiny ones share a power of ten."""
+    low, high = (min(max(end, -LARGEST_DRAWN), LARGEST_DRAWN) for end in (low, high))
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * abs(low) or 1.0
         low, high = low - room, high + room

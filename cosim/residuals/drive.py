@@ -24,7 +24,7 @@ from cosim.logs.log import Log, SignalLike, read_log
 from cosim.yaml_file import did_you_mean
 from fmus.annotation import traits_of
 from fmus.state import Memory, Own
-from fmus.units import factor
+from fmus.units import Conversion, conversion
 from plant.planar import PlanarFrame
 
 PLANT = "plant"  # the component's name in results and messages
@@ -320,7 +320,7 @@ class Drive:
                 if name not in known:
                     message = f'has no {kind} "{name}", which {self.log.path.name} holds{did_you_mean(name, known)}'
                     faults.append(Fault(self.fmu, 0, 0, f"{message} (its {kind}s: {', '.join(known) or 'none'})"))
-                elif factor(self.log.units[name], known[name].unit) != 1.0:
+                elif conversion(self.log.units[name], known[name].unit) != Conversion():
                     units = f"{known[name].unit} here and in {self.log.units[name]} in the log as it was read"
                     faults.append(Fault(self.fmu, 0, 0, f"{name} is in {units}; read the log for this FMU"))
         if faults:

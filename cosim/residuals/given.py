@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.description import read_description, unit_of
+from cosim.blocks.description import is_difference, read_description, unit_of
 from cosim.errors import Fault, InputError
 from cosim.yaml_file import did_you_mean, short
-from fmus.units import factor
+from fmus.units import read_quantity
 
 Given = Mapping[str, float | int | bool | str]
-NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 
 
@@ -55,7 +53,7 @@ def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | 
         if value.lower() not in SWITCHES:
             raise ValueError("it is true or false")
         return name, SWITCHES[value.lower()]
-    number = _number(value, unit_of(variable))
+    number = read_quantity(value, unit_of(variable), difference=is_difference(variable))
     low, high = (s * math.inf if v is None else float(v) for v, s in ((variable.min, -1), (variable.max, 1)))
     if not low <= number <= high:
         raise ValueError(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
@@ -64,16 +62,3 @@ def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | 
     if number != math.floor(number):
         raise ValueError("it is a whole number")
     return name, int(number)
-
-
-def _number(text: str, wanted: str) -> float:
-    match = NUMBER.fullmatch(text)
-    if match is None:
-        raise ValueError(f"it is a number [{wanted or '1'}]")
-    scale = factor(match[2], wanted) if match[2] else 1.0
-    if scale is None or (match[2] and not wanted):
-        raise ValueError(f'"{short(match[2])}" is no unit of it, which is in {wanted or "1"}')
-    number = float(match[1]) * scale
-    if not math.isfinite(number):
-        raise ValueError("it is a finite number")
-    return number

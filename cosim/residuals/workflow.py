@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.arrays import Array, far_beyond
 from cosim.errors import DiskFull, Terminated, stopped
 from cosim.files import FilePath, atomic_write, check_writable, hold_stops, is_full, named_path, one_stop, release_stops
 from cosim.folder_lock import folder_locks
@@ -90,6 +90,7 @@ def replay(
         )
 
 
+@far_beyond
 def write_replay(
     folder: Path,
     log: Log,

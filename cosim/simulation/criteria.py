@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arrays import far_beyond
 from cosim.results import Results
 from cosim.simulation import metrics
 from cosim.simulation.scenario import Criterion, Scenario
 
 
+@far_beyond
 def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
     """Every criterion with its value, limit, unit and whether it is met."""
     return [_evaluate(kind, criterion, results) for kind, _, criterion in scenario.goals]

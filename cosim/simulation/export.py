@@ -152,7 +152,7 @@ def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -
         )
     assumed = taken_for(file, connection, source, target)
     conversion = connection.conversion or source.conversion(target)
-    if (conversion if assumed is None else (assumed.factor, 0.0)) != (1.0, 0.0):
+    if (conversion if assumed is None else (assumed.factor, assumed.offset)) != (1.0, 0.0):
         what = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
         cure = "not all importers of SSPs convert; let both ends have one unit, or an FMU between them convert"
         yield file.fault(("connections", k), f"the connection converts: {what}; {cure}")
@@ -239,7 +239,7 @@ def _units(system: System, models: list[Model]) -> Units:
         for port in model.ports:
             definition = None if description is None else unit_definition(description, port.unit)
             if definition is None and (unit := parse(port.unit)) is not None:
-                definition = (*(float(unit.exponents.get(n, 0)) for n in BASE), unit.factor, 0.0)
+                definition = (*(float(unit.exponents.get(n, 0)) for n in BASE), unit.factor, unit.offset)
             if port.unit and definition is not None:
                 found.setdefault(port.unit, definition)
     return found

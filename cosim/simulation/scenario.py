@@ -17,7 +17,19 @@ from pydantic import (
 
 from cosim.blocks.profile import Profile
 from cosim.isolation.limits import Limits
-from cosim.yaml_file import NotNegative, Number, Part, Positive
+from cosim.yaml_file import (
+    Amount,
+    InUnit,
+    NotNegativeAmount,
+    NotNegativeSeconds,
+    Number,
+    Part,
+    Positive,
+    PositiveAmount,
+    PositiveSeconds,
+    Seconds,
+    Share,
+)
 
 LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
@@ -56,8 +68,8 @@ class Noise(Part):
     bias:     in the unit of the input
     """
 
-    variance: NotNegative = 0.0
-    bias: Number = 0.0
+    variance: NotNegativeAmount = 0.0
+    bias: Amount = 0.0
 
 
 class Connection(Part):
@@ -74,7 +86,7 @@ class Connection(Part):
     target: Variable = Field(alias="to")
     noise: Noise | None = None
     factor: Number | None = None
-    offset: Number | None = None
+    offset: Amount | None = None
 
     @property
     def conversion(self) -> tuple[float, float] | None:
@@ -100,11 +112,11 @@ class Disturbance(Part):
 
     on: Variable
     kind: Literal["bias", "scale", "stuck", "freeze", "dropout", "spike", "delay"]
-    value: Number | None = None
-    probability: Annotated[float, Field(strict=True, gt=0, le=1)] | None = None
-    delay: Positive | None = None
-    begin: Number | None = Field(default=None, alias="from")
-    end: Number | None = Field(default=None, alias="to")
+    value: Amount | None = None
+    probability: Annotated[float, Field(strict=True, gt=0, le=1), Share] | None = None
+    delay: PositiveSeconds | None = None
+    begin: Seconds | None = Field(default=None, alias="from")
+    end: Seconds | None = Field(default=None, alias="to")
 
 
 class Event(Part):
@@ -114,7 +126,7 @@ class Event(Part):
     set: `component.variable` → value
     """
 
-    at: Number
+    at: Seconds
     set: dict[Variable, Annotated[Any, AfterValidator(_scalar)]] = Field(min_length=1)
 
 
@@ -136,7 +148,7 @@ class FmuComponent(Part):
     process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange"] | None = None
-    step: Positive | None = None
+    step: PositiveSeconds | None = None
     tolerance: Positive | None = None
     logging: bool = False
     solver: Literal["cvode", "solve_ivp"] | None = None
@@ -190,9 +202,9 @@ class FixComponent(Part):
     """
 
     block: Literal["fix"]
-    rate: Positive
-    latency: NotNegative = 0.0
-    dropout: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
+    rate: Annotated[Positive, InUnit("Hz")]
+    latency: NotNegativeSeconds = 0.0
+    dropout: Annotated[float, Field(strict=True, ge=0, le=1), Share] = 0.0
     signals: dict[Name, FixedSignal] = Field(min_length=1)
 
 
@@ -224,10 +236,10 @@ class Criterion(Part):
 
     of: Variable
     to: Number | Variable = 0.0
-    band: Positive | None = None
-    after: Number = 0.0
-    until: Number | None = None
-    max: Number
+    band: PositiveAmount | None = None
+    after: Seconds = 0.0
+    until: Seconds | None = None
+    max: Amount
 
 
 Connections = Annotated[  # all of them commented out leave a key without a value
@@ -276,9 +288,9 @@ class Scenario(Part):
 
     name: str
     description: str = ""
-    duration: Positive
-    step: Positive
-    start_time: Number = 0.0
+    duration: PositiveSeconds
+    step: PositiveSeconds
+    start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     algorithm: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
     order: list[Name] | None = None

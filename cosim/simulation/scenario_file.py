@@ -16,9 +16,10 @@ from cosim.errors import Fault, InputError
 from cosim.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
 from cosim.registry import BASE, MODELS
 from cosim.simulation.pinned import with_files_beside
+from cosim.simulation.quantities import convert_quantities
 from cosim.simulation.scenario import Scenario
 from cosim.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
-from cosim.yaml_nodes import Document, NotYaml
+from cosim.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative slack when a duration is divided into steps
@@ -31,10 +32,14 @@ class ScenarioFile:
     faulty parts, `broken` the names of components left out, `places` where the connections, faults and events that are
     left stand in the file. Whoever runs a scenario raises `faults` first.
 
-    origin: where the faults of a scenario that was made from another file stand in that
+    overrides: `path=value` each; a fault of such a value names the override
+    origin:    where the faults of a scenario that was made from another file stand in that
+    option:    in which the user wrote the overrides; "" where a fault gets its place from the caller
     """
 
-    def __init__(self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None) -> None:
+    def __init__(
+        self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"
+    ) -> None:
         self.path = path
         check_form(path, SCENARIO, MANIFEST)
         self.yaml = YamlFile(path, origin)
@@ -45,12 +50,14 @@ class ScenarioFile:
             self.yaml.enter("scenario")
         data = copy.deepcopy(self.yaml.root)
         for override in overrides:
-            _override(path, data, override)
+            named = f'{option} "{short(override)}"' if option else ""
+            self.yaml.overrides[_override(path, data, override, named)] = named
         self.broken: set[str] = set()
         self.stands_in = False
         self.places = _numbered(data)
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # of what is fit to be run
+        convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         self.scenario = self._validate(data)
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
@@ -103,9 +110,10 @@ class ScenarioFile:
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
         cure = s.duration / max(1, math.ceil(count))
+        overrides = self.yaml.overrides
         return [
             self.fault(
-                ("step",),
+                ("duration",) if ("duration",) in overrides and ("step",) not in overrides else ("step",),
                 f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one",
             )
         ]
@@ -185,32 +193,35 @@ def _place(key: str, node: list[Any]) -> int | None:
     return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
 
 
-def _override(path: Path, data: dict[str, Any], text: str) -> None:
-    """Put one `path=value` into the data; the value is read as YAML (JSON included)."""
+def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Location:
+    """Put one `path=value` into the data and return its place; the value is read as YAML (JSON included)."""
     target, sign, value = text.partition("=")
 
     def refused(why: str) -> InputError:
-        return InputError([Fault(path, 0, 0, f'--set "{short(text)}" {why}')])
+        return InputError([Fault(path, 0, 0, f"{named or short(target)} {why}")])
 
     if not sign or not target.strip():
         raise refused("is not path=value; for example --set noise=off")
     node: Any = data
     keys = keys_of(target.strip())
+    at: list[str | int] = []
     for depth, key in enumerate(keys[:-1]):
-        if isinstance(node, list) and _place(key, node) is not None:
-            node = node[_place(key, node) or 0]
+        if isinstance(node, list) and (place := _place(key, node)) is not None:
+            node = node[place]
+            at.append(place)
         elif isinstance(node, dict) and (key in node or depth not in NAMED.get(keys[0], ())):
             node = node.setdefault(key, {})
+            at.append(key)
         else:
             break
     else:
         last = keys[-1]
         if isinstance(node, dict) and (last in node or len(keys) - 1 not in NAMED.get(keys[0], ())):
             node[last] = _from_here(keys, _value(value))
-            return
+            return (*at, last)
         if isinstance(node, list) and (place := _place(last, node)) is not None:
             node[place] = _value(value)
-            return
+            return (*at, place)
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
         known = ", ".join(map(short, islice(components, 20)))
         hint = did_you_mean(keys[1], components)

@@ -8,14 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.description import unit_definition, unit_of
+from cosim.blocks.description import is_difference, unit_definition, unit_of
 from cosim.blocks.interface import Signal
 from cosim.blocks.kinds import Kind, element_names, kinds_of
 from cosim.yaml_file import did_you_mean
-from fmus.units import alternatives, parse
+from fmus.units import allowed_quantity, split_quantity
 
-# a number and its unit, which may begin with a digit (1/min) where a blank comes before it
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*(?=[^\s\d.])|\s+)(\S+)\s*")
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
@@ -97,7 +95,7 @@ def _typed(description: Any, variable: Any, given: Any) -> Any:
     if variable.type == "Binary":
         return given if isinstance(given, str) and HEX.fullmatch(given) else Misfit("it is text of hexadecimal digits")
     if isinstance(given, str):
-        given = _named(variable, given) if variable.type == "Enumeration" else _converted(description, variable, given)
+        given = _named(variable, given) if variable.type == "Enumeration" else converted(description, variable, given)
         if isinstance(given, Misfit):
             return given
     if isinstance(given, bool) or not isinstance(given, (int, float)):
@@ -134,23 +132,21 @@ def _named(variable: Any, text: str) -> int | Misfit:
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 
-def _converted(description: Any, variable: Any, text: str) -> float | Misfit:
-    """`12 deg` in the unit of the variable."""
-    unit = unit_of(variable)
+def converted(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
+    """Return text such as `12 deg` in the unit of the variable; for a difference without the unit's offset."""
+    unit, relative = unit_of(variable), difference or is_difference(variable)
     displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
-    known = {unit: (1.0, 0.0), **{d.name: (float(d.factor), float(d.offset)) for d in displays}}
-    match = QUANTITY.fullmatch(text)
+    known = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}
+    found = split_quantity(text)
     if not unit:
-        return Misfit("it is a number alone: the FMU declares no unit of it")
-    if match is not None and match[2] in known:
-        factor, offset = known[match[2]]
-        return (float(match[1]) - offset) / factor
-    if match is not None and (found := _meant(description, match[2]).conversion(_meant(description, unit))):
-        return found[0] * float(match[1]) + found[1]
-    offered = dict.fromkeys((*known, *(alternatives(unit) if parse(unit) else ())))
-    return Misfit(f"it is a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}")
-
-
-def _meant(description: Any, unit: str) -> Signal:
-    """A value in a unit as the FMU defines it, else as people write it."""
-    return Signal("", unit, unit_definition(description, unit))
+        return Misfit(allowed_quantity(unit))
+    if found is None:
+        return Misfit(allowed_quantity(unit, known))
+    number, written = found
+    if written in known:
+        factor, offset = known[written]
+        return (number - offset) / factor
+    ends = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
+    if written and (by := next(ends).conversion(next(ends))):
+        return by[0] * number + by[1]
+    return Misfit(allowed_quantity(unit, known))

@@ -181,7 +181,7 @@ def _transfers(
             return ()
         conversion = connection.conversion or source.conversion(target)
         if (assumed := taken_for(file, connection, source, target)) is not None:
-            conversion = assumed.factor, 0.0
+            conversion = assumed.factor, assumed.offset
             told = f"{connection.target} {assumed.sentence}"
             if assumed.sentence and told not in diagnosis.warnings:  # of an array once
                 diagnosis.warnings.append(told)

@@ -13,19 +13,21 @@ from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.errors import Fault, InputError
 from cosim.simulation.design import designed_values
-from cosim.simulation.scenario import Scenario
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.start_values import Misfit, settable, typed
+from cosim.simulation.scenario import Scenario, resolved
+from cosim.simulation.scenario_file import ScenarioFile, keys_of
+from cosim.simulation.start_values import Misfit, converted, settable, typed
 from cosim.simulation.start_values import kind_of as kind_of_variable
 from cosim.simulation.system import System, build_system
 from cosim.sweeps.design import MOST_RUNS, Factor, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.study import SweepFile, Varied
 from cosim.yaml_file import YamlFile, did_you_mean, short
+from fmus.units import split_quantity
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # the same for all runs
 FILES = ("fmu", "file", "model")  # last keys of paths whose values are names of files
 MOST_TRIED = 50  # values of a path that are tried before anything runs
 Location = tuple[str | int, ...]
+STANDARD_DEVIATION: Location = ("normal", 1)  # of a distribution; its mean is ("normal", 0)
 
 
 def beside(sweep: Path, name: str, value: Any) -> Any:
@@ -127,7 +129,12 @@ class Factors:
             return None
 
         def value(where: Location, given: Any) -> Any:
-            found = typed(block.description, variable, given)
+            if where == STANDARD_DEVIATION:  # any size will do, and an offset of its unit does not count
+                found = given
+                if isinstance(given, str):
+                    found = converted(block.description, variable, given, difference=True)
+            else:
+                found = typed(block.description, variable, given)
             if isinstance(found, Misfit):
                 self._note(("vary", name, *where), f"{name} is {given!r}; {found.reason}")
                 return None
@@ -154,15 +161,41 @@ class Factors:
             return None
 
         def value(where: Location, given: Any) -> Any:
-            if where[0] not in {"values", "grid"} and isinstance(given, str):
-                self._note(("vary", name, *where), f"{name} is {given!r}; it is a number")
+            if not isinstance(given, str):
+                return given
+            found = split_quantity(given)
+            try:
+                number = self._number_at(name, given)
+                if where == STANDARD_DEVIATION and found is not None:  # an offset of its unit does not count
+                    number = self._number_at(name, f"{2.0 * found[0]!r} {found[1]}") - number
+            except ValueError as error:
+                if where[0] == "values":
+                    return beside(self.yaml.path, name, given)
+                self._note(("vary", name, *where), str(error))
                 return None
-            return beside(self.yaml.path, name, given)
+            return number
 
         factor = self._made(name, varied, value, "")
         if factor is not None:
             self._try_some(factor, varied, name)
         return factor
+
+    def _number_at(self, name: str, given: str) -> float:
+        """Return the number that text such as `4 ms` becomes at a path of the scenario; ValueError if it is none."""
+        text = f"{name}={json.dumps(given)}"
+        try:
+            file = ScenarioFile(self.scenario.path, (*self.overrides, text), option="")
+            faults: Sequence[Fault] = [f for f in file.faults if f.message.startswith(f"{name} is ")]
+            found: Any = None if faults else resolved(file.scenario)
+            for key in () if faults else keys_of(name):
+                found = found[int(key) if isinstance(found, list) else key]
+        except InputError as error:
+            faults, found = error.faults, None
+        except (KeyError, IndexError, TypeError):
+            faults, found = (), None
+        if isinstance(found, (int, float)) and not isinstance(found, bool):
+            return float(found)
+        raise ValueError(faults[0].message if faults else f"{name} is {given!r}; it is a number")
 
     def _try_some(self, factor: Factor, varied: Varied, *paths: str) -> None:
         """Scenarios with some of its values at these paths: their faults, and the first warning of a value."""
@@ -179,7 +212,7 @@ class Factors:
     def _try(self, where: Location, *overrides: str) -> list[str]:
         """Faults of a scenario with one value are noted; its warnings."""
         try:
-            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides))
+            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides), option="")
             system = build_system(file, designed_values(file))
         except InputError as error:
             self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in error.faults]
@@ -199,7 +232,7 @@ class Factors:
                 return None
             return Factor(name, unit, np.linspace(ends[0], ends[1], varied.grid.count).tolist())
         given = getattr(varied, way)
-        numbers = [v if (way, k) == ("normal", 1) else value((way, k), v) for k, v in enumerate(given)]
+        numbers = [value((way, k), v) for k, v in enumerate(given)]
         within = None if varied.within is None else [value(("within", k), v) for k, v in enumerate(varied.within)]
         if any(
             (isinstance(e, (bool, str, int)) and not isinstance(e, float)) or e is None
@@ -253,7 +286,9 @@ class Factors:
         way = self.file.vary[factor.name].way
         for drawn in (min(column), max(column)):
             try:
-                file = ScenarioFile(self.scenario.path, (*self.overrides, f"{factor.name}={json.dumps(drawn)}"))
+                file = ScenarioFile(
+                    self.scenario.path, (*self.overrides, f"{factor.name}={json.dumps(drawn)}"), option=""
+                )
                 build_system(file, designed_values(file))
             except InputError as error:
                 for f in error.faults:

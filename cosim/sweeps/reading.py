@@ -85,7 +85,7 @@ def read_sweep(path: Path) -> Sweep:
         raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])
     overrides = tuple(f"{name}={json.dumps(beside(path, name, value))}" for name, value in file.set.items())
     try:
-        scenario = ScenarioFile(scenario_path, overrides)
+        scenario = ScenarioFile(scenario_path, overrides, option="")
     except InputError as error:
         raise InputError([*faults, *_moved(yaml, ("set",), error, scenario_path)]) from None
     try:

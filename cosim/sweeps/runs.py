@@ -135,7 +135,7 @@ class _Prepared:
 
         overrides: of the scenario, its design among them
         """
-        file = ScenarioFile(path, overrides)
+        file = ScenarioFile(path, overrides, option="")
         values = designed_values(file)
         if file.faults:
             return None
@@ -161,7 +161,7 @@ class _Prepared:
 @lru_cache(maxsize=SYSTEMS)
 def prepared(path: Path, overrides: tuple[str, ...]) -> _Prepared:
     """A scenario put together; InputError."""
-    file = ScenarioFile(path, overrides)
+    file = ScenarioFile(path, overrides, option="")
     system = build_system(file, designed_values(file))
     return _Prepared(file.scenario, system)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from cosim.simulation.scenario import Variable
-from cosim.yaml_file import Number, Part
+from cosim.yaml_file import Part
 
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=1)]
@@ -72,7 +72,7 @@ class Varied(Part):
     grid: Grid | None = None
     uniform: tuple[Quantity, Quantity] | None = None
     log_uniform: tuple[Quantity, Quantity] | None = None
-    normal: tuple[Quantity, Number] | None = None
+    normal: tuple[Quantity, Quantity] | None = None
     triangular: tuple[Quantity, Quantity, Quantity] | None = None
     within: tuple[Quantity, Quantity] | None = None
     count: Count | None = None

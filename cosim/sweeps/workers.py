@@ -10,10 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from cosim.errors import CosimError, Fault, InputError, SimulationError
+from cosim.errors import CosimError, Fault, InputError, SimulationError, SweepFailed
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.sweeps.runs import Asked, Job, Made, Way, error_of, failed, made
+from cosim.text import counted
+from cosim.version import __version__
 from cosim.yaml_file import YamlFile
 
 MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
@@ -39,6 +41,9 @@ class Makers(Protocol):
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the answer of a function that may execute the Python in an FMU."""
+
+    def runs(self, future: Any) -> list[Made]:
+        """The runs of a future that is done."""
 
 
 def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
@@ -115,6 +120,10 @@ class Local:
         """Return the answer of a function, asked of a process."""
         return ask_apart(function, *arguments)
 
+    def runs(self, future: Future[list[Made]]) -> list[Made]:
+        """The runs of a future that is done."""
+        return future.result()
+
     def end(self, *, kill: bool) -> None:
         """End the processes."""
         if kill:
@@ -142,6 +151,10 @@ class Here:
         """Return the answer of a function."""
         return function(*arguments)
 
+    def runs(self, future: Future[list[Made]]) -> list[Made]:
+        """The runs of a future that is done."""
+        return future.result()
+
 
 class Dask:
     """Workers of a dask scheduler; they see the files of this machine under the same names."""
@@ -164,6 +177,17 @@ class Dask:
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the answer of a function, asked of a process of this machine."""
         return ask_apart(function, *arguments)
+
+    def runs(self, future: Any) -> list[Made]:
+        """The runs of a future that is done; SweepFailed if its worker fails, by whatever error of dask."""
+        try:
+            found: list[Made] = future.result()
+        except CosimError:
+            raise
+        except Exception as error:
+            cure = "see the log of the worker; the same command goes on with the runs that are there"
+            raise SweepFailed(f"a dask worker failed: {_one_line(error)}; {cure}") from None
+        return found
 
 
 @contextmanager
@@ -211,7 +235,33 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
             raise InputError(
                 [place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")]
             )
+        if problem := _unfit_workers(client):
+            raise InputError([place(f"the dask scheduler at {address} has {problem}")])
         yield client
+
+
+def _unfit_workers(client: Any) -> str:
+    """Return which workers cannot import this package, or have another version, and the cure; "" if all can."""
+
+    def version_there() -> str:  # within a function: pickled by value, so that a worker need not import this module
+        from importlib import import_module
+
+        import_module("cosim.sweeps.runs")
+        return str(import_module("cosim.version").__version__)
+
+    versions = client.run(version_there, on_error="return")
+    unfit = {worker: found for worker, found in versions.items() if found != __version__}
+    if not unfit:
+        return ""
+    worker, found = next(iter(unfit.items()))
+    why = _one_line(found) if isinstance(found, BaseException) else f"version {found}"
+    cure = f"install cosim {__version__} where they run, or start them in the environment of this command"
+    return f"{counted(len(unfit), 'worker')} of {len(versions)} without cosim {__version__} ({worker}: {why}); {cure}"
+
+
+def _one_line(error: BaseException) -> str:
+    said = str(error).strip()
+    return f"{type(error).__name__}: {said.splitlines()[0]}" if said else type(error).__name__
 
 
 def fault_of(yaml: YamlFile, given: str | None) -> Callable[[str], Fault]:

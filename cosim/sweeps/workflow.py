@@ -16,12 +16,13 @@ from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminate
 from cosim.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
 from cosim.folder_lock import folder_locks
 from cosim.folders import check_left, folder_named
+from cosim.given import Count
 from cosim.simulation.scenario import Criterion
 from cosim.sweeps.batch import why_not_on_arrays
 from cosim.sweeps.outcome import Swept, criterion_names
 from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.runs import MOST_ROWS, Made, Way, sampled_rows
+from cosim.sweeps.runs import MOST_ROWS, Way, sampled_rows
 from cosim.sweeps.statistics import share
 from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
 from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
@@ -40,7 +41,7 @@ Progress = Callable[[int, int], None]
 @one_stop()
 @folder_locks()
 def sweep(
-    path: FilePath, out: FilePath | None = None, *, workers: int | None = None, dask: str | None = None,
+    path: FilePath, out: FilePath | None = None, *, workers: Count | None = None, dask: str | None = None,
     report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
 ) -> Swept:  # fmt: skip
     """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
@@ -141,7 +142,7 @@ class _Sweep:
             self._make(who, repeated, "fmus", CHECKED)
             job = replace(self.study.job, whole=True)
             future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
-            on_arrays = next(iter(who.done({future})[0])).result()
+            on_arrays = who.runs(next(iter(who.done({future})[0])))
             apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
             if not apart <= EQUAL:
                 way, why = "fmus", f"on arrays runs are {plain(apart, 2)} apart from those through the FMUs"
@@ -172,7 +173,7 @@ class _Sweep:
                 pending.add(who.submit(job, asked, way, limits if way == "fmus" else None, len(self.goals)))
             finished, pending = who.done(pending)
             for future in finished:
-                found: list[Made] = future.result()
+                found = who.runs(future)
                 with uninterrupted():
                     self.base.add(found, table)
                 done += len(found)

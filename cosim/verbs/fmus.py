@@ -10,7 +10,7 @@ import typer
 from cosim.blocks.description import C_CODE
 from cosim.kinds import as_typed
 from cosim.verbs.outcome import told
-from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, say_json, table, warn
+from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, say_json, seconds, table, warn
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -170,9 +170,15 @@ def simulate(
         Path | None, typer.Option("--input", help="A CSV with time and columns named as inputs, played to them.")
     ] = None,
     stop: Annotated[
-        float | None, typer.Option(help="When it ends [s]; without, as the FMU says, or the input.")
+        float | None,
+        typer.Option(
+            help="When it ends [s], or 4min; without, as the FMU says, or the input.", parser=seconds, metavar="TIME"
+        ),
     ] = None,
-    step: Annotated[float | None, typer.Option(help="Communication step [s]; without, as the FMU says.")] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Communication step [s], or 20ms; without, as the FMU says.", parser=seconds, metavar="TIME"),
+    ] = None,
     record: Annotated[
         list[str] | None,
         typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable."),

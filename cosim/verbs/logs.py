@@ -22,6 +22,7 @@ from cosim.verbs.terminal import (
     progress_bar,
     say,
     say_json,
+    seconds,
     show,
     stages,
     warn,
@@ -152,7 +153,12 @@ def excite(
         list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help="Of the experiment, in seconds; 40 without, longer for a slow model.")
+        float | None,
+        typer.Option(
+            help="Of the experiment, in seconds or 2min; 40 without, longer for a slow model.",
+            parser=seconds,
+            metavar="TIME",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
     force: Force = False,

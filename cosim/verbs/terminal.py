@@ -18,11 +18,26 @@ import typer
 
 from cosim.errors import CosimError, SimulationError
 from cosim.verbs.streams import echo
+from fmus.units import read_quantity
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
 Numbered = Callable[[str], tuple[int, int]]
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
+
+
+def seconds(text: str) -> float:
+    """Return the time of an option in seconds: a number, or one with its unit, 4min."""
+    try:
+        return float(text)  # whether nan or inf will do is for the command to say
+    except ValueError:
+        pass
+    try:
+        return read_quantity(text, "s")
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r}: {error}") from None
+
+
 Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
 InProcess = Annotated[
     bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")

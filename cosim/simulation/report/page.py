@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arrays import far_beyond
 from cosim.files import atomic_write
 from cosim.report.data import to_json
 from cosim.report.drawing import Drawing
@@ -45,6 +46,7 @@ MOST_LISTED = 1000  # connections in its table
 DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
 
 
+@far_beyond
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
     run = recorded(results, manifest)

@@ -16,7 +16,7 @@ import numpy as np
 from controller.gains import Settings
 from cosim.arrays import Array
 from cosim.simulation.report.recorded import Run, number
-from cosim.simulation.start_values import QUANTITY
+from fmus.units import read_quantity
 
 SIDES = ("right", "left")
 COLOURS = {"right": "warm", "left": "cool"}
@@ -25,9 +25,12 @@ TILT_MAX = Settings().tilt_max  # [rad], what a controller FMU uses unless told 
 
 def angle(value: Any) -> float:
     """An angle [rad], given as a number or as text such as `12 deg`; NaN where it is neither."""
-    if match := QUANTITY.fullmatch(str(value)):
-        return number(match[1]) * {"rad": 1.0, "deg": math.pi / 180}.get(match[2], math.nan)
-    return number(value)
+    if not isinstance(value, str):
+        return number(value)
+    try:
+        return read_quantity(value, "rad")
+    except ValueError:
+        return math.nan
 
 
 @dataclass(frozen=True)

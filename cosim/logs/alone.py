@@ -1,0 +1,81 @@
+"""A log checked without a model: its clock, gaps, units and channels, every column as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from cosim.logs.finding import Finding
+from cosim.logs.gate import gate, refuse_faults
+from cosim.logs.log import Log, LogReader
+from cosim.table import Column, Heading
+from cosim.text import counted
+from fmus.units import parse, taken
+
+WITHOUT_MODEL = "checked without a model: --model FILE:CLASS holds names, units and signs against one"
+
+
+def findings_alone(path: Path, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """Return what there is to say of a log of which no model is known, a line each; InputError with its faults."""
+    reader = _AloneReader(path, columns)
+    log = reader.log()
+    findings = gate(log)
+    refuse_faults(log, findings)
+    return [f.line for f in (*findings, *reader.notes(log))]
+
+
+class _AloneReader(LogReader):
+    """A table whose every column is an output, in SI where its header says a unit; a column of text is left out."""
+
+    def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
+        self.unknown: dict[str, str] = {}  # column → unit that is none known here
+        self.text: list[str] = []
+        super().__init__(path, {}, {}, True, columns)
+
+    def _column(self, heading: Heading) -> Column | None:
+        if heading.cell > 1:
+            heading = replace(heading, name=self.called.get(heading.name, heading.name))
+            if not heading.name:
+                self.faults.note(heading.line, heading.cell, "the column has no name; name it or delete it")
+                return None
+            unit = taken(heading.unit).unit if heading.unit else ""
+            self.outputs[heading.name] = self.known[heading.name] = self.units[heading.name] = unit
+            if heading.unit and parse(heading.unit) is None:
+                self.unknown[heading.name] = heading.unit
+        return super()._column(heading)
+
+    def _check_header(self) -> None:
+        """Something is measured; a model that says what is missing is not known."""
+        if not self.outputs:
+            self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")
+
+    def _check_values(self) -> None:
+        for name, column in list(self.table.columns.items()):
+            kind = f"cells of {name} that are no number"
+            if name in self.outputs and self.faults.counts[column.cell, kind] and np.isnan(self.table[name]).all():
+                self._leave_out(column)
+        super()._check_values()
+
+    def _leave_out(self, column: Column) -> None:
+        """Take a column of text for what it is, no fault."""
+        self.text.append(column.name)
+        del self.table.columns[column.name], self.table.values[column.name], self.outputs[column.name]
+        for cell, kind in [key for key in self.faults.counts if key[0] == column.cell]:
+            del self.faults.counts[cell, kind]
+        header = self.table.header
+        self.faults.found = [f for f in self.faults.found if f.column != column.cell or f.line <= header]
+
+    def notes(self, log: Log) -> Iterator[Finding]:
+        """Columns of text, units that are not known here, and that no model was asked."""
+        for name, unit in self.unknown.items():
+            if name in log.outputs:
+                text = f'"{unit}" is no unit known here: its numbers are taken as they are'
+                yield Finding("warning", "undeclared", name, text)
+        if self.text:
+            text = f"{counted(len(self.text), 'column')} of text not read: {', '.join(self.text)}"
+            yield Finding("note", "unread", "", text, {"columns": len(self.text)})
+        yield Finding("note", "alone", "", WITHOUT_MODEL)
