@@ -97,7 +97,7 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.PROTOCOL:
             from cosim.identification.given import check_protocol  # of the craft's bench: others do without
 
-            check_protocol(path)
+            return [f"warning: {text}" for text in check_protocol(path)]
         case kinds.SWEEP:
             from cosim.sweeps.reading import read_sweep
 
