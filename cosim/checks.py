@@ -95,7 +95,7 @@ def _check(path: Path, model: str, worker: Worker | None, columns: Mapping[str, 
         case kinds.MODEL:
             read_model(path)
         case kinds.PROTOCOL:
-            from cosim.identification.given import check_protocol  # of the craft's bench: others do without
+            from cosim.identification.checking import check_protocol  # of the craft's bench: others do without
 
             return [f"warning: {text}" for text in check_protocol(path)]
         case kinds.SWEEP:

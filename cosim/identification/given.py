@@ -6,9 +6,6 @@ from pathlib import Path
 
 from cosim.errors import InputError
 from cosim.folders import folder_named
-from cosim.identification.cells import calibrated
-from cosim.identification.craft import read_craft
-from cosim.identification.prepared import prepare
 from cosim.kinds import PROTOCOL, check_given
 from cosim.yaml_file import YamlFile
 
@@ -27,21 +24,3 @@ def results_of(path: Path) -> Path:
     except InputError:  # which is told when it is read
         named = None
     return folder_named(named if isinstance(named, str) else path.stem)
-
-
-def check_protocol(path: Path) -> list[str]:
-    """Return the warnings of a protocol; raise InputError with every fault of it, or of logs of a craft.
-
-    Recordings that were measured are analysed, so that a number that cannot be is a fault here as in `identify`.
-    """
-    if (yaml := craft_file(path)) is not None:
-        read_craft(yaml)
-        return []
-    from cosim.identification.workflow import checked_results
-
-    ready = prepare(path)
-    protocol, measured = ready.protocol, ready.measured
-    if not measured or not all(cell.points for cell in protocol.file.cells.values()):
-        return []
-    results = checked_results(protocol, calibrated(protocol, {}), measured, draw=False)
-    return [f"{r.test}: {text}" for r in results for text in r.warnings]
