@@ -124,9 +124,9 @@ def _check(path: Path, model: str | None, worker: Worker | None, columns: Mappin
         case kinds.MODEL:
             return _substep_of(read_model(path))
         case kinds.PROTOCOL:
-            from cosim.identification.given import check_protocol  # of the craft's bench: others do without
+            from cosim.identification.checking import check_protocol  # of the craft's bench: others do without
 
-            check_protocol(path)
+            return [f"warning: {text}" for text in check_protocol(path)]
         case kinds.SWEEP:
             from cosim.sweeps.reading import read_sweep
 

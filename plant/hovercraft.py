@@ -89,6 +89,7 @@ DRAWN_AGAINST = {
     **dict.fromkeys(("yaw_damping", "yaw_coulomb_friction"), ("psi_dot",)),
     **dict.fromkeys(("battery_sag", "accelerometer_drift", "gyro_drift"), ("time",)),
     "accelerometer_lever_arm": ("psi_dot",),
+    "magnetometer_disturbance": ("thrust_right",),
     "table_tilt": ("psi",),
     "coriolis": ("psi_dot · vx", "psi_dot · vy"),
 }

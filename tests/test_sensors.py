@@ -14,6 +14,7 @@ import pytest
 from cosim.arrays import Array
 from cosim.errors import InputError
 from cosim.estimation.posing import build_problem
+from cosim.identification.response import held_lag
 from cosim.kernel.backend import kernel
 from cosim.kernel.interface import Data
 from cosim.logs.log import read_log
@@ -24,18 +25,22 @@ from cosim.refinement.report.terms import shown
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
+from cosim.table import write_table
 from fmus.build import build
 from plant.effects.sensors import (
+    HOVER_THRUST,
     SENSORS,
     AccelerometerDrift,
     AccelerometerLeverArm,
     CameraLatency,
     GyroDrift,
+    MagnetometerDisturbance,
 )
 from plant.hovercraft import Hovercraft
 from plant.integrate import Stepper
 from plant.model import Model
 from plant.namespaces import SCALAR, arrays
+from plant.powertrain import ground_effect
 from plant.sensors import SensorError
 from tests.logs import write_log
 from tests.rover import ROVER, STEP, commands, rover_log, rover_study
@@ -110,6 +115,41 @@ def test_the_kernel_reads_with_every_error_of_a_sensor_in_its_order(rover: Model
     slowed = -0.8 * 0.5
     expected = [0.3 + 0.1 * math.cos(0.7), -0.2 + 0.1 * math.sin(0.7), 0.7, 1.1 + 0.03 + 0.004 * 5.0]
     assert read == pytest.approx([*expected, slowed + 0.2 * 1.1**2], rel=1e-12)
+
+
+def test_the_motors_turn_the_heading_that_a_magnetometer_reads_by_their_thrust_and_not_at_hover() -> None:
+    hover = {"psi": 0.3, "thrust_right": 2.4973, "thrust_left": 2.4973}
+    kind = MagnetometerDisturbance
+    assert kind(value=0.05).readings(SCALAR, 1.0, hover) == {"psi": pytest.approx(0.3)}
+    assert kind(value=0.05).readings(SCALAR, 1.0, hover | {"thrust_left": 3.4973}) == {"psi": pytest.approx(0.35)}
+    assert kind().readings(SCALAR, 1.0, hover | {"thrust_left": 3.4973}) == {"psi": 0.3}
+
+
+@pytest.mark.parametrize("size", [0.0, 0.05])
+def test_refine_names_a_magnetometer_that_the_motors_disturb_where_the_duty_varies(size: float, tmp_path: Path) -> None:
+    """The blind suite's craft; its logged heading is turned by the thrust of the logged duties behind the lag."""
+    study = study_of(tmp_path / "study", {}, "nothing", duty_varied=True)
+    study.write_text(
+        study.read_text().partition("candidates:")[0] + "candidates: [magnetometer_disturbance, gyro_bias]\n"
+    )
+    craft = Hovercraft()
+    gain = ground_effect(SCALAR, craft.height, craft.propeller_radius, craft.ground_effect_exponent)
+    for path in study.parent.glob("*.csv"):
+        header, *lines = path.read_text(encoding="utf-8").splitlines()
+        names = [cell.partition(" [")[0] for cell in header.split(",")]
+        table = np.array([[float(cell or "nan") for cell in line.split(",")] for line in lines])
+        at = {name: k for k, name in enumerate(names)}
+        for side in ("right", "left"):
+            duty = held_lag(table[:, at[f"duty_{side}"]], 0.02, craft.lag)
+            thrust = (craft.thrust_offset + craft.thrust_slope * duty) * craft.gravity / 1000.0 * gain
+            table[:, at["psi"]] += size * (thrust - HOVER_THRUST)
+        write_table(path, header.split(","), table.tolist())
+    r = proven(study, tmp_path / "out")
+    if size:
+        assert (r.record["verdict"], named(r)) == ("sensor_error", {"magnetometer_disturbance"})
+        assert holds(r, "magnetometer_disturbance", "value", size)
+    else:
+        assert r.record["verdict"] == "no_effect"
 
 
 @pytest.mark.parametrize(

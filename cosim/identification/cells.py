@@ -19,6 +19,8 @@ from cosim.identification.recordings import Recording, load_in_si
 from plant.bench import Bench
 
 RAIL = 1.5  # steps of the converter within which a reading is at the end of its range
+RAIL_SLACK = 0.01  # of the range, by which a voltmeter may read beyond the converter's end
+LEAST_POINTS = 3  # for a curve
 NEAR_RAIL = 3.0  # standard errors of a load, in voltage, that a point keeps from the rail: or chance chooses it
 
 
@@ -121,8 +123,16 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
             (load * unit, float(r.volts[channel].mean())) for load, r in zip(cell.loads, hung[channel], strict=True)
         ]
         error = cell.error * cell.full_scale * unit
+        outside = [v for _, v in pairs if not -RAIL_SLACK <= v / known.converter_range <= 1.0 + RAIL_SLACK]
+        if outside:
+            cure = "write volts, or `converter_range` under `parameters`"
+            message = f"a point has {outside[0]:g} V, beyond the converter's 0 to {known.converter_range:g} V; {cure}"
+            raise ValueError(f"cells.{channel}: {message}")
         rail = _at_the_rail(pairs, error, known)
         kept = [pair for pair, out in zip(pairs, rail, strict=True) if not out]
+        if len(kept) < LEAST_POINTS:
+            message = f"{len(kept)} of {len(pairs)} points are left, the others at an end of the converter's range"
+            raise ValueError(f"cells.{channel}: {message} or within their error of it; measure more points inside it")
         try:
             cells[channel] = cell_of(
                 [f for f, _ in kept], [v for _, v in kept], error,

@@ -19,6 +19,7 @@ LEAST_STEP = 0.02  # [%] of the duty
 SAME_DUTY = 0.01  # [%] between means of what is one command: two decimals, rounded
 UPRIGHT = np.radians(2.5)  # cos is off 1 by 0.1 %
 LEAST_ROWS = 10
+ROWS_PER_PERIOD = 10  # of a sine
 LEAST_BEFORE = 3  # rows before a step
 BEFORE = 0.3  # [s] before a step that a fit sees
 UNSETTLED = 0.1  # of a window, which may still carry what was before it
@@ -60,6 +61,7 @@ def lacks(known: Bench, name: str, test: Test, r: Recording, place: str, *, own:
     see = _Seen(known, name, test, r, own)
     if name != "moment" and see.top <= see.idle:
         begins = f", and thrust begins above {see.idle:.2f} %" if own else ""
+        begins += ", as of a share of one, duty [1]" if 0.0 < see.top <= 1.0 else ""
         yield Lack(
             "duty" if isinstance(test, SineTest) else "phases", 0,
             f"duty is {see.top:g} % at most{begins}: the phase with thrust is missing", "record it", "add it",
@@ -78,11 +80,13 @@ def lacks(known: Bench, name: str, test: Test, r: Recording, place: str, *, own:
 
 
 def _windows(test: Test, r: Recording, place: str) -> Iterator[Lack]:
-    ends = f"it lasts from {r.time[0]:g} to {r.time[-1]:g} s"
+    ends = f"it lasts from {r.time[0]:.10g} to {r.time[-1]:.10g} s"
+    if test.rest[1] < r.time[0] and r.time[-1] - r.time[0] >= max(end for _, end in windows_of(test).values()):
+        ends += ", a clock that does not begin at 0 s"
     for key, (start, end) in windows_of(test).items():
-        if (count := int(r.rows((start, end)).sum())) >= LEAST_ROWS:
+        covered = r.time[0] <= start + 1.5 * r.step and end <= r.time[-1] + 1.5 * r.step
+        if (count := int(r.rows((start, end)).sum())) >= LEAST_ROWS and covered:
             continue
-        covered = r.time[0] <= start and end <= r.time[-1]
         if covered and r.step > (end - start) / LEAST_ROWS:
             what = f"rows are {r.step:g} s apart, so that `{key}` from {start:g} to {end:g} s holds {count}"
             cure = "if the time is in milliseconds, name its column time [ms]; else record faster"
@@ -245,6 +249,31 @@ def _sine(see: _Seen, place: str) -> Iterator[Lack]:
         low, high = see.duty[see.seen].min(), see.duty[see.seen].max()
         what = f"the duty goes from {low:.4g} to {high:.4g} % under the sine"
         yield Lack("duty", see.first(see.seen), what, "record it at one duty", "keep it")
+    w = frequency_of(see.run, see.test)
+    place_of_w = see.test.frequencies.index(w)
+    skips = [*see.test.thesis_skip, *(0.0 for _ in see.test.frequencies)]
+    needed = lead + max(see.test.skip, skips[place_of_w] * 2.0 * np.pi / w) + 2.0 * np.pi / w
+    if see.run.time[-1] < needed - 1.5 * see.run.step:
+        what = f"the sine of {w:g} rad/s ends at {see.run.time[-1]:.4g} s, before a whole period after what is skipped"
+        cure = f"until {needed:.4g} s"
+        yield Lack("periods", see.run.time.size - 1, what, f"record it {cure}", f"play it {cure}")
+    if see.run.path is not None and w * see.run.step > 2.0 * np.pi / ROWS_PER_PERIOD * (1.0 + 1e-3):
+        what = f"rows are {see.run.step:.4g} s apart, fewer than {ROWS_PER_PERIOD} in a period of {w:g} rad/s"
+        most = f"{2.0 * np.pi / w / ROWS_PER_PERIOD:.3g} s or less"
+        yield Lack("frequencies", 1, what, f"record it at {most}, or leave it out", f"lower `step` to {most}")
+
+
+def frequency_of(r: Recording, test: SineTest) -> float:
+    """Return the frequency of the protocol [rad/s] whose sine is nearest to the command of a run."""
+    rows = r.time >= test.lead
+    t, y = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
+
+    def missed(w: float) -> float:
+        basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
+        rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
+        return float(rest @ rest)
+
+    return min(test.frequencies, key=missed)
 
 
 def _moment(see: _Seen, place: str) -> Iterator[Lack]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.arrays import Array
 from cosim.identification.cells import Cells, force_of
+from cosim.identification.commanded import frequency_of
 from cosim.identification.estimates import Figure, Result, interval, least, made, shifts_of
 from cosim.identification.protocol import SineTest
 from cosim.identification.recordings import Recording
@@ -88,15 +89,7 @@ def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list
     """Recordings by frequency: that of the protocol's whose sine comes nearest to the command."""
     found: dict[float, list[Recording]] = {}
     for r in recordings:
-        rows = r.time >= test.lead
-        t, y = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
-
-        def missed(w: float, t: Array = t, y: Array = y) -> float:
-            basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
-            rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
-            return float(rest @ rest)
-
-        found.setdefault(min(test.frequencies, key=missed), []).append(r)
+        found.setdefault(frequency_of(r, test), []).append(r)
     return found
 
 

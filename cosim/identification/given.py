@@ -6,8 +6,6 @@ from pathlib import Path
 
 from cosim.errors import InputError
 from cosim.folders import folder_named
-from cosim.identification.craft import read_craft
-from cosim.identification.prepared import prepare
 from cosim.kinds import PROTOCOL, check_given
 from cosim.yaml_file import YamlFile
 
@@ -26,11 +24,3 @@ def results_of(path: Path) -> Path:
     except InputError:  # which is told when it is read
         named = None
     return folder_named(named if isinstance(named, str) else path.stem)
-
-
-def check_protocol(path: Path) -> None:
-    """InputError with every fault of a protocol of a bench, or of logs of a craft and what they are to tell."""
-    if (yaml := craft_file(path)) is None:
-        prepare(path)
-        return
-    read_craft(yaml)

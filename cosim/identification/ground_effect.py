@@ -16,6 +16,7 @@ from plant.namespaces import arrays
 from plant.powertrain import ground_effect
 
 CHEESEMAN_BENNETT = 2.0
+MISFIT_CHANCE = 1e-3  # of a warning where eq 4.28 is right
 
 
 def analyse(
@@ -60,6 +61,12 @@ def analyse(
         ]
     )
     thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
+
+    def gains(using: Cells) -> Array:
+        """Pseudo-values of Γ, shape (repetitions, heights)."""
+        f = forces(using, main)
+        return pseudo_values(lambda rows: np.asarray(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
+
     each = exponents(cells)
     names = [("ground_effect_exponent", "1", thesis, truth.ground_effect_exponent if truth else np.nan)]
     result = Result("ground_effect", made(names, each, shifts_of(exponents, cells, "z", each), "Test 2, fit on Γ, 1/Z̄"))
@@ -69,6 +76,10 @@ def analyse(
             "estimator leaves them out and is biased by it."
         )
     k = result.estimates[0].value
+    result.warnings += _misfit(
+        heights / radius, _gain(heights, radius, k) / _gain(np.array([free]), radius, k), gains(cells),
+        shifts_of(gains, cells, "z"),
+    )  # fmt: skip
     result.more = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         f = forces(cells, chosen)
@@ -80,6 +91,24 @@ def analyse(
     if draw:
         result.figures = _figures(result, heights / radius, forces(cells, main))
     return result
+
+
+def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[str]:
+    """Return a warning where eq 4.28 misses the measured Γ by more than repetitions and calibration scatter."""
+    from scipy import stats
+
+    count, places = each.shape
+    variance = each.var(axis=0, ddof=1).mean() / count + (shifts**2).sum(axis=0)
+    missed = each.mean(axis=0) - model
+    test = float((missed**2 / variance).sum()) / (places - 1)
+    if test < float(stats.f.ppf(1.0 - MISFIT_CHANCE, places - 1, places * (count - 1))):
+        return []
+    worst = int(np.argmax(missed**2 / variance))
+    return [
+        f"Γ is {each.mean(axis=0)[worst]:.3f} at {ratios[worst]:.2f} radii where the fitted exponent gives "
+        f"{model[worst]:.3f}, more than the scatter explains: look at `propeller_radius` and at the heights, which are "
+        "those of the propeller over the ground"
+    ]
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:

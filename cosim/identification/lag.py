@@ -59,12 +59,12 @@ def analyse(
     ways = ("63 %", "rise time", "slope")
     result = Result(
         "thrust_step" if thrust else "step",
-        made([(name, "s", float(np.nanmean(hand[:, 0])), true)], each, shifts, origin),
+        made([(name, "s", _mean(hand[:, 0]), true)], each, shifts, origin),
     )
     result.more = {
         w: {
-            "mean": float(np.nanmean(hand[:, k])),
-            "half_width_of_one": float(1.96 * np.nanstd(hand[:, k], ddof=1)),
+            "mean": _mean(hand[:, k]),
+            "half_width_of_one": 1.96 * _deviation(hand[:, k]),
         }
         for k, w in enumerate(ways)
     }
@@ -77,11 +77,29 @@ def analyse(
         )
         + f"; single fits {1000 * each.mean():.1f} ± {1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test)."
     )
+    step = max(r.step for r in recordings)
+    if step > result.estimates[0].value:
+        result.warnings.append(
+            f"rows are {step:.3g} s apart, more than the lag of {result.estimates[0].value:.3g} s: nothing of its "
+            "shape is in them, and the number rests on the equation of first order; record faster"
+        )
     if not thrust and truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
     if draw:
         result.figures = _figures(result, recordings, cells, known, test, channel, thrust)
     return result
+
+
+def _mean(values: Array) -> float:
+    """Return the mean of the finite values, NaN where there is none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
+
+
+def _deviation(values: Array) -> float:
+    """Return the standard deviation of the finite values, NaN of fewer than two."""
+    finite = values[np.isfinite(values)]
+    return float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
 
 
 def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, float]:

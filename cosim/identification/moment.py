@@ -10,7 +10,7 @@ from cosim.arrays import Array
 from cosim.identification.cells import Cells, force_of
 from cosim.identification.estimates import Figure, Result, made, shifts_of
 from cosim.identification.protocol import Test
-from cosim.identification.recordings import Recording
+from cosim.identification.recordings import Recording, alike
 from cosim.identification.response import low_pass, tilt_response
 from plant.bench import Bench
 from plant.namespaces import arrays
@@ -64,13 +64,13 @@ def analyse(
 
 def _figures(result: Result, recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> list[Figure]:
     w = recordings[0].rows(test.window)
-    same = [r for r in recordings if r.time.size == recordings[0].time.size]
+    same = alike(recordings, test.window)
     alpha = servo_angle(recordings[0].servo_duty[w], known.servo_neutral, known.servo_slope)
     angle, arm = np.degrees(alpha), result.estimates[0].value
     model = 1000.0 * assembly_moment(arrays(), alpha, known.assembly_mass, known.gravity, arm)
-    data = 1000.0 * np.array([force_of(r, cells, "m", test.rest)[w] for r in same])
+    data = 1000.0 * np.array([force_of(r, cells, "m", test.rest)[r.rows(test.window)] for r in same])
     some, bars = slice(None, None, max(1, angle.size // 90)), slice(None, None, max(1, angle.size // 12))
-    spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / (len(same) - 1))
+    spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))
     what = f"m·g·l·sin α, l = {1000 * arm:.4f} mm"
     return [
         Figure("Moment over the tilt", "tilt [°]", "mN·m", [

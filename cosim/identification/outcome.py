@@ -54,9 +54,10 @@ class Outcome:
         lines = []
         for key, e in self.estimates.items():
             unit = "" if e.unit == "1" else f" {e.unit}"
+            thesis = "no value" if np.isnan(e.thesis) else f"{e.thesis:.5g}"
             truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
             lines.append(
-                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g}{truth})"
+                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})"
             )
         return lines
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from cosim.errors import Fault
-from cosim.identification.commanded import LEAST_ROWS, lacks, windows_of
+from cosim.identification.columns import MIN_HEIGHT_RATIO
+from cosim.identification.commanded import LEAST_ROWS, ROWS_PER_PERIOD, lacks, windows_of
 from cosim.identification.protocol import BENCH, LONGEST, HeightTest, ProtocolFile, SineTest, Test
 from cosim.identification.recordings import Recording, commands
 from cosim.text import counted
@@ -15,8 +16,6 @@ from cosim.yaml_file import YamlFile
 from plant.bench import REST_DUTY, Bench
 
 MOST_ROWS = 1_000_000  # of a run
-LEAST_RADII = 0.5  # where eq 4.28 ends
-A_PERIOD = 10  # rows of a sine
 
 
 def planned_faults(yaml: YamlFile, content: ProtocolFile, known: Bench) -> list[Fault]:
@@ -39,7 +38,7 @@ def _step_faults(yaml: YamlFile, content: ProtocolFile, tests: list[tuple[str, T
         return
     least = [((end - start) / LEAST_ROWS, f"tests.{n}.{key}")
              for n, t in tests for key, (start, end) in windows_of(t).items()]  # fmt: skip
-    least += [(2.0 * np.pi / w / A_PERIOD, f"a period of tests.{n} at {w:g} rad/s")
+    least += [(2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s")
               for n, t in tests if isinstance(t, SineTest) for w in t.frequencies]  # fmt: skip
     short = sorted(pair for pair in least if pair[0] < step * (1.0 - 1e-9))
     if len(short) > 1:
@@ -82,8 +81,8 @@ def _height_faults(yaml: YamlFile, test: HeightTest, known: Bench) -> Iterator[F
     for k, height in enumerate(test.heights):
         if height in test.heights[:k]:
             yield yaml.fault((*at, "heights", k), f"{height:g} stands twice; repetitions are more runs at each height")
-        elif height < LEAST_RADII:
-            message = f"{height:g} radii: the ground effect of eq 4.28 ends at {LEAST_RADII:g}; write that or more"
+        elif height < MIN_HEIGHT_RATIO:
+            message = f"{height:g} radii: the ground effect of eq 4.28 ends at {MIN_HEIGHT_RATIO:g}; write that or more"
             yield yaml.fault((*at, "heights", k), message)
     if test.free_height <= max(test.heights) * radius:
         message = f"{test.free_height:g} m is no higher than the heights near the ground, up to "
@@ -106,7 +105,7 @@ def _sine_faults(yaml: YamlFile, content: ProtocolFile, test: SineTest) -> Itera
         place = ("tests", "frequency", "frequencies", k)
         if w in test.frequencies[:k]:
             yield yaml.fault(place, f"{w:g} rad/s stands twice; repetitions are more runs at each frequency")
-        elif w * content.step > 2.0 * np.pi / A_PERIOD * (1.0 + 1e-9):
-            most = 2.0 * np.pi / A_PERIOD / content.step
-            message = f"{w:g} rad/s at a step of {content.step:g} s is less than {A_PERIOD} rows a period"
+        elif w * content.step > 2.0 * np.pi / ROWS_PER_PERIOD * (1.0 + 1e-9):
+            most = 2.0 * np.pi / ROWS_PER_PERIOD / content.step
+            message = f"{w:g} rad/s at a step of {content.step:g} s is less than {ROWS_PER_PERIOD} rows a period"
             yield yaml.fault(place, f"{message}; {most:.3g} rad/s or less, or a shorter `step`")

@@ -10,7 +10,7 @@ from cosim.arrays import Array
 from cosim.identification.cells import Cells, force_of
 from cosim.identification.estimates import Figure, Result, made, shifts_of
 from cosim.identification.protocol import HoldTest
-from cosim.identification.recordings import Recording
+from cosim.identification.recordings import Recording, alike
 from cosim.identification.response import low_pass, tilt_response
 from plant.bench import Bench
 from plant.powertrain import servo_angle
@@ -54,7 +54,7 @@ def analyse(
         "projection", made(names, each, shifts_of(factors, cells, "zx", each), "Test 3, over cos α and sin α")
     )
     # deviation of the functions themselves, in bins of the angle
-    edges = np.arange(0.0, np.radians(90), BIN)
+    edges = BIN * np.arange(-36, 37)
     deviation: dict[str, Array] = {}
     for k, (c, f) in enumerate((("z", np.cos), ("x", np.sin))):
         measured = []
@@ -99,12 +99,12 @@ def _figures(recordings: Sequence[Recording], cells: Cells, known: Bench, test: 
     angle = np.degrees(alpha[w])
     some = slice(None, None, max(1, angle.size // 120))
     order = np.argsort(angle)
-    same = [r for r in recordings if r.time.size == recordings[0].time.size]
+    same = alike(recordings, test.window)
     total = gram * np.mean([force_of(r, cells, "z", test.rest)[r.rows(test.hold)].mean() for r in same])
     for c, f, name in (("z", np.cos, "Vertical"), ("x", np.sin, "Horizontal")):
-        data = gram * np.array([force_of(r, cells, c, test.rest)[w] for r in same])
+        data = gram * np.array([force_of(r, cells, c, test.rest)[r.rows(test.window)] for r in same])
         model = total * f(np.radians(angle))
-        spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / (len(same) - 1))
+        spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))
         what = "T·cos α" if c == "z" else "T·sin α"
         found.append(Figure(f"{name} force over the tilt", "tilt [°]", "gf", [
             ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),

@@ -33,6 +33,8 @@ from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
 LEAST = 3  # repetitions: intervals come from the scatter between them
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is computed
 BENCH = "bench"  # our own
+MAX_OVERLOAD = 1.5  # of full scale, which a cell may be loaded to for its calibration
+MIN_SPAN = 10.0  # errors of a load that the loads of a calibration span, at least
 LONGEST = 3600.0  # [s] of a run that is played
 
 Metres = Annotated[Positive, InUnit("m")]
@@ -55,7 +57,7 @@ class CellFile(Part):
 
     unit: str = "N"
     full_scale: PositiveAmount
-    error: Annotated[NotNegative, Share] = 0.0025
+    error: Annotated[NotNegative, Share, Field(le=0.1)] = 0.0025
     loads: list[Amount] = Field(default=[])
     points: list[tuple[Amount, Annotated[Number, InUnit("V")]]] = Field(default=[])  # load, voltage
 
@@ -263,7 +265,9 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
             yield yaml.fault(("cells", name), f"no such cell; a bench has {', '.join(CHANNELS)}", key=True)
             continue
         if factor(cell.unit, CHANNELS[name]) is None:
-            yield yaml.fault(("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}")
+            yield yaml.fault(
+                ("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{_force_unit(cell.unit)}"
+            )
         if not (cell.loads or cell.points) and _given(yaml, name):
             continue  # what is wrong with them is told already
         if bool(cell.loads) == bool(cell.points):
@@ -277,6 +281,26 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
         elif len(cell.loads or cell.points) < 4:
             key = "loads" if cell.loads else "points"
             yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")
+        elif beyond := [k for k, load in enumerate(_loads(cell)) if abs(load) > MAX_OVERLOAD * cell.full_scale]:
+            load = _loads(cell)[beyond[0]]
+            message = f"{load:g} {cell.unit} is beyond the cell's full_scale of {cell.full_scale:g} {cell.unit}"
+            cure = "correct the unit, the load or full_scale"
+            key = "loads" if cell.loads else "points"
+            yield yaml.fault(("cells", name, key, beyond[0]), f"{message}; {cure}")
+        elif (span := max(_loads(cell)) - min(_loads(cell))) < MIN_SPAN * cell.error * cell.full_scale:
+            message = f"the loads span {span:.3g} {cell.unit}, where the error of each is "
+            message += f"{cell.error * cell.full_scale:.3g} {cell.unit} (`error` of `full_scale`)"
+            yield yaml.fault(("cells", name), f"{message}; correct the unit, or hang larger loads", key=True)
+
+
+def _force_unit(unit: str) -> str:
+    """Return the unit of force that a unit of mass stands for, as a hint."""
+    return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
+
+
+def _loads(cell: CellFile) -> list[float]:
+    """Return the loads of a calibration, in the cell's unit."""
+    return [float(load) for load in cell.loads] or [float(load) for load, _ in cell.points]
 
 
 def _given(yaml: YamlFile, cell: str) -> bool:

@@ -13,6 +13,7 @@ from cosim.arrays import Array, Flags
 from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
 from cosim.errors import Fault, InputError
+from cosim.identification.columns import COLUMNS, PULSE
 from cosim.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from cosim.table import Column, Faults, Heading, read_table
 from cosim.text import counted
@@ -22,9 +23,6 @@ from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.integrate import Stepper
 from plant.namespaces import arrays
 
-COLUMNS = {
-    "duty": "%", "servo_duty": "%", "height": "m", "volts_z": "V", "volts_x": "V", "volts_m": "V",
-}  # fmt: skip
 LANES = 1000  # runs at once
 SECONDS = 1.0  # of a load that hangs
 DEGREE = np.pi / 180.0
@@ -68,6 +66,12 @@ class Recording:
         slack = 1e-6 * self.step
         rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
+
+
+def alike(recordings: Sequence[Recording], window: tuple[float, float]) -> list[Recording]:
+    """Return the recordings with as many rows in a window as the first."""
+    count = recordings[0].rows(window).sum()
+    return [r for r in recordings if r.rows(window).sum() == count]
 
 
 # -- what a protocol plays --------------------------------------------------------------------
@@ -288,18 +292,18 @@ def read_recording(path: Path) -> Recording:
             return Column(heading, scale or 1.0, known="the time")
         if heading.name not in COLUMNS:
             return None
-        scale = factor(heading.unit, COLUMNS[heading.name])
+        wanted = COLUMNS[heading.name].unit
+        scale = factor(heading.unit, wanted)
         if scale is None:
-            faults.note(
-                heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{COLUMNS[heading.name]}]"
-            )
+            cure = f"; write {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
+            faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{wanted}]{cure}")
         return Column(heading, scale or 1.0, known="a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
     if table.whole:
         for name in (n for n in COLUMNS if n not in table.columns):
             hint = did_you_mean(name, table.columns)
-            faults.note(table.header, 1, f'column "{name}" [{COLUMNS[name]}] is missing{hint}; add it')
+            faults.note(table.header, 1, f'column "{name}" [{COLUMNS[name].unit}] is missing{hint}; add it')
         if table.rows < 10:
             faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least")
     faults.raise_any()

@@ -131,7 +131,7 @@ def analyse(
     shifts = shifts_of(lines, cells, "z", each)
     result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
-    degree, errors = _degree(delayed, thrust)
+    degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
     result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": rows.end,
                    "readings_without_thrust": rows.idle}  # fmt: skip
@@ -228,7 +228,7 @@ def highest_duty(recordings: Sequence[Recording], cells: Cells, known: Bench, te
     return min(end, max(float(r.duty[r.rows(test.window)].max()) for r in recordings))
 
 
-def _degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
+def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
     """The lowest degree whose error on repetitions left out is within one standard error of the least."""
     means, spreads = {}, {}
     for degree in DEGREES:

@@ -21,6 +21,7 @@ from cosim.identification.estimates import Estimate, Result
 from cosim.identification.faults import recording_faults
 from cosim.identification.given import craft_file
 from cosim.identification.outcome import Outcome
+from cosim.identification.plausible import result_faults
 from cosim.identification.prepared import cell_fault, prepare
 from cosim.identification.protocol import BENCH, CHANNELS, Protocol
 from cosim.identification.recordings import FmuPlayer, Play, Recording, load_runs, runs_of
@@ -104,7 +105,7 @@ def _outcome(
         raise InputError(faults)
     if progress is not None:
         progress("analysing", 0.0)
-    results = analyse(protocol, cells, recordings)
+    results = checked_results(protocol, cells, recordings)
     return Outcome(protocol, cells, results, recordings)
 
 
@@ -136,6 +137,16 @@ def analyse(
         fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
         if not (name == "frequency" and "step" in recordings):
             known = known.with_values(fresh)
+    return results
+
+
+def checked_results(
+    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
+) -> list[Result]:
+    """Return the results of all tests; raise InputError with every number that cannot be."""
+    results = analyse(protocol, cells, recordings, draw=draw)
+    if faults := result_faults(protocol, results):
+        raise InputError(faults)
     return results
 
 

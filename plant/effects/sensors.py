@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from plant.model import Number, Values
 from plant.namespaces import Namespace
 from plant.quantities import parameter
-from plant.sensors import Bias, Drift, Latency, LeverArm, Scale
+from plant.sensors import Bias, Drift, Latency, LeverArm, Scale, SensorError
+
+HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +90,27 @@ class CameraLatency(Latency):
     outputs = ("x_world", "y_world")
 
 
+@dataclass(frozen=True, kw_only=True)
+class MagnetometerDisturbance(SensorError):
+    """The magnetometer is disturbed by the motors (§5.2): a heading error that follows their duty, none at hover.
+
+    The current of a motor goes with its thrust, a + b·δ behind the lag (4.20): the error is a line of the duty.
+    """
+
+    name = "magnetometer_disturbance"
+    equation = "reading ψ + k·(T_R + T_L − 2·T_N)"
+    output = "psi"
+
+    value: float = parameter(
+        0.0, unit="rad/N", bounds=(-0.5, 0.5), neutral=0.0, typical=0.02, doc="heading error k a newton of thrust"
+    )
+
+    def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
+        """ψ + k·(T_R + T_L − 2·T_N)."""
+        beyond_hover = outputs["thrust_right"] + outputs["thrust_left"] - 2.0 * HOVER_THRUST
+        return outputs["psi"] + self.value * beyond_hover
+
+
 # What is there, then what the sensor makes of it: a lever arm before a scale, and that before a bias.
 SENSORS = (
     AccelerometerLeverArm,
@@ -95,5 +119,6 @@ SENSORS = (
     AccelerometerDrift,
     GyroBias,
     GyroDrift,
+    MagnetometerDisturbance,
     CameraLatency,
 )

@@ -1,0 +1,319 @@
+"""`cosim identify` and `check` on wrong bench recordings: units, signs, columns, cells, copies, ends and rates."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.checks import check_files
+from cosim.errors import InputError
+from cosim.identification.columns import COLUMNS
+from cosim.identification.equal_readings import equal_readings
+from cosim.identification.prepared import read_protocol
+from cosim.identification.recordings import play_plain, runs_of
+from cosim.identification.workflow import identify
+from cosim.table import write_table
+from tests.test_identify import LOADS, short, written
+
+HEADER = ["time", *COLUMNS]
+TIME, DUTY, SERVO, HEIGHT, Z, X, M = range(7)
+TRUTH = {"thrust_offset": -1900.0, "thrust_slope": 335.0, "z_slope": -0.5, "z_square": -0.03}
+Table = np.ndarray[Any, np.dtype[np.float64]]
+Change = Callable[[Table], Table]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, Table]]:
+    """A protocol that reads recordings of all seven tests, and the recordings by file."""
+    content = short()
+    content["parameters"] = TRUTH
+    content["tests"]["ground_effect"]["heights"] = [0.68, 1.25, 2.0]
+    for cell, loads in LOADS.items():
+        content["cells"][cell] |= {"loads": loads}
+    protocol = read_protocol(written(tmp_path_factory.mktemp("truth"), content))
+    tables = {}
+    played = ("phases", "repetitions", "heights", "amplitude", "validation_duty")
+    for name, _ in protocol.file.tests.given():
+        runs = play_plain(protocol.known)(runs_of(protocol, name, 5))
+        files = [f"{name}{k}.csv" for k in range(len(runs))]
+        for file, r in zip(files, runs, strict=True):
+            tables[file] = np.column_stack([r.time, r.duty, r.servo_duty, r.height, *(r.volts[c] for c in "zxm")])
+        kept = {key: value for key, value in content["tests"][name].items() if key not in played}
+        content["tests"][name] = kept | {"files": files}
+    for cell, loads in LOADS.items():
+        unit = 1.0 if cell == "m" else 9.81e-3
+        curve = [getattr(protocol.known, f"{cell}_{power}") for power in ("zero", "slope", "square", "cube")]
+        volts = [float(np.polynomial.polynomial.polyval(load * unit, curve)) for load in loads]
+        content["cells"][cell] = content["cells"][cell] | {"points": [list(p) for p in zip(loads, volts, strict=True)]}
+        del content["cells"][cell]["loads"]
+    for key in ("bench", "draws"):
+        del content[key]
+    content["parameters"] = {"propeller_radius": 0.127}
+    return content, tables
+
+
+def answers(
+    good: tuple[dict[str, Any], dict[str, Table]],
+    folder: Path,
+    name: str,
+    change: Change,
+    *,
+    first_only: bool = False,
+    edit: Callable[[dict[str, Any]], None] | None = None,
+) -> tuple[str, str]:
+    """Return what `check` and `identify` say of one test whose recordings were changed; no numpy warning may appear."""
+    content, tables = json.loads(json.dumps(good[0])), good[1]
+    content["tests"] = {name: content["tests"][name]}
+    if edit is not None:
+        edit(content)
+    for k, file in enumerate(content["tests"][name]["files"]):
+        table = tables[file].copy()
+        write_table(folder / file, HEADER, (table if first_only and k else change(table)).tolist())
+    path = written(folder, content)
+    texts = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for run in (lambda: check_files([path]), lambda: identify(path, folder / "out").warnings):
+            try:
+                texts.append("\n".join(run()))
+            except InputError as error:
+                texts.append(str(error))
+                assert not (folder / "out").exists() or not list((folder / "out").iterdir())
+    return texts[0], texts[1]
+
+
+def column(place: int, change: Callable[[Table], Table]) -> Change:
+    def changed(table: Table) -> Table:
+        table[:, place] = change(table[:, place])
+        return table
+
+    return changed
+
+
+def swapped(one: int, other: int) -> Change:
+    def changed(table: Table) -> Table:
+        table[:, [one, other]] = table[:, [other, one]]
+        return table
+
+    return changed
+
+
+def stuck(place: int, share: float, rows: int | None = None) -> Change:
+    def changed(table: Table) -> Table:
+        first = int(share * len(table))
+        table[first : len(table) if rows is None else first + rows, place] = table[first, place]
+        return table
+
+    return changed
+
+
+def microseconds(duty: Table) -> Table:
+    return 200.0 * duty
+
+
+PULSE = "a pulse of 1500 µs in a frame of 20 ms is 7.5 %"
+MIRRORED = "the horizontal force leans against the commanded tilt (factor -"
+CASES: dict[str, tuple[str, Change, str]] = {
+    "a clipped cell, test 1": ("thrust_line", column(Z, lambda v: np.maximum(v, 2.3)), "its extreme, at"),
+    "a clipped cell, test 3": ("projection", column(X, lambda v: np.maximum(v, 2.1)), "its extreme, at"),
+    "a clipped cell, test 4": ("step", column(X, lambda v: np.maximum(v, 2.1)), "its extreme, at"),
+    "a stuck cell, test 1": ("thrust_line", stuck(Z, 0.6, 60), "volts_z stands still at"),
+    "a stuck cell, test 2": ("ground_effect", stuck(Z, 0.8), "volts_z"),
+    "a stuck cell, step": ("step", stuck(X, 0.65, 60), "is at its end, or stuck"),
+    "a stuck cell, sines": ("frequency", stuck(X, 0.55, 60), "volts_x stands still at"),
+    "a stuck cell, test 5": ("moment", stuck(M, 0.6, 60), "volts_m stands still at"),
+    "a cell that is read each fifth row": (
+        "step", column(X, lambda v: np.repeat(v[::5], 5)[: v.size]), "volts_x repeats each reading",
+    ),
+    "a coarse cell": ("moment", column(M, lambda v: np.round(v / 5e-3) * 5e-3), "is recorded in steps of 0.005 V"),
+    "servo in µs, step": ("step", column(SERVO, microseconds), f"servo_duty is 1500 % here, beyond 0 to 100 % (duty of "
+                          f"the servo); write it in % of the frame: {PULSE}"),
+    "servo in µs, sines": ("frequency", column(SERVO, microseconds), "servo_duty is 1500 % here"),
+    "servo in µs, test 5": ("moment", column(SERVO, microseconds), "servo_duty is 1500 % here"),
+    "servo in degrees": ("step", column(SERVO, lambda v: (v - 7.5) * 22.5), "is a tilt of -169°, beyond ±120°"),
+    "servo as a share": ("frequency", column(SERVO, lambda v: v / 100), "is a tilt of -167°, beyond ±120°"),
+    "duty in µs, test 1": ("thrust_line", column(DUTY, microseconds), "duty is 1000 % here"),
+    "duty in µs, thrust": ("thrust_step", column(DUTY, microseconds), "duty is 1000 % here"),
+    "duty as a share": ("step", column(DUTY, lambda v: v / 100), "as of a share of one, duty [1]"),
+    "a mirrored servo, test 3": ("projection", column(SERVO, lambda v: 15 - v), MIRRORED),
+    "a mirrored servo, step": ("step", column(SERVO, lambda v: 15 - v), "turn the sign of `servo_slope` under"),
+    "a mirrored cell, test 3": ("projection", column(X, lambda v: 4.86 - v), MIRRORED),
+    "a mirrored cell, sines": ("frequency", column(X, lambda v: 4.86 - v), MIRRORED),
+    "heights in mm, test 3": ("projection", column(HEIGHT, lambda v: 1000 * v), "height is 95 m here, beyond 0 to 20"),
+    "heights in mm, test 4": ("step", column(HEIGHT, lambda v: 1000 * v), "height is 95 m here, beyond 0 to 20"),
+    "heights in cm, test 4": ("frequency", column(HEIGHT, lambda v: 100 * v), "height is 9.5 m, and 0.095 m in the"),
+    "heights in radii": ("ground_effect", column(HEIGHT, lambda v: v / 0.127), "beyond 0 to 20 m"),
+    "heights in radii near": (
+        "ground_effect", column(HEIGHT, lambda v: np.where(v > 5, v, v / 0.127)), "above 3 radii of the propeller",
+    ),
+    "heights below 0": ("step", column(HEIGHT, lambda v: -v), "height is -0.095 m here"),
+    "a height that moves": ("moment", column(HEIGHT, lambda v: np.linspace(0.1, 1, v.size)), "height goes from"),
+    "cells z and x, test 3": ("projection", swapped(Z, X), "are the channels swapped?"),
+    "cells z and m, test 3": ("projection", swapped(Z, M), "are the channels swapped?"),
+    "cells x and m, test 3": ("projection", swapped(X, M), "are the channels swapped?"),
+    "cells z and x, sines": ("frequency", swapped(Z, X), "are the channels swapped?"),
+    "cells x and m, sines": ("frequency", swapped(X, M), "are the channels swapped?"),
+    "cells z and m, test 5": ("moment", swapped(Z, M), "at rest, and cell m without load"),
+    "cells x and m, test 5": ("moment", swapped(X, M), "at rest, and cell m without load"),
+    "servo and height": ("thrust_step", swapped(SERVO, HEIGHT), "is a tilt of"),
+    "a recording that was cut, step": ("step", lambda t: t[:315], "the phase `window` from 6 to 8 s is missing"),
+    "a recording that was cut, test 5": ("moment", lambda t: t[:450], "the phase `window` from 3 to 13 s is missing"),
+    "a recording that was cut, sines": ("frequency", lambda t: t[:230], "before a whole period after what is skipped"),
+    "10 Hz, sines": ("frequency", lambda t: t[::5], "rows are 0.1 s apart, fewer than 10 in a period of 10 rad/s"),
+    "a clock since 1970": ("step", column(TIME, lambda v: v + 1.7e9), "a clock that does not begin at 0 s"),
+    "a clock that restarts": ("step", column(TIME, lambda v: np.where(v > 4, v - 4, v)), "does not increase"),
+}  # fmt: skip
+
+
+def test_good_recordings_have_no_fault_and_no_warning(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    for name in good[0]["tests"]:
+        assert answers(good, tmp_path / name, name, lambda t: t) == ("", "")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_wrong_recording_is_refused_with_its_reason_by_check_and_by_identify(
+    case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    name, change, reason = CASES[case]
+    checked, identified = answers(good, tmp_path, name, change)
+    assert reason in checked
+    assert identified == checked
+
+
+@pytest.mark.parametrize("copy", ["cut", "rounded", "later"])
+def test_a_copy_is_no_repetition_though_it_was_cut_rounded_or_shifted(
+    copy: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    original = good[1]["step1.csv"]
+
+    def copied(table: Table) -> Table:
+        table = original.copy()
+        if copy == "cut":
+            return table[:-3]
+        if copy == "later":
+            table[:, TIME] += 0.001
+        else:
+            table[:, Z:] = np.round(table[:, Z:], 3)
+        return table
+
+    checked, identified = answers(good, tmp_path, "step", copied, first_only=True)
+    assert "step1.csv: holds the readings of step0.csv once more" in checked
+    assert identified == checked
+
+
+def test_a_spike_is_no_force_of_another_channel_and_makes_no_copies(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    def spike(table: Table) -> Table:
+        table[350, Z:] = 0.5
+        return table
+
+    checked, _ = answers(good, tmp_path, "thrust_line", spike)
+    assert "swapped" not in checked
+    assert "once more" not in checked
+
+
+def test_10_hz_is_enough_for_a_step_but_not_for_the_thesis_estimator_and_says_so(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, "step", lambda t: t[::5])
+    assert "rows are 0.1 s apart, more than the lag" in checked
+    assert identified in checked
+
+
+CELLS: dict[str, tuple[str, Callable[[str, Any], Any], str]] = {
+    "loads in kg": (
+        "thrust_line", lambda _, c: {"points": [[a / 1000, v] for a, v in c["points"]], "full_scale": 0.816},
+        "thrust_slope comes out as 0.33",
+    ),
+    "loads in N said to be gf": (
+        "thrust_line", lambda _, c: {"points": [[a * 9.81e-3, v] for a, v in c["points"]]}, "the loads span 4.12 gf",
+    ),
+    "loads in gf said to be N": ("thrust_line", lambda _, c: {"unit": "N"}, "thrust_offset comes out as -1.93e+05 gf"),
+    "a unit of mass": ("thrust_line", lambda _, c: {"unit": "kg"}, "a mass that is hung is a force: write kgf"),
+    "points in mV": ("step", lambda _, c: {"points": [[a, 1000 * v] for a, v in c["points"]]}, "beyond the"),
+    "load and voltage swapped": ("step", lambda _, c: {"points": [[v, a] for a, v in c["points"]]}, "beyond the"),
+    "a load beyond full scale": ("step", lambda _, c: {"full_scale": 8}, "is beyond the cell's full_scale of 8 gf"),
+    "an error in percent": ("step", lambda _, c: {"error": 0.25}, "less than or equal to 0.1"),
+    "loads of the other sign": (
+        "projection", lambda n, c: {"points": [[-a, v] for a, v in c["points"]]} if n == "x" else {}, MIRRORED,
+    ),
+    "moments in N mm": (
+        "moment", lambda n, c: {"points": [[1000 * a, v] for a, v in c["points"]], "full_scale": 28.2},
+        "assembly_arm comes out as -0.1",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CELLS)
+def test_a_wrong_calibration_is_refused_with_its_reason(
+    case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    name, change, reason = CELLS[case]
+    channels = ("m",) if name == "moment" else ("z", "x")
+
+    def edit(content: dict[str, Any]) -> None:
+        for channel in channels:
+            content["cells"][channel] |= change(channel, content["cells"][channel])
+
+    checked, identified = answers(good, tmp_path, name, lambda t: t, edit=edit)
+    assert reason in checked
+    assert identified == checked
+
+
+def test_a_run_on_another_day_gives_an_exponent_that_is_refused(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    weak = {
+        **tables,
+        "ground_effect3.csv": column(Z, lambda v: 3.25 - 0.6 * (3.25 - v))(tables["ground_effect3.csv"].copy()),
+    }
+    checked, identified = answers((content, weak), tmp_path, "ground_effect", lambda t: t)
+    assert "ground_effect_exponent comes out as 0.4" in checked
+    assert identified == checked
+
+
+def test_an_interval_that_contains_an_impossible_value_is_named(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    tilted = {**tables}
+    ramp = tables["thrust_line0.csv"].copy()
+    ramp[:, Z] += 1.5 * np.maximum(ramp[:, DUTY] - 6.0, 0.0)  # a cell that fades in one of three runs
+    tilted["thrust_line0.csv"] = ramp
+    checked, identified = answers((content, tilted), tmp_path, "thrust_line", lambda t: t)
+    assert "the interval of thrust_offset" in checked
+    assert "contains impossible values (-10000 to 0 gf is possible)" in checked
+    assert all(line in checked for line in identified.splitlines())
+
+
+def test_a_height_that_the_equation_misses_is_named(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    wrong = column(HEIGHT, lambda v: np.where(np.abs(v - 1.25 * 0.127) < 1e-3, 0.09, v))
+    checked, identified = answers(good, tmp_path, "ground_effect", wrong)
+    assert "more than the scatter explains: look at `propeller_radius` and at the heights" in checked
+    assert identified in checked
+
+
+def test_a_quiet_cell_on_a_coarse_converter_is_not_stuck() -> None:
+    rng = np.random.default_rng(3)
+    time = 0.02 * np.arange(450)
+    force = np.where(time > 6.0, 1.0 - np.exp(-(time - 6.0) / 0.09), 0.0)
+    volts = np.round((2.4 - 0.5 * force + 1e-3 * rng.standard_normal(450)) / 0.01) * 0.01  # noise of a tenth of a step
+    window, rest, rail = (time >= 6.0) & (time <= 8.0), time < 1.0, np.zeros(450, dtype=bool)
+    assert equal_readings(volts, window, rest, rail) is None
+    fine = 2.4 - 0.5 * force + 1e-3 * rng.standard_normal(450)
+    fine[330:360] = fine[330]
+    found = equal_readings(fine, window, rest, rail)
+    assert found is not None
+    assert (found.kind, found.row, found.count) == ("stuck", 330, 30)
