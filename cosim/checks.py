@@ -80,17 +80,20 @@ def check_files(
 
 def _checked(path: Path, model: str | None, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:
     """Check a file; Python that it names is executed in the worker, without one not at all."""
-    try:
-        with without_execution():
-            return _check(path, model, worker, columns)
-    except NotExecuted as code:
-        if worker is None:
-            return [f"warning: {code} (--no-load); neither it nor what depends on it is checked"]
+    with without_execution() as skipped:
         try:
-            lines: list[str] = worker.call(_check, path, model, None, dict(columns))
-        except Crashed as crash:
-            raise InputError([ended(code.file, crash)]) from None
-        return lines
+            return _check(path, model, worker, columns)
+        except NotExecuted as code:
+            if worker is None:
+                return [f"warning: {code} (--no-load); neither it nor what depends on it is checked"]
+        except InputError:
+            if worker is None or not skipped:  # else there may be more faults
+                raise
+    try:
+        lines: list[str] = worker.call(_check, path, model, None, dict(columns))
+    except Crashed as crash:
+        raise InputError([ended(skipped[0], crash)]) from None
+    return lines
 
 
 def _check(path: Path, model: str | None, worker: Worker | None, columns: Mapping[str, str]) -> list[str]:

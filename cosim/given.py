@@ -192,8 +192,8 @@ def _file(value: Any) -> Any:
     name = os.fspath(value)
     if not isinstance(name, str):
         raise ValueError(f"is {_shown(value)}; give the name of a file or folder as text or a Path")
-    if not _text(name):
-        raise ValueError("is empty; give the name of a file or folder")
+    if not _text(name).strip():
+        raise ValueError("is blank; give the name of a file or folder")
     if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
         raise ValueError(f"is {_shown(name)}, longer than the name of a file can be ({LONGEST_NAME} bytes)")
     return name if isinstance(value, str) else Path(name)

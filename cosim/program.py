@@ -27,6 +27,11 @@ def ending_at_once() -> Iterator[None]:
 
 def as_program(entry: Callable[[], None]) -> None:
     """Call it as all that this process is for."""
+    for name in ("SIGTERM", "SIGHUP"):  # what the command sets goes back to this when it is over: its exit code stands
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _ignore)
+            atexit.register(signal.signal, number, signal.SIG_IGN)
     # the last of all: Python takes handlers away before it ends, and what is done has its own exit code
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
@@ -70,6 +75,10 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
         writer.close()
         watcher.join()
         reader.close()
+
+
+def _ignore(number: int, frame: object) -> None:
+    """Do nothing: unlike SIG_IGN, a command takes this for a signal that is to end it."""
 
 
 def _end(number: int, frame: object) -> None:

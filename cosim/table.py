@@ -270,7 +270,8 @@ class _Reader:
                 self.faults.note(1, 1, f"is empty; the first line names the columns: {names}")
                 return
             self.table.header = rows.line_num
-            if len(header) == 1 and (mark := next((m for m in SEPARATORS if m in header[0]), None)):
+            only = header[0] if len(header) == 1 and "\0" not in header[0] else ""
+            if mark := next((m for m in SEPARATORS if m in only), None):
                 cure = "separate them with commas, decimals with a point"
                 self.faults.note(self.table.header, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
                 header = next(csv.reader(header, delimiter=mark))  # what else is wrong is told too

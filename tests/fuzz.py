@@ -35,6 +35,7 @@ from hypothesis import strategies as st
 from cosim.cli import entry
 from cosim.errors import CosimError
 from cosim.simulation.scenario_file import ScenarioFile
+from fmus.scratch import process_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 EXITS = {0, 2, 3, 4, 5, 124, 130}
@@ -599,6 +600,7 @@ def fuzz(
     try:
         os.chdir(work)
         tempfile.tempdir = str(folder / "tmp")
+        process_folder()  # which stays until this process ends, whatever a command does
         one()
     finally:
         os.chdir(here)

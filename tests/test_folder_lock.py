@@ -193,6 +193,6 @@ def test_a_blank_out_is_refused_in_python(
 ) -> None:
     (here := tmp_path / "here").mkdir()
     monkeypatch.chdir(here)
-    with pytest.raises(InputError, match="--out: is blank"):
+    with pytest.raises(InputError, match=r"^(out|folder): is blank; give the name of a file or folder$"):
         VERBS[verb](given, "")  # type: ignore[arg-type]
     assert list(here.iterdir()) == []

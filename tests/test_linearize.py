@@ -398,7 +398,7 @@ def test_what_does_not_fit_is_said_all_at_once(tank: Path, project: Path) -> Non
     assert 'no state "lewel"' in refused(model, states=["lewel"])
     assert "is of FMUs" in refused(model, step=1e-5)
     assert "no such scenario" in refused(model, "none.yaml@1")
-    assert "time in seconds" in refused(model, "none.yaml@soon")
+    assert "after @ stands a time" in refused(model, "none.yaml@soon")
     scenario = project / "scenarios" / "regulate.yaml"
     assert "no component of" in refused(model, f"{scenario}@1")
     assert "11 s is not within" in refused("base", f"{scenario}@11")

@@ -119,7 +119,7 @@ def test_a_parameter_given_to_a_replay_is_as_if_built_in(tmp_path: Path, plant_f
     [
         ("mas=1", 'no such variable; did you mean "mass"?'),
         ("mass=much", "it is a number [kg]"),
-        ("mass=1 m", "is no unit of it"),
+        ("mass=1 m", "it is a number [kg], or text with a unit"),
         ("mass=-1", "it lies in"),
         ("roll_ground_effect=2", "it is true or false"),
         ("x=1", "lets nobody set it"),

@@ -179,7 +179,7 @@ def test_a_first_run_is_of_so_many_steps_at_most_and_a_step_is_no_longer_than_it
 def variable(kind: str = "Real", **more: Any) -> Any:
     default = {
         "name": "v", "type": kind, "shape": (), "causality": "parameter", "variability": "fixed", "initial": "exact",
-        "start": "0", "min": None, "max": None, "declaredType": None, "unit": None,
+        "start": "0", "min": None, "max": None, "declaredType": None, "unit": None, "relativeQuantity": None,
     }  # fmt: skip
     return SimpleNamespace(**(default | more))
 
@@ -207,9 +207,9 @@ def fits(given: Any, kind: str = "Real", version: str = "2.0", **more: Any) -> A
         (2**31 - 1, "Integer", {}, 2**31 - 1),
         ([1, 2], "Real", {"shape": (2,)}, [1.0, 2.0]),
         ([1], "Real", {"shape": (2,)}, "it is a list of 2 values"),
-        ([1, "x"], "Real", {"shape": (1, 2)}, "it is a number alone: the FMU declares no unit of it"),
+        ([1, "x"], "Real", {"shape": (1, 2)}, "it is a number alone: no unit of it is declared"),
         ("180 deg", "Real", {"unit": "rad"}, pytest.approx(math.pi)),
-        ("1 m", "Real", {}, "it is a number alone: the FMU declares no unit of it"),
+        ("1 m", "Real", {}, "it is a number alone: no unit of it is declared"),
     ],
 )
 def test_a_start_value_is_of_the_type_within_the_bounds(given: Any, kind: str, more: Any, found: Any) -> None:
@@ -218,7 +218,7 @@ def test_a_start_value_is_of_the_type_within_the_bounds(given: Any, kind: str, m
 
 def test_items_of_an_enumeration_go_by_name_or_number() -> None:
     items = [SimpleNamespace(name="off", value="1"), SimpleNamespace(name="on", value="3")]
-    more = {"declaredType": SimpleNamespace(items=items, min=None, max=None, unit=None)}
+    more = {"declaredType": SimpleNamespace(items=items, min=None, max=None, unit=None, relativeQuantity=None)}
     assert fits("on", "Enumeration", **more) == 3
     assert fits(1, "Enumeration", **more) == 1
     assert fits(2, "Enumeration", **more) == "it is one of off (1), on (3)"

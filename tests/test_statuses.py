@@ -20,6 +20,7 @@ OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 def instance(ended: float | None = None, logging: bool = False) -> Any:
     made: Any = object.__new__(Instance)
     made.name, made.time, made.fmu, made.log = "m", 1.5, object(), deque(maxlen=3)
+    made._words = ""
     made.step_name, made._logging, made._stopped = "fmi2DoStep", logging, None
     made.calls = SimpleNamespace(ended=lambda t: ended)
     return made
@@ -31,7 +32,7 @@ def instance(ended: float | None = None, logging: bool = False) -> Any:
 )
 def test_a_status_that_is_no_warning_fails_with_its_name_and_the_last_words(status: int, word: str) -> None:
     made = instance()
-    made.remember("too\n  hot")
+    made._words = "too\n  hot"
     with pytest.raises(SimulationError, match=rf"^m at t = 1.5 s: fmi2GetReal returned {word}: too hot$"):
         made.judge("fmi2GetReal", status)
     assert (made.fmu is None) is (status == FATAL)  # not to be touched again

@@ -21,7 +21,6 @@ from cosim.residuals.against import delay, delays, scales
 from cosim.residuals.compare import ChannelSummary
 from cosim.residuals.drive import rows_of
 from cosim.residuals.floor import Floor, draws
-from cosim.residuals.given import _number
 from cosim.residuals.lags import every_lag, neighbours
 from cosim.residuals.record import as_json
 from cosim.residuals.statistics import (
@@ -38,6 +37,7 @@ from cosim.residuals.statistics import (
 )
 from cosim.residuals.windows import Replay, chains, horizons, window_rows
 from cosim.residuals.words import _and, horizon_name, input_words, quality, verdict, whiteness_words
+from fmus.units import read_quantity
 
 
 def log_of(time: Array, step: float = 0.02, outputs: Any = None, inputs: Any = None, **more: Any) -> Log:
@@ -443,13 +443,13 @@ def test_stems_are_about_as_many_as_asked_for_and_begin_with_one_row() -> None:
     [("180 deg", "rad", math.pi), ("-1.5e3", "", -1500.0), (" .5 ", "m", 0.5), ("2. cm", "m", 0.02), ("+3", "1", 3.0)],
 )
 def test_a_start_value_is_a_number_in_a_unit_of_its_variable(text: str, unit: str, value: float) -> None:
-    assert _number(text, unit) == pytest.approx(value)
+    assert read_quantity(text, unit) == pytest.approx(value)
 
 
 @pytest.mark.parametrize(("text", "unit"), [("1 kg", "m"), ("1 m", ""), ("m", "m"), ("1e999", "m"), ("1,5", "m")])
 def test_a_start_value_that_is_no_such_number_is_refused(text: str, unit: str) -> None:
-    with pytest.raises(ValueError, match=r"it is a|is no unit of it"):
-        _number(text, unit)
+    with pytest.raises(ValueError, match=r"it is (a number|not finite)"):
+        read_quantity(text, unit)
 
 
 def test_errors_of_a_replay_are_measured_minus_model() -> None:

@@ -296,17 +296,18 @@ class _AsItIs(SourceFileLoader):
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
-_executes: ContextVar[bool] = ContextVar("Python that a file names is executed", default=True)
+_skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
 
 
 @contextmanager
-def without_execution() -> Iterator[None]:
-    """Execute no Python that a file names: a model in such a file raises NotExecuted."""
-    before = _executes.set(False)
+def without_execution() -> Iterator[list[Path]]:
+    """Execute no Python that a file names: a model in such a file raises NotExecuted. Yields the files so far."""
+    skipped: list[Path] = []
+    before = _skipped.set(skipped)
     try:
-        yield
+        yield skipped
     finally:
-        _executes.reset(before)
+        _skipped.reset(before)
 
 
 def _module(path: Path, source: Source) -> ModuleType:
@@ -314,11 +315,12 @@ def _module(path: Path, source: Source) -> ModuleType:
 
     Raises NotExecuted within `without_execution`, unless the file is no Python at all.
     """
-    if not _executes.get():
+    if (skipped := _skipped.get()) is not None:
         try:
             compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise InputError([source.raised(error, "does not load")]) from None
+        skipped.append(path)
         raise NotExecuted(path)
     name = f"own_model_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))

@@ -109,7 +109,11 @@ class _Fastest:
     """The fastest mode of a model at its start, and along its run on the commands of a log."""
 
     def __init__(self, model: Model) -> None:
-        self.model, self.linearized = model, Linearizer(model)
+        self.model = model
+        try:
+            self.linearized: Linearizer | None = Linearizer(model)
+        except (NotImplementedError, ValueError):  # a function without a printed slope, such as `%`: the default stays
+            self.linearized = None
 
     def at_start(self) -> Mode:
         """Return the fastest mode at the start state and the start command."""
@@ -133,6 +137,8 @@ class _Fastest:
         return fastest
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> Mode:
+        if self.linearized is None:
+            return Mode(0.0, "", place)
         try:
             A = self.linearized(state, command, t).A
         except (ArithmeticError, ValueError):  # no slope here
