@@ -10,10 +10,10 @@ from typing import Any
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIONS, PREDICTIVE, TIME_VARIANT, conflicts
-from plant.design import Judged, Objection, Option
+from cosim.model.design import Judged, Objection, Option
+from cosim.model.model import Model
+from cosim.model.quantities import parameters_of
 from plant.hovercraft import Hovercraft
-from plant.model import Model
-from plant.quantities import parameters_of
 
 WEIGHTS = (
     "weight_x",

@@ -11,14 +11,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.api import check, compare, read, refine, replay, run, simulate
+    from cosim.authoring.export import export_ssp
     from cosim.estimators.workflow import consistency
     from cosim.experiment.excite import excite
-    from cosim.identification.workflow import identify
     from cosim.linearization.workflow import linearize
-    from cosim.models.fmus import build
-    from cosim.simulation.export import export_ssp
+    from cosim.loading.build import build
     from cosim.sweeps.workflow import sweep
+    from cosim.verbs.api import check, compare, read, refine, replay, run, simulate
+    from plant.identification.workflow import identify
 
 __all__ = [
     "build",
@@ -38,19 +38,19 @@ __all__ = [
 ]
 
 _PLACES = {
-    "build": "cosim.models.fmus",
-    "check": "cosim.api",
-    "compare": "cosim.api",
+    "build": "cosim.loading.build",
+    "check": "cosim.verbs.api",
+    "compare": "cosim.verbs.api",
     "consistency": "cosim.estimators.workflow",
     "excite": "cosim.experiment.excite",
-    "export_ssp": "cosim.simulation.export",
-    "identify": "cosim.identification.workflow",
+    "export_ssp": "cosim.authoring.export",
+    "identify": "plant.identification.workflow",
     "linearize": "cosim.linearization.workflow",
-    "read": "cosim.api",
-    "refine": "cosim.api",
-    "replay": "cosim.api",
-    "run": "cosim.api",
-    "simulate": "cosim.api",
+    "read": "cosim.verbs.api",
+    "refine": "cosim.verbs.api",
+    "replay": "cosim.verbs.api",
+    "run": "cosim.verbs.api",
+    "simulate": "cosim.verbs.api",
     "sweep": "cosim.sweeps.workflow",
 }
 
@@ -62,7 +62,7 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cosim.given import checked
+    from cosim.base.settings import checked
 
     function = globals()[name] = checked(getattr(import_module(_PLACES[name]), name))
     return function

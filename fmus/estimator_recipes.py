@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fmus.build import Recipe
-from fmus.description import Description
-from fmus.documentation import documented
-from fmus.ports import Port
+from cosim.fmi.documentation import documented
+from cosim.fmi.fmu_build import Recipe
+from cosim.fmi.model_description import Description
+from cosim.fmi.ports import Port
 
 DESIGNING = (
     "controller/synthesis.py",
@@ -45,11 +45,11 @@ def extended_recipe() -> Recipe:
 
 def jacobians() -> str:
     """Print ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a Python module; kept in the user's cache."""
-    from fmus.native.cache import fingerprint, kept
+    from cosim.model.symbolic.jacobian import printed_jacobians
+    from cosim.storage.cache import fingerprint, kept
     from plant.hovercraft import Hovercraft
-    from plant.symbolic.jacobian import printed_jacobians
 
-    code = fingerprint(("plant", "plant.effects", "plant.symbolic"))
+    code = fingerprint(("plant", "plant.effects", "cosim.model.symbolic"))
     what = ("ax",), ("yaw_damping",)
     return str(kept(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what)))
 

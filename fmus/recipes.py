@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from fmus.build import Recipe, about_model, ordered
-from fmus.description import Description
-from fmus.documentation import documented, model_text
+from cosim.fmi.documentation import documented, model_text
+from cosim.fmi.fmu_build import Recipe, about_model, ordered
+from cosim.fmi.model_description import Description
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
 HEAVY = {
@@ -30,8 +30,8 @@ Dependencies = Mapping[str, Sequence[str]]
 
 def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
     """The plant, with other defaults where `values` says so (a refined model)."""
+    import cosim.model.planar as planar
     import plant.hovercraft as craft
-    import plant.planar as planar
 
     model = craft.Hovercraft()
     about = about_model(

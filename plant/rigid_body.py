@@ -6,8 +6,8 @@ side up. World axes: X forward and Y left at ψ = 0, z up. No other reading sati
 
 from __future__ import annotations
 
-from plant.model import Number
-from plant.namespaces import Namespace
+from cosim.model.model import Number
+from cosim.model.namespaces import Namespace
 
 
 def thrust_vector(m: Namespace, thrust: Number, alpha: Number) -> tuple[Number, Number]:

@@ -13,8 +13,8 @@ MODEL = '''"""Sway and yaw of a ferry, each with a thruster and friction of its 
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
+from cosim.model.model import Effect, Equations, Model, overrides
+from cosim.model.quantities import Quantity, parameter
 
 
 class FerryEffect(Effect):

@@ -12,9 +12,9 @@ MODEL = '''"""Winding and shaft of a DC motor."""
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
+from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Quantity, parameter
 
 
 class MotorEffect(Effect):

@@ -15,10 +15,10 @@ MODEL = '''"""A mass on a rail, between a spring and a motor."""
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency
+from cosim.model.delay import Delay
+from cosim.model.model import Effect, Equations, Model, overrides
+from cosim.model.quantities import Quantity, parameter
+from cosim.model.sensors import Bias, Latency
 
 
 class RailEffect(Effect):

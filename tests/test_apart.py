@@ -16,8 +16,8 @@ from tests.test_drive import EXAMPLE, simulated
 
 CRAFT = (
     "plant.hovercraft", "plant.powertrain", "plant.rigid_body", "plant.effects", "controller", "fmus.plant_fmu",
-    "fmus.controller_fmu", "fmus.recipes", "cosim.simulation.report.craft", "cosim.experiment.closed_loop",
-    "cosim.bench",
+    "fmus.controller_fmu", "fmus.recipes", "fmus.report", "controller.closed_loop",
+    "benchmarks.bench",
 )  # fmt: skip
 APART = f"""
 import sys
@@ -28,7 +28,7 @@ class Closed:
             raise ImportError(f"{{name}} is the craft's")
 
 sys.meta_path.insert(0, Closed())
-from cosim.cli import entry
+from cosim.verbs.cli import entry
 sys.argv = ["cosim", *sys.argv[1:]]
 entry()
 """

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-import fmus.build
-from fmus.build import build
+import cosim.fmi.fmu_build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
 from tests.hosts_fmpy import Instance, description_of
 
-ROOT = fmus.build.ROOT
+ROOT = cosim.fmi.fmu_build.ROOT
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
 BOTH = pytest.mark.parametrize("which", list(RECIPES))
 
@@ -54,7 +54,7 @@ class Later(packer.datetime.datetime):
 packer.datetime = type("datetime", (), {"datetime": Later, "timezone": packer.datetime.timezone})
 then = time.gmtime(2.2e9)
 time.localtime, time.time = (lambda *_: then), (lambda: 2.2e9)
-from fmus.build import build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
 build(plant_recipe(), Path(sys.argv[1]))
 build(controller_recipe(), Path(sys.argv[2]))
@@ -112,7 +112,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for package in ("plant", "controller", "fmus"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "LICENSE", folder)
-    monkeypatch.setattr(fmus.build, "ROOT", folder)
+    monkeypatch.setattr(cosim.fmi.fmu_build, "ROOT", folder)
     return folder
 
 
@@ -125,7 +125,7 @@ def test_the_place_of_the_sources_does_not_matter(tree: Path, plant_fmu: Path, t
     [
         ("plant_fmu", "plant/rigid_body.py"),
         ("plant_fmu", "plant/effects/thrust.py"),
-        ("plant_fmu", "fmus/slave.py"),
+        ("plant_fmu", "cosim/fmi/slave.py"),
         ("controller_fmu", "controller/loop.py"),
         ("controller_fmu", "fmus/controller_fmu.py"),
     ],

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-import fmus.build
-from fmus.build import build
+import cosim.fmi.fmu_build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import plant_recipe
 from tests.hosts_fmpy import Instance
 from tests.misbehaving import misbehaving_fmu
@@ -69,7 +69,7 @@ def test_two_builds_of_other_sources_keep_their_own(
     changed = text.replace("return thrust * m.sin(alpha)", "return 2.0 * thrust * m.sin(alpha)")
     assert changed != text
     source.write_text(changed, encoding="utf-8")
-    monkeypatch.setattr(fmus.build, "ROOT", tmp_path)
+    monkeypatch.setattr(cosim.fmi.fmu_build, "ROOT", tmp_path)
     strong_fmu = build(plant_recipe(), tmp_path / "strong.fmu")
     for order in ((plant_fmu, strong_fmu), (strong_fmu, plant_fmu)):
         rows = dict(zip(order, alternately(*order), strict=True))
@@ -117,7 +117,7 @@ class Poison(types.ModuleType):
             raise AttributeError(name)
         raise RuntimeError(f"{self.__name__}.{name} was touched")
 
-poison = {n: Poison(n) for n in ("plant", "plant.hovercraft", "controller", "controller.loop", "fmus", "fmus.slave")}
+poison = {n: Poison(n) for n in ("plant", "plant.hovercraft", "controller", "controller.loop", "fmus", "cosim.fmi.slave")}
 sys.modules.update(poison)
 rows = []
 with Instance(Path(sys.argv[1])) as plant, Instance(Path(sys.argv[2])) as controller:

@@ -18,12 +18,12 @@ CODE = {".py", ".c", ".j2", ".css", ".js"}
 VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
 # The rooms of the craft, and the registry that knows where they are.
 CRAFT = (
-    "plant/bench.py", "fmus/bench_fmu.py", "cosim/identification/",
+    "plant/bench.py", "fmus/bench_fmu.py", "plant/identification/",
     "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
     "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/controller_laws.py", "fmus/recipes.py",
     "fmus/controller_native.py",
-    "cosim/simulation/report/craft/",
-    "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/bench_native.", "cosim/registry.py",
+    "fmus/report/",
+    "controller/closed_loop.py", "benchmarks/bench.py", "cosim/bench_native.", "cosim/base/registry.py",
     "fmus/craft_ports.py", "fmus/estimator_fmu.py", "fmus/estimator_recipes.py",
 )  # fmt: skip
 NAMES = re.compile(r"duty_|tilt|\bpsi|_psi|x_world|Hovercraft")

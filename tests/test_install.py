@@ -38,7 +38,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cosim(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
     """Run a command of the installed package; its output."""
     done = subprocess.run(
-        [sys.executable, "-m", "cosim.cli", *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
+        [sys.executable, "-m", "cosim.verbs.cli", *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
         env={**os.environ, "PYTHONPATH": str(site), **environment},
     )  # fmt: skip
     assert done.returncode == 0, (arguments, done.stdout, done.stderr)

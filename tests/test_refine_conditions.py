@@ -23,8 +23,8 @@ from tests.studies import holds, named, proven, study_of
 MOTOR = '''
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
+from cosim.model.model import Effect, Equations, Model, overrides
+from cosim.model.quantities import Quantity, parameter
 
 
 class Load(Effect):

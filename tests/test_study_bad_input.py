@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.checks import check_files
-from cosim.cli import app
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app
 from tests.tank import MODEL, tank_log
 
 LATE = '''

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 VALVE = '''"""A valve."""
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias
+from cosim.model.model import Effect, Equations, Model, overrides
+from cosim.model.quantities import Quantity, parameter
+from cosim.model.sensors import Bias
 
 
 class ValveEffect(Effect):

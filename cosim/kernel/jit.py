@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
-from cosim.files import atomic_write
-from cosim.kernel.arrays import ArrayKernel, constants
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.kernel.buffers import ArrayKernel, constants
 from cosim.kernel.generate import Generated
-from cosim.kernel.interface import Data
-from fmus.native.cache import cached
+from cosim.kernel.kernel import Data
+from cosim.storage.cache import cached
+from cosim.storage.files import atomic_write
 
 
 class JitKernel(ArrayKernel):

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
-from cosim.sweeps.runs import Made
-from fmus.files import draft_of
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.sweeps.run_chunks import Made
 
 if TYPE_CHECKING:
     import pyarrow

@@ -17,15 +17,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.registry import MODELS, TWINS, resolve
+from cosim.base.scratch import process_folder
+from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.interface import Component
 from cosim.blocks.sources import Source
-from cosim.registry import MODELS, TWINS, resolve
-from cosim.sweeps.compiled import stepping
-from fmus.archive import unpack
-from fmus.scratch import process_folder
-from plant.quantities import parameters_of
+from cosim.model.quantities import parameters_of
+from cosim.storage.archive import unpack
+from cosim.sweeps.c_lanes import stepping
 
 Given = Mapping[str, Any]  # variable → value, or an array with one for each run
 
@@ -141,8 +141,8 @@ def unpacked(path: Path) -> Path:
 
 
 def _known_model(name: str) -> tuple[Any, Any, Any] | None:
-    from plant.integrate import Stepper
-    from plant.namespaces import arrays
+    from cosim.model.integrate import Stepper
+    from cosim.model.namespaces import arrays
 
     for known in MODELS.values():
         if f"{known.model.rpartition(':')[2]}Plant" == name:

@@ -1,10 +1,12 @@
-"""Commands, but for the first of them; `cosim.cli` takes them all by `register`."""
+"""Commands, but for the first of them; `cosim.verbs.cli` takes them all by `register`."""
 
 from __future__ import annotations
 
 import typer
 
-from cosim.verbs import consistency, files, fmus, linear, logs, runs, sweep
+from cosim.verbs import consistency_verb as consistency
+from cosim.verbs import fmus, linear, logs, runs, sweep
+from cosim.verbs import pictures as files
 from cosim.verbs.manner import with_manner
 
 

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.folders import folder_named, folder_of_file, name_of
-from cosim.program import ending_when_stuck
+from cosim.base.program import ending_when_stuck
+from cosim.storage.folders import folder_named, folder_of_file, name_of
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import (
     Compile,
@@ -63,8 +63,8 @@ def replay(
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.blocks.compiling import compiling
-    from cosim.residuals.record import as_json as numbers
-    from cosim.residuals.words import verdict
+    from cosim.residuals.comparison_data import as_json as numbers
+    from cosim.residuals.replay_sentences import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     place = folder_of_file(log) if out is None else out
@@ -105,7 +105,7 @@ def refine(
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.report.error_tables import second_sentence
     from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
@@ -203,8 +203,8 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
-    from cosim.identification.given import results_of
-    from cosim.identification.workflow import identify as identify_bench
+    from plant.identification.input_kind import results_of
+    from plant.identification.workflow import identify as identify_bench
 
     place = results_of(protocol) if out is None else out
     with stages() as progress:

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import SensorError
+from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Quantity, parameter
+from cosim.model.sensors import SensorError
 
 
 class TankEffect(Effect):

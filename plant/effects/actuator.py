@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.effects.terms import HovercraftEffect, Pair
-from plant.model import Number, Values
-from plant.namespaces import Namespace
+from cosim.model.delay import Delay
+from cosim.model.model import Number, Values
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Quantity, parameter
+from plant.effects.hooks import HovercraftEffect, Pair
 from plant.powertrain import second_order
-from plant.quantities import Quantity, parameter
 
 
 def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.effects.terms import HovercraftEffect, Motion, Pair, Wrench
-from plant.model import Number
-from plant.namespaces import Namespace
-from plant.planar import local_vector
-from plant.quantities import parameter
+from cosim.model.model import Number
+from cosim.model.namespaces import Namespace
+from cosim.model.planar import local_vector
+from cosim.model.quantities import parameter
+from plant.effects.hooks import HovercraftEffect, Motion, Pair, Wrench
 
 
 @dataclass(frozen=True, kw_only=True)

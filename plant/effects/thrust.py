@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.effects.terms import HovercraftEffect, Pair
-from plant.model import Number
-from plant.namespaces import Namespace
-from plant.quantities import parameter
+from cosim.model.model import Number
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import parameter
+from plant.effects.hooks import HovercraftEffect, Pair
 
 
 @dataclass(frozen=True, kw_only=True)

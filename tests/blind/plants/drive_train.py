@@ -6,11 +6,11 @@ at some 14 Hz; the whole spins up in half a second.
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency, Scale
+from cosim.model.delay import Delay
+from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Quantity, parameter
+from cosim.model.sensors import Bias, Latency, Scale
 
 REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns at up to 50 rad/s
 TEETH = 4  # notches of the motor a turn
