@@ -29,7 +29,7 @@ from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows, allocate, mapped_table
 from cosim.isolation.watch import Watch
 from cosim.master.master import PROGRESS_EVERY, simulate
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.batch import Batch, kinds_of
 from cosim.system.system import System, build_system

@@ -20,7 +20,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, played_lines, trial_of, within
 from cosim.fmi.fmu_build import build
-from cosim.model.model import Model, Values
+from cosim.model import Model, Values
 from cosim.storage.table import write_columns
 from fmus.recipes import controller_recipe
 

@@ -9,10 +9,18 @@ from typing import Any
 
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIONS, PREDICTIVE, TIME_VARIANT, conflicts
+from controller.variants import (
+    INTEGRAL,
+    INTEGRALS,
+    POLES,
+    PREDICTIONS,
+    PREDICTIVE,
+    TIME_VARIANT,
+    PredictiveSettings,
+    conflicts,
+)
+from cosim.model import Model, parameters_of
 from cosim.model.design import Judged, Objection, Option
-from cosim.model.model import Model
-from cosim.model.quantities import parameters_of
 from plant.hovercraft import Hovercraft
 
 WEIGHTS = (
@@ -159,7 +167,6 @@ def _settings(law: str) -> Any:
         from controller.time_variant_settings import TimeVariantSettings
 
         return TimeVariantSettings
-    from controller.variants import PredictiveSettings
 
     return PredictiveSettings
 

@@ -13,9 +13,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from controller.design_model import Matrix
 from controller.gains import Settings, variance
 from controller.slopes import Slopes
-from cosim.model.integrate import Moment, Stepper
+from cosim.model import Moment, Stepper, parameter, parameters_of
 from cosim.model.model import Parametric
-from cosim.model.quantities import parameter, parameters_of
 from plant.hovercraft import Hovercraft
 
 SENSED = ("psi", "psi_dot", "ax")

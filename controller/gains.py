@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from cosim.model import parameter, parameters_of
 from cosim.model.model import Parametric
-from cosim.model.quantities import parameter, parameters_of
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 
 ESTIMATORS = ("appendix_f", "lagged", "consistent")

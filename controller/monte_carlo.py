@@ -21,7 +21,7 @@ from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
 from controller.observers import LinearFilter
-from cosim.model.integrate import Moment, Stepper
+from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
 from plant.hovercraft import Hovercraft
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from controller.design_model import Matrix, ModelNumbers, design_model
-from cosim.model.model import Values
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR, Values
 from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.hovercraft import Hovercraft
 

@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 from controller.extended import ExtendedSettings
 from controller.gains import CRAFT, variance
 from controller.variants import PredictionSettings
-from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import Parameter, parameter, parameters_of
+from cosim.model import SCALAR, Parameter, parameter, parameters_of
 from plant.hovercraft import Hovercraft
 from plant.powertrain import ground_effect
 

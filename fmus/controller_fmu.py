@@ -13,7 +13,7 @@ from controller.laws import Law, StateFeedback
 from controller.loop import Loop
 from cosim.fmi.ports import Port, Value, parameter_port
 from cosim.fmi.slave import STEP, Slave
-from cosim.model.quantities import parameters_of
+from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_ports, start_ports
 
 

@@ -12,7 +12,7 @@ from controller.kalman import discrete_model
 from cosim.fmi.native.layout import Layout
 from cosim.fmi.native.package import Native, part
 from cosim.fmi.native.printing import LANGUAGE, Sources, quoted, variable_tables
-from cosim.model.quantities import parameters_of
+from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
 from fmus.recipes import controller_recipe
 

@@ -14,7 +14,7 @@ from controller.gains import Settings
 from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
 from cosim.fmi.ports import Port, Value, parameter_port
 from cosim.fmi.slave import Slave
-from cosim.model.quantities import Parameter, parameters_of
+from cosim.model import Parameter, parameters_of
 from fmus.craft_ports import ESTIMATE, ESTIMATES, fix_ports, sigma_ports, start_ports
 from fmus.craft_ports import MEASURED as IMU
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft

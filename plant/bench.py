@@ -9,10 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import SCALAR, Namespace
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import (
+    SCALAR,
+    Delay,
+    Effect,
+    Equations,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Values,
+    overrides,
+    parameter,
+)
 from plant.powertrain import (
     assembly_moment,
     ground_effect,

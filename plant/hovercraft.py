@@ -9,10 +9,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cosim.model.model import Equations, Model, Number, Validity, Values, overrides
-from cosim.model.namespaces import SCALAR, Namespace
-from cosim.model.planar import PlanarFrame, world_velocity
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import (
+    SCALAR,
+    Equations,
+    Model,
+    Namespace,
+    Number,
+    PlanarFrame,
+    Quantity,
+    Validity,
+    Values,
+    overrides,
+    parameter,
+    world_velocity,
+)
 from plant.effects import CATALOGUE
 from plant.effects.hooks import HovercraftEffect, Motion
 from plant.effects.sensor_errors import SENSORS

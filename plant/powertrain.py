@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.model.model import Number
-from cosim.model.namespaces import Namespace
+from cosim.model import Namespace, Number
 
 
 def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Number, gravity: Number) -> Number:

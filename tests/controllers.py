@@ -37,9 +37,7 @@ from controller.variants import (
     placed_settings,
 )
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.model.integrate import Moment, Stepper
-from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import Parameter, parameters_of
+from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
 from cosim.model.symbolic.jacobian import loaded
 from fmus.estimator_recipes import jacobians
 from fmus.recipes import HEAVY

@@ -13,8 +13,7 @@ MODEL = '''"""Sway and yaw of a ferry, each with a thruster and friction of its 
 
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class FerryEffect(Effect):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.logs.log import Log, read_log
-from cosim.model.integrate import Moment, Stepper
+from cosim.model import Moment, Stepper
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]

@@ -15,10 +15,7 @@ MODEL = '''"""A mass on a rail, between a spring and a motor."""
 
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Latency
+from cosim.model import Bias, Delay, Effect, Equations, Latency, Model, Quantity, overrides, parameter
 
 
 class RailEffect(Effect):

@@ -19,10 +19,7 @@ ROVER = '''"""A rover: a force forward, a moment, and drag."""
 
 from dataclasses import dataclass
 
-from cosim.model.gain import Gain
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Drift, Latency, LeverArm
+from cosim.model import Bias, Drift, Effect, Equations, Gain, Latency, LeverArm, Model, Quantity, overrides, parameter
 
 
 class RoverEffect(Effect):

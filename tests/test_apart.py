@@ -14,11 +14,7 @@ import pytest
 from tests.tank import LEAK, tank_study
 from tests.test_drive import EXAMPLE, simulated
 
-CRAFT = (
-    "plant.hovercraft", "plant.powertrain", "plant.rigid_body", "plant.effects", "controller", "fmus.plant_fmu",
-    "fmus.controller_fmu", "fmus.recipes", "fmus.report", "controller.closed_loop",
-    "benchmarks.bench",
-)  # fmt: skip
+CRAFT = ("plant", "controller", "fmus.plant_fmu", "fmus.controller_fmu", "fmus.recipes", "fmus.report", "benchmarks")
 APART = f"""
 import sys
 

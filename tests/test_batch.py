@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import sympy
 
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper, parameters_of
 from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
-from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft

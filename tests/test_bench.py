@@ -11,7 +11,7 @@ import sympy
 from fmpy.validation import validate_fmu
 
 from cosim.loading.build import build
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
 from plant.bench import Bench
 from plant.identification.recordings import FmuPlayer, Run, play_plain

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.estimation.posing import build_problem, coarsened
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import context
 from cosim.refinement.search.fits import Search

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from cosim.loading.file import load_model
-from cosim.model.integrate import Stepper
-from cosim.model.model import Model
+from cosim.model import Model, Stepper
 from tests.blind import field_score, field_study, harness
 from tests.blind.field_cost import Conditions, costs, remaining
 from tests.blind.field_craft import CraftRig

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 from tests.blind import truth
 from tests.blind.truth import VARIANCE, Log, craft_of, draw, fly, write

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from cosim.estimation.candidates import base_parameters, candidates, neutral_values
-from cosim.model.model import Equations, Model
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import parameter
+from cosim.model import Equations, Model, Namespace, parameter
 from plant.hovercraft import Hovercraft
 
 

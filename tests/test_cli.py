@@ -37,7 +37,7 @@ def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
     commands = {n: np.sin(time) for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")}  # down to −1
     log = write_log(tmp_path / "a.csv", {"time": time, **commands, "ax": np.cos(time)})
     run = subprocess.run(
-        [sys.executable, "-m", "cosim.verbs.cli", "check", str(log)],
+        [sys.executable, "-m", "cosim", "check", str(log)],
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": encoding},
         capture_output=True,
         timeout=120,

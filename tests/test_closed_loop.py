@@ -15,7 +15,7 @@ from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
 from controller.lqr import feedback
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from cosim.base.errors import InputError
 from cosim.estimators.consistency import Consistency, Row, by_case, consistency_of, headline, independent_times
 from cosim.estimators.report import page
 from cosim.estimators.workflow import consistency
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 

@@ -28,7 +28,7 @@ from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
 from cosim.base.errors import InputError
 from cosim.fmi.fmu_build import build
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.model.symbolic.linearize import linearize
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario_file import ScenarioFile

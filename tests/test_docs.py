@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.fmu_build import build
-from cosim.model.quantities import parameters_of
+from cosim.model import parameters_of
 from cosim.refinement.report.refine_page import use_command
 from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
@@ -57,7 +57,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     refined.write_text(f"schema_version: 1\nmodel: hovercraft\nparameters: {found}\n")
     for command in COMMANDS[:-1]:  # the flight of excite takes its time; tests/test_excite.py has it
         done = subprocess.run(
-            f"{sys.executable} -m cosim.verbs.cli {command}", shell=True, cwd=project, capture_output=True, text=True,
+            f"{sys.executable} -m cosim {command}", shell=True, cwd=project, capture_output=True, text=True,
             env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=120,
         )  # fmt: skip
         assert done.returncode == 0, (command, done.stderr)
@@ -68,7 +68,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
 
 def command(project: Path, line: str) -> subprocess.CompletedProcess[str]:
     """A command as a document shows it."""
-    arguments = [sys.executable, "-m", "cosim.verbs.cli", *shlex.split(line, comments=True)[1:]]
+    arguments = [sys.executable, "-m", "cosim", *shlex.split(line, comments=True)[1:]]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(arguments, cwd=project, env=environment, capture_output=True, text=True, timeout=120)
 

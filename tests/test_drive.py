@@ -19,8 +19,7 @@ import pytest
 
 from cosim.fmi.fmu_build import build, model_recipe
 from cosim.loading.file import load_model
-from cosim.model.integrate import Stepper
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR, Stepper
 from cosim.refinement.workflow import refine
 from tests.hosts_fmpy import Instance
 

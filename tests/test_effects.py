@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.model.integrate import Stepper
-from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import parameters_of
+from cosim.model import SCALAR, Stepper, parameters_of
 from plant.effects import CATALOGUE
 from plant.effects.actuator import (
     ActuatorDelay,

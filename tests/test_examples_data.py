@@ -19,8 +19,7 @@ import numpy as np
 import pytest
 
 from cosim.loading.file import load_model
-from cosim.model.model import Model
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR, Model
 from cosim.refinement.workflow import refine
 
 ROOT = Path(__file__).resolve().parent.parent

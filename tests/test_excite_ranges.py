@@ -24,8 +24,7 @@ FAN = '''"""A fan in front of a flap."""
 
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from cosim.estimation.posing import build_problem, coarsened, with_equations_tru
 from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
-from cosim.model.model import Model
+from cosim.model import Model
 from cosim.refinement.decision.evidence import best_of, held_out, scattered
 from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
 from cosim.refinement.decision.trust import attributed

@@ -17,7 +17,7 @@ from cosim.authoring.parts import component_name
 from cosim.base.errors import CosimError, InputError
 from cosim.blocks.component import Signal
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.kinds import READ_BY
+from cosim.storage.kinds import LOG, next_step
 from cosim.storage.results import read_results
 from cosim.verbs.api import run, simulate
 from cosim.verbs.checks import check_files
@@ -80,7 +80,7 @@ def test_what_is_no_fmu_is_named_with_the_command_that_reads_it(tmp_path: Path, 
         (tmp_path, "is a folder, not an FMU"),
         (tmp_path / "none.fmu", "no such file; give an FMU"),
         (tmp_path / "empty.fmu", "is empty; give an FMU"),
-        (tmp_path / "log.csv", f"is a log, not an FMU: {READ_BY['a log'].format(file=tmp_path / 'log.csv')}"),
+        (tmp_path / "log.csv", f"is a log, not an FMU: {next_step(LOG, tmp_path / 'log.csv')}"),
         (tmp_path / "s.yaml", "is a scenario, not an FMU: `cosim run"),
     ):
         out = ["--out", tmp_path / "made.yaml"] if verb == "init" else []

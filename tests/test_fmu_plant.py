@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 
-from cosim.model.integrate import Moment, Stepper
+from cosim.model import Moment, Stepper
 from plant.hovercraft import OUTPUTS, STATES, Hovercraft
 from tests.hosts_fmpy import Instance, extracted, refused
 

@@ -15,9 +15,7 @@ from cosim.base.errors import InputError
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
-from cosim.model.model import Equations, Model
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity
+from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
 from cosim.residuals.against import delay, delays, scales
 from cosim.verbs.checks import check_files

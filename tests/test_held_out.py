@@ -11,7 +11,7 @@ import numpy as np
 from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement.decision.evidence import held_out
 from cosim.refinement.decision.judgement import decided
 from cosim.refinement.search.attribution import Attributor

@@ -13,7 +13,7 @@ import pytest
 from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.residuals import starts
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive, model_signals
@@ -36,8 +36,7 @@ NOTHING = "nothing that the model lacks"
 OVEN = '''
 from dataclasses import dataclass
 
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

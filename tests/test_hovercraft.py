@@ -7,9 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from cosim.model.integrate import Stepper
-from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import parameters_of
+from cosim.model import SCALAR, Stepper, parameters_of
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import excitation, flown
 

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.loading.file import read_model
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.verbs.checks import check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.identification.rest_noise import squared, variance

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.model import parameters_of
 from cosim.model.integrate import Moment, Stepper, rk4, substeps
-from cosim.model.quantities import parameters_of
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, excitation, flown, simulate

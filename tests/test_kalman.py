@@ -14,7 +14,7 @@ from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 
 Matrix = NDArray[np.float64]

@@ -28,9 +28,7 @@ from cosim.kernel.jit import JitKernel
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.loading.file import own_model
-from cosim.model.integrate import Stepper
-from cosim.model.model import Equations, Model
-from cosim.model.namespaces import Namespace
+from cosim.model import Equations, Model, Namespace, Stepper
 from cosim.model.symbolic.dormant import skippable
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C, Python

@@ -17,9 +17,7 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
-from cosim.model.model import Equations, Model, Number, Values
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
 
 STEP, TAU, NOISE = 0.1, 1.6, 0.02
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controller.design_model import design_model, measurement_matrix
 from controller.gains import Settings
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.effects.actuator import ActuatorSecondOrder
 from plant.effects.body import ComOffset, Coriolis, TableTilt

@@ -165,8 +165,7 @@ def test_a_point_without_a_derivative_is_refused_with_what_each_side_gives(tank:
 SERVO = """
 from dataclasses import dataclass
 
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -441,7 +440,7 @@ def test_the_command_prints_json_for_scripts(
 
 def test_the_linear_model_predicts_what_the_plant_does() -> None:
     """Half a second after a small step of the tilts, the nonlinear plant is where the linear model says."""
-    from cosim.model.integrate import Stepper
+    from cosim.model import Stepper
 
     craft = Hovercraft()
     found = linearize("base").first

@@ -22,10 +22,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from controller.observers import LinearFilter
 from cosim.fmi.fmu_build import build
-from cosim.model.integrate import Stepper
-from cosim.model.model import Equations, Model, Values
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Namespace, Quantity, Stepper, Values, parameter
 from cosim.model.symbolic.jacobian import loaded, printed_jacobians
 from cosim.model.symbolic.linearize import linearize
 from cosim.verbs.outcomes import Run

@@ -14,7 +14,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError, SimulationError
 from cosim.master.master import StoppedRun, simulate
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results

@@ -38,7 +38,7 @@ from tests.logs import write_log
 pytestmark = pytest.mark.fresh
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
-COMMAND = [sys.executable, "-m", "cosim.verbs.cli", "run"]
+COMMAND = [sys.executable, "-m", "cosim", "run"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 

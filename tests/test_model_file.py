@@ -16,7 +16,7 @@ from cosim.blocks.fmu import read_description
 from cosim.loading.declared import checked
 from cosim.loading.file import load_model, own_model, read_model
 from cosim.loading.source import Source
-from cosim.model.model import Model
+from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.checks import check_files, check_fmu
 from cosim.verbs.cli import app
@@ -28,7 +28,7 @@ FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
 TOTAL = "total = command[0] - d * rate - k * angle"
 SENSOR = """
-from cosim.model.sensors import SensorError
+from cosim.model import SensorError
 
 @dataclass(frozen=True, kw_only=True)
 class Bent(SensorError):
@@ -350,7 +350,7 @@ def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str,
 
 def test_a_delay_remembers_as_long_as_it_may_last(tmp_path: Path) -> None:
     late = """
-from cosim.model.delay import Delay
+from cosim.model import Delay
 
 @dataclass(frozen=True, kw_only=True)
 class Late(Delay, TableEffect):

@@ -14,9 +14,7 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import KNOTS, bump, rise
 from cosim.logs.log import read_log
-from cosim.model.model import Equations, Model
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.decision.sentences import follows, unexplained
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.shapes import Shape

@@ -28,9 +28,7 @@ from cosim.fmi.ports import model_ports
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory
 from cosim.loading.build_native import build_native
-from cosim.model.integrate import Stepper
-from cosim.model.model import Model
-from cosim.model.quantities import parameters_of
+from cosim.model import Model, Stepper, parameters_of
 from cosim.simulation.coupling import coupling_error
 from plant.hovercraft import Hovercraft
 from tests.hosts_fmpy import Instance, description_of
@@ -579,7 +577,7 @@ def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_pa
 
 
 def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "cosim.verbs.cli", "build", "-o", str(tmp_path), "--native"]
+    command = [sys.executable, "-m", "cosim", "build", "-o", str(tmp_path), "--native"]
     done = subprocess.run([*command, "--platforms", "linux32,win64"], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
@@ -596,7 +594,7 @@ def test_platforms_without_a_compiler_that_crosses_are_refused(tmp_path: Path) -
     if crossing():
         pytest.skip("the extra native brings one")
     foreign = "win64" if sys.platform == "linux" else "linux64"
-    with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'cosim-hovercraft\[native\]'"):
+    with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'fmu-cosim\[native\]'"):
         build_native(tmp_path, platforms=[foreign])
     assert not list(tmp_path.iterdir())
 

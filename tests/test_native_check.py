@@ -16,7 +16,7 @@ from cosim.kernel.backend import kernel
 from cosim.loading.build import build
 from cosim.loading.build_native import build_native
 from cosim.loading.file import load_model
-from cosim.model.model import Model
+from cosim.model import Model
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER
 from tests.test_native import PLANTS, TIGHT, by_fmu, by_python, difference, wandering
@@ -26,10 +26,7 @@ pytestmark = NEEDS_COMPILER
 ROTOR = """
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity as Q
-from cosim.model.quantities import parameter
+from cosim.model import Delay, Effect, Equations, Model, Quantity as Q, overrides, parameter
 
 
 class Term(Effect):

@@ -13,7 +13,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
 from cosim.loading.build_native import build_native
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER, Exchange, dop853, rk4
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
@@ -97,7 +97,7 @@ def test_a_fine_solver_that_stops_at_events_finds_what_it_finds_on_the_python_eq
             row = (*row[:2], *play)
         acting.append((since, row))
     model = Hovercraft().with_values({n: v for n, v in memoryless.items() if not n.endswith("_start")})
-    from cosim.model.integrate import Stepper
+    from cosim.model import Stepper
 
     stepper = Stepper(model)
     expected, t = [], 0.0

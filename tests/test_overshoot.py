@@ -11,7 +11,7 @@ import pytest
 from controller.synthesis import numbers_of
 from cosim.base.errors import InputError
 from cosim.loading.file import read_model
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft

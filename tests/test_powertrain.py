@@ -7,8 +7,7 @@ import math
 import pytest
 
 from controller.gains import Settings
-from cosim.model.integrate import Stepper
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR, Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
 from tests.independent import flown

@@ -28,8 +28,7 @@ from tests.typed import typed_fmu
 
 TANK = """
 from dataclasses import dataclass
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

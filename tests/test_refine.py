@@ -28,7 +28,7 @@ from cosim.kernel.kernel import DISTURBANCE, MEMORY
 from cosim.loading.build_native import class_fmu
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement import workflow
 from cosim.refinement.decision.verdict import Name
 from cosim.refinement.proof.refined_models import Variant
@@ -509,9 +509,7 @@ def test_the_command_line_prints_what_the_gate_warns_of(
 
 RIG = '''
 from dataclasses import dataclass
-from cosim.model.delay import Delay
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Delay, Equations, Model, Quantity, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Late(Delay):

@@ -23,8 +23,7 @@ from tests.studies import holds, named, proven, study_of
 MOTOR = '''
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class Load(Effect):

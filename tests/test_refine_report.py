@@ -23,7 +23,7 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement.decision.judgement import decided
 from cosim.refinement.decision.verdict import Verdict, judge
 from cosim.refinement.proof.refined_models import Variant
@@ -52,8 +52,7 @@ from tests.seen import faults
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
 from dataclasses import dataclass
-from cosim.model.model import Effect, Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Dry(Effect):

@@ -17,7 +17,7 @@ from cosim.base.errors import InputError, SimulationError
 from cosim.loading.build import build as build_fmus
 from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
 from cosim.residuals.drive import Drive, StoppedReplay, log_of_fmu, model_signals

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 
 def cosim(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     """The command as a user types it."""
-    command = [sys.executable, "-m", "cosim.verbs.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "cosim", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=120)
 

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.loading.file import load_model
 from cosim.logs.log import Log
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.refinement.decision.sentences import rises
 from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.proof.sealed import plain_rise, risen

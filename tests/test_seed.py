@@ -22,7 +22,7 @@ from controller.variants import PredictiveSettings
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import controllability
 from cosim.linearization.workflow import linearize
-from cosim.model.namespaces import SCALAR
+from cosim.model import SCALAR
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
 from plant.identification.cells import calibrated

@@ -19,10 +19,8 @@ from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Data
 from cosim.loading.file import load_model, own_model
 from cosim.logs.log import read_log
-from cosim.model.integrate import Stepper
-from cosim.model.model import Model
+from cosim.model import Model, SensorError, Stepper
 from cosim.model.namespaces import SCALAR, arrays
-from cosim.model.sensors import SensorError
 from cosim.refinement.proof.measure import Variant, replays
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import shown

@@ -17,7 +17,7 @@ from cosim.loading.build import build as build_fmus
 from cosim.loading.file import LoadedModel, load_model, named_model, read_model, write_model
 from cosim.loading.substep import MAX_CHOSEN, with_substep
 from cosim.logs.log import read_log
-from cosim.model.model import Model
+from cosim.model import Model
 from cosim.refinement.workflow import refine
 from cosim.residuals.windows import replay
 from cosim.verbs.checks import check_files
@@ -162,8 +162,7 @@ def test_a_model_that_runs_away_is_told_with_its_log_and_time(
 RUNAWAY = '''
 from dataclasses import dataclass
 
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

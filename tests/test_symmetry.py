@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, Array, flown
 

@@ -244,8 +244,7 @@ def test_an_angle_whose_header_says_degrees_is_not_asked_to_be_in_degrees(tmp_pa
 
 CART = """
 from dataclasses import dataclass
-from cosim.model.model import Equations, Model
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

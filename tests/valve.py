@@ -13,9 +13,7 @@ VALVE = '''"""A valve."""
 
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model, overrides
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias
+from cosim.model import Bias, Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class ValveEffect(Effect):

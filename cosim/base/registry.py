@@ -1,47 +1,53 @@
-"""What is known by name, and where it is: the one place in which general rooms and a particular craft meet.
+"""Models, report pages, array twins and commands that installed packages register through entry points.
 
-Nothing named here is imported before it is asked for, so that a study of another model never loads it.
+An entry point names an object of the classes below. Nothing is imported before it is asked for, so that a study of one
+model never loads another. docs/extending.md shows a package that registers something.
 """
 
 from __future__ import annotations
 
+import functools
 import pkgutil
-from collections.abc import Collection, Iterable, Mapping
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from pathlib import Path
 from typing import Any
 
+from cosim.base.errors import Fault, InputError
 
-@dataclass(frozen=True)
-class Page:
-    """A page about components that have these variables.
+MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # groups of entry points
+BASE = "base"  # the model that is meant where none is named
+FORMER = "cosim-hovercraft"  # a distribution that held framework and example in one, and registers nothing
 
-    subject: `module:function` of (run, drawing), the `Subject` it shows; figures: of (run, folder), the
-             files it drew, or "" for those of any run
-    """
 
-    variables: frozenset[str]
-    subject: str
-    figures: str
+class ExtensionWarning(UserWarning):
+    """An installed package registers something that cannot be loaded."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """A model that goes by a name, and what belongs to it; each `module:name`, "" where there is none.
+class ModelEntry:
+    """A model under a name, with what belongs to it. Places are `module:object`, "" where there is none.
 
-    model:   its class
-    recipe:  of its FMU, from parameter values
-    built:   file → recipe: what `cosim build` makes without a model named; beside: FMUs made with any model of it
-    native:  name → what makes a native FMU beside its own
-    rig:     what plays its experiments
-    design:  the designer of its controller, behind `design:` of a scenario
-    cases:   its estimators and truths to hold them against; estimators: of (case, runs, steps, random numbers), the
-             normalised errors and innovations of one
+    name:       what files call the model
+    model:      place of its class
+    recipe:     place of the function that returns the recipe of its FMU from parameter values
+    built:      file name → place of a recipe: the FMUs of `cosim build` without a model
+    beside:     file name → place of a recipe: FMUs that are built beside each model of this class
+    native:     name → place of what makes a native FMU beside the model's own
+    rig:        place of the class that plays its experiments
+    design:     place of the designer of its controller, behind `design:` of a scenario
+    cases:      place of its estimators and of the truths that they are judged against
+    estimators: place of a function of (case, runs, steps, random numbers) that returns the normalised errors and
+                innovations of one estimator
     """
 
+    name: str
     model: str
     recipe: str
-    built: Mapping[str, str]
-    beside: Mapping[str, str]
+    built: Mapping[str, str] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict)
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
@@ -49,65 +55,144 @@ class Known:
     estimators: str = ""
 
 
-LAWS = {  # the craft's controller under another law, with the same ports
-    "controller-pole.fmu": "fmus.recipes:poles_recipe",
-    "controller-lqi.fmu": "fmus.recipes:integral_recipe",
-    "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
-    "controller-ltv-mpc.fmu": "fmus.recipes:time_variant_recipe",
-}
-BASE = "base"  # the first of these
-MODELS = {
-    "hovercraft": Known(
-        model="plant.hovercraft:Hovercraft",
-        recipe="fmus.recipes:plant_recipe",
-        built={
-            "plant.fmu": "fmus.recipes:plant_recipe",
-            "controller.fmu": "fmus.recipes:controller_recipe",
-            "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
-            **LAWS,
-            "filter.fmu": "fmus.estimator_recipes:filter_recipe",
-            "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
-        },
-        beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
-        native={"controller": "fmus.controller_native:controller_native"},
-        rig="controller.closed_loop:ClosedLoop",
-        design="controller.designer:DESIGNER",
-        cases="controller.monte_carlo:CASES",
-        estimators="controller.monte_carlo:squares_of",
-    ),
-    "bench": Known(model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe", built={}, beside={}),
-}
-BASE_NAME = next(iter(MODELS))
-# modelName of an FMU that is no model of equations → what does the same for many runs at once (cosim/sweeps/twins.py)
-TWINS = {"HovercraftController": "controller.many:Controllers"}
-SCHEMAS = {"protocol": "plant.identification.protocol:ProtocolFile"}  # kind of file → what describes its keys
-PAGES = (
-    Page(
-        frozenset({"x_world", "y_world", "psi"}),
-        "fmus.report.craft_page:subject",
-        "fmus.report.png_figures:figures",
-    ),
-)
+@dataclass(frozen=True)
+class Page:
+    """A report page about runs that have a component with certain variables.
+
+    variables: names that the component has
+    subject:   place of a function of (run, drawing) that returns the `Subject` on the page
+    figures:   place of a function of (run, folder) that draws PNG files, "" for those of any run
+    """
+
+    variables: frozenset[str]
+    subject: str
+    figures: str = ""
 
 
-def page_for(components: Iterable[Collection[str]]) -> Page | None:
-    """The page for a run with components of these variables, if there is one."""
-    sets = [set(variables) for variables in components]
-    return next((page for page in PAGES if any(page.variables <= variables for variables in sets)), None)
+@dataclass(frozen=True)
+class Extension:
+    """A command, or kinds of files, that a package adds.
+
+    command:   place of a function of the typer app that adds the command
+    function:  place of the function that `cosim.NAME` is in Python
+    artefacts: place of a tuple of `Artefact` (cosim/storage/artefacts.py)
+    """
+
+    command: str = ""
+    function: str = ""
+    artefacts: str = ""
 
 
-def known(kind: type) -> Known | None:
-    """What is known of a class of models, or of the nearest it is made from, by where that stands."""
+def models() -> dict[str, ModelEntry]:
+    """Return the models that go by a name, each once and under its own."""
+    entries = {name: load(MODELS, name) for name in names(MODELS)}
+    return {e.name: e for e in entries.values() if isinstance(e, ModelEntry)}
+
+
+def model_entry(name: str = BASE) -> ModelEntry:
+    """Return the model of a name; InputError where there is none, which says what to name instead."""
+    found = load(MODELS, name) if name in names(MODELS) else None
+    if not isinstance(found, ModelEntry):
+        raise InputError([Fault(Path("model"), 0, 0, f'no model "{name}" is installed; {cure_without_base()}')])
+    return found
+
+
+def is_model(name: str) -> bool:
+    """Return whether a model is registered under a name."""
+    return name in names(MODELS)
+
+
+def cure_without_base() -> str:
+    """Return what to do where no model is registered as `base`."""
+    cure = "name a model.yaml or FILE.py:Class of your own"
+    try:
+        version(FORMER)
+    except PackageNotFoundError:
+        return cure
+    return f"{FORMER} of an earlier release is installed, which registers nothing: pip uninstall {FORMER}; or {cure}"
+
+
+def entry_of(kind: type) -> ModelEntry | None:
+    """Return what is registered for a class of models, or for the nearest class that it is made from."""
     places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
-    return next((k for place in places for k in MODELS.values() if k.model == place), None)
+    return next((e for place in places for e in models().values() if e.model == place), None)
 
 
 def rig_of(kind: type, otherwise: Any) -> Any:
-    """What plays experiments of a class of models."""
-    entry = known(kind)
+    """Return what plays experiments of a class of models."""
+    entry = entry_of(kind)
     return resolve(entry.rig) if entry and entry.rig else otherwise
 
 
+def page_for(components: Iterable[Collection[str]]) -> Page | None:
+    """Return the page for a run with components of these variables, if there is one."""
+    sets = [set(variables) for variables in components]
+    pages = (page for name in names(PAGES) if isinstance(page := load(PAGES, name), Page))
+    return next((page for page in pages if any(page.variables <= variables for variables in sets)), None)
+
+
+def twin_of(model_name: str) -> Any:
+    """Return the class that does for many runs at once what the FMU of a modelName does; None where there is none."""
+    return load(TWINS, model_name) if model_name in names(TWINS) else None
+
+
+def extensions() -> Iterator[tuple[str, Extension]]:
+    """Yield the commands and kinds of files that packages add, by name."""
+    for name in names(VERBS):
+        if isinstance(found := load(VERBS, name), Extension):
+            yield name, found
+
+
+def names(group: str) -> list[str]:
+    """Return the names that are registered in a group, in alphabetical order."""
+    return sorted(_registered(group))
+
+
+def load(group: str, name: str) -> Any:
+    """Return the object registered under a name; None, with one warning, where it cannot be imported.
+
+    InputError where two packages register the name.
+    """
+    points = _registered(group)[name]
+    if len(points) > 1:
+        owners = " and ".join(sorted(_owner(point) for point in points))
+        message = f'"{name}" is registered by {owners}; uninstall one of them'
+        raise InputError([Fault(Path(group), 0, 0, message)])
+    return _loaded(points[0])
+
+
 def resolve(place: str) -> Any:
-    """The object at `module:name`, imported now."""
+    """Return the object at `module:name`, imported now."""
     return pkgutil.resolve_name(place)
+
+
+def attempt(name: str, place: str) -> Any:
+    """Return the object at a place that an extension names; None, with one warning, where it cannot be imported."""
+    try:
+        return resolve(place)
+    except Exception as error:  # whatever a package of others does when it is imported
+        warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
+        return None
+
+
+@functools.cache
+def _registered(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    found: dict[str, dict[tuple[str, str], EntryPoint]] = {}
+    for point in entry_points(group=group):
+        # a package found twice on the path, as beside its own source, registers once
+        found.setdefault(point.name, {})[_owner(point), point.value] = point
+    return {name: tuple(points.values()) for name, points in found.items()}
+
+
+@functools.cache
+def _loaded(point: EntryPoint) -> Any:
+    try:
+        return point.load()
+    except Exception as error:  # whatever a package of others does when it is imported
+        message = f"{_owner(point)}: the entry point {point.group}:{point.name} cannot be loaded: {error}"
+        warnings.warn(message, ExtensionWarning, stacklevel=2)
+        return None
+
+
+def _owner(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value

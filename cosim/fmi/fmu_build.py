@@ -6,27 +6,29 @@ package named by their content: two FMUs never see each other's modules, nor the
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.base.drafts import draft_of
 from cosim.base.scratch import temporary_folder
+from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, model_text, write_documentation
 from cosim.fmi.model_description import Description, complete
 from cosim.model.model import Model
 from cosim.model.traits import Traits
-from fmus import __version__
 
-ROOT = Path(__file__).resolve().parent.parent
-# What each FMU carries of our sources; `fmus` is listed by file, for most of it is needed at build time only.
-RUNTIME = ("__init__", "lifetime", "ports", "slave", "state")
-ABSOLUTE_IMPORT = re.compile(r"^(\s*from )(plant|controller|fmus)(?=[.\s])", re.MULTILINE)
-BUILD_TIME = ("plant/symbolic", "cosim/model/traits.py")  # what needs more than the FMU's host has
+FRAMEWORK = "cosim"
+CARRIED = ("cosim.model", "cosim.fmi")  # rooms of the framework that need nothing but the standard library
+NOT_CARRIED = "cosim.model.symbolic"  # imported by a model's namespace of symbols only, at build time
+START = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script that pythonfmu runs
 OWN = "own_model"  # what the file of a model of one's own is called within its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
@@ -34,29 +36,37 @@ ASSETS = Path(__file__).resolve().parent / "assets"
 
 @dataclass(frozen=True)
 class Recipe:
-    """What makes one FMU: its slave class, the packages it carries, and what its description says."""
+    """Everything that one FMU is made of.
 
-    slave: tuple[str, str]  # module within `fmus`, and its class
+    slave:    module and class of the FMI slave
+    packages: top-level packages whose modules the FMU carries, as far as its slave imports them
+    about:    content of the model description
+    text:     documentation in HTML: what the FMU is and how to use it
+    values:   parameter defaults that differ from the declared ones
+    own:      file and class of a user's model
+    printed:  modules generated at build time: dotted name, source code
+    """
+
+    slave: tuple[str, str]
     packages: tuple[str, ...]
     about: Description
-    text: str  # documentation: what it is and how to use it, HTML
-    values: tuple[tuple[str, float | bool], ...] = ()  # parameter defaults other than the declared ones
-    modules: tuple[str, ...] = ()  # of `fmus` that the slave's module needs
-    own: tuple[Path, str] | None = None  # file and class of a model of one's own
-    without: tuple[str, ...] = ()  # of the packages, what is not needed when it runs
-    printed: tuple[tuple[str, str], ...] = ()  # modules that are made when it is built: path, text
-    substep: float | None = None  # [s], where it is not that of the model's class
+    text: str
+    values: tuple[tuple[str, float | bool], ...] = ()
+    own: tuple[Path, str] | None = None
+    printed: tuple[tuple[str, str], ...] = ()
+    substep: float | None = None
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """A model of one's own, whose class stands in `file`, with other defaults where `values` says so.
+    """Return the recipe of a user's model, whose class stands in `file`, with other defaults where `values` has them.
 
-    The FMU carries the file; what it imports beside `plant` and the standard library its host must have.
+    The FMU carries the file. Packages that the file imports besides `cosim.model` and the standard library must be
+    installed where the FMU runs.
     """
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
-    slave, text = ("model_fmu", "ModelSlave"), model_text(model)
-    return Recipe(slave, ("plant",), about, text, ordered(values), own=own, substep=model.chosen_substep)
+    slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
+    return Recipe(slave, (), about, text, ordered(values), own, substep=model.chosen_substep)
 
 
 def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
@@ -107,7 +117,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))
-    module, class_name = recipe.slave
+    _, class_name = recipe.slave
     identity: tuple[object, ...] = (recipe.slave, recipe.values)
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
@@ -119,9 +129,9 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     for name, text in sources.items():
         file = folder / package / name
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(ABSOLUTE_IMPORT.sub(rf"\1{package}.\2", text.decode()).encode())
+        file.write_bytes(_renamed(text.decode(), (FRAMEWORK, *recipe.packages), package).encode())
     script = folder / f"{package}_slave.py"
-    script.write_text(_script(recipe, package, module, class_name), encoding="utf-8")
+    script.write_text(_script(recipe, package, class_name), encoding="utf-8")
     documentation = folder / "documentation"
     write_documentation(documentation, recipe.about, recipe.text, __version__, ASSETS / "license.txt")
     path, modules = list(sys.path), set(sys.modules)
@@ -136,14 +146,23 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
                 del sys.modules[name]
 
 
-def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
-    """The file pythonfmu loads: the slave class, with other defaults where the recipe has them."""
+def _renamed(source: str, carried: Sequence[str], package: str) -> str:
+    """Return a module's source with imports of carried packages directed into the FMU's own package."""
+    names = "|".join(carried)
+    source = re.sub(rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3",
+                    source, flags=re.MULTILINE)  # fmt: skip
+    return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
+
+
+def _script(recipe: Recipe, package: str, class_name: str) -> str:
+    """Return the file that pythonfmu loads: the slave class, with other defaults where the recipe has them."""
+    module, base = recipe.slave
     lines = [
-        f"from {package}.fmus.lifetime import keep",
-        f"from {package}.fmus.{module} import {recipe.slave[1]} as Base",
+        f"from {package}.cosim.fmi.lifetime import keep",
+        f"from {package}.{module} import {base} as Base",
     ]
     if recipe.values or recipe.own or recipe.substep is not None:
-        lines.append(f"from {package}.fmus.ports import model_ports")
+        lines.append(f"from {package}.cosim.fmi.ports import model_ports")
     if recipe.own:
         lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
@@ -156,18 +175,51 @@ def _script(recipe: Recipe, package: str, module: str, class_name: str) -> str:
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
-    """Our sources that the FMU carries, by path within its package."""
-    yield "__init__.py", b""
+    """Yield path within the FMU's package and content of each module that the slave imports, directly or not."""
+    printed = dict(recipe.printed)
     if recipe.own:
         yield f"{OWN}.py", recipe.own[0].read_bytes()
-    yield from ((path, text.encode()) for path, text in recipe.printed)
-    for name in sorted({*RUNTIME, recipe.slave[0], *recipe.modules}):
-        yield f"fmus/{name}.py", (ROOT / "fmus" / f"{name}.py").read_bytes()
-    for package in recipe.packages:
-        for file in sorted((ROOT / package).rglob("*.py")):
-            path = file.relative_to(ROOT)
-            if not any(path.is_relative_to(part) for part in (*BUILD_TIME, *recipe.without)):
-                yield path.as_posix(), file.read_bytes()
+    waiting = [recipe.slave[0], *START, *(_imports(recipe.own[0].read_bytes()) if recipe.own else ())]
+    modules: dict[str, tuple[str, bytes]] = {}
+    while waiting:
+        name = waiting.pop()
+        if name in modules or not _is_carried(name, recipe.packages):
+            continue
+        if name in printed:
+            modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
+        elif (spec := _spec(name)) is not None and spec.origin is not None:
+            path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
+            # the framework's own __init__ is the whole command line, of which an FMU needs nothing
+            modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
+            waiting += [*_imports(modules[name][1]), name.rpartition(".")[0]]
+    yield "__init__.py", b""
+    yield from modules.values()
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """Return where a module is, None for a name within a module."""
+    try:
+        return find_spec(name)
+    except ModuleNotFoundError:
+        return None
+
+
+def _is_carried(module: str, packages: Sequence[str]) -> bool:
+    """Return whether a module goes into the FMU: of the recipe's packages, or a part of the framework for run time."""
+    if module == NOT_CARRIED or module.startswith(f"{NOT_CARRIED}."):
+        return False
+    inside = (*CARRIED, *packages)
+    return module == FRAMEWORK or any(module == name or module.startswith(f"{name}.") for name in inside)
+
+
+def _imports(source: bytes) -> Iterator[str]:
+    """Yield the names that a module imports, each as a module and as what stands in one."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def _members(archive: Path) -> Iterator[tuple[str, bytes]]:

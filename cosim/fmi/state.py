@@ -2,7 +2,8 @@
 
 JSON of plain numbers. What decides the future stands under "own": time, continuous state, memory of each shaping
 effect. The slave writes and reads it; a replay takes it apart. A native FMU writes doubles in place of JSON, which
-`cosim/fmi/native/instance.c` lays out: there, the memory is a delay's history of commands, then what other effects remember.
+`cosim/fmi/native/instance.c` lays out: the memory there is a delay's history of commands, then what other effects
+remember.
 """
 
 from __future__ import annotations

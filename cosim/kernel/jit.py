@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.extras import optional
 from cosim.kernel.buffers import ArrayKernel, constants
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import Data
@@ -47,11 +47,7 @@ def _source(generated: Generated) -> str:
 
 def _compiled(source: str) -> Any:
     """The module of a source, its functions compiled; numba keeps those of a signature in `__pycache__` beside it."""
-    try:
-        import numba
-    except ImportError as error:  # none is installed, or none for a Python as new as this
-        cure = 'install a C compiler ("CC" in the environment may name it), or numba'
-        raise InputError([Fault(Path(sys.executable), 0, 0, f"{error}; {cure}")]) from error
+    numba = optional("numba", 'a filter without a C compiler ("CC" in the environment may name one)')
     float64, intp = numba.float64, numba.intp
 
     module = _module(source)

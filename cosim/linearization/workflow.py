@@ -12,7 +12,7 @@ import numpy as np
 from cosim.authoring.single import start_pairs
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
-from cosim.base.registry import BASE, MODELS
+from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
 from cosim.linearization.along import Along
@@ -137,7 +137,7 @@ def _idle(found: Sequence[Linear]) -> list[str]:
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
     """The equations or the FMU that is named."""
     text = str(path)
-    if text not in MODELS and text != BASE and ".py:" not in text and not names_refine(path):
+    if not is_model(text) and text != BASE and ".py:" not in text and not names_refine(path):
         if path.exists():
             check_given(path, MODEL, FMU, CODE)
         if kind_of(path) == FMU:
@@ -145,7 +145,7 @@ def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | No
     if step is not None:
         told = "is of FMUs; equations are differentiated exactly, so leave it out"
         raise InputError([Fault(Path("--step"), 0, 0, told)])
-    if text in MODELS:
+    if is_model(text):
         loaded = LoadedModel(named_model(text), text)
     else:
         loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())

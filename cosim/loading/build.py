@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.registry import BASE_NAME, MODELS, resolve
+from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.settings import ModelName
 from cosim.loading.file import meant_model
 from cosim.loading.substep import with_substep
@@ -38,10 +38,10 @@ def build(
         return [fmu.path for fmu in build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms)]
 
     if model is None and not nearest:
-        recipes = {name: resolve(recipe)() for name, recipe in MODELS[BASE_NAME].built.items()}
+        recipes = {name: resolve(recipe)() for name, recipe in model_entry().built.items()}
     else:
         loaded, _ = with_substep(meant_model(model, nearest=nearest))
         recipes = {"plant.fmu": loaded.recipe()}
-        if loaded.source in MODELS:
-            recipes |= {name: resolve(recipe)() for name, recipe in MODELS[loaded.source].beside.items()}
+        if is_model(loaded.source):
+            recipes |= {name: resolve(recipe)() for name, recipe in model_entry(loaded.source).beside.items()}
     return [build_fmu(recipe, folder / name) for name, recipe in recipes.items()]

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
-from cosim.base.registry import MODELS, resolve
+from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.loading.file import LoadedModel, meant_model
 from cosim.loading.source import Source
@@ -100,7 +100,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
     except (Unprintable, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
-    for name, recipe in MODELS[loaded.source].native.items() if loaded.source in MODELS else ():
+    for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
         yield name, resolve(recipe)()
 
 

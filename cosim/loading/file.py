@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.base.errors import Fault, InputError, NotExecuted
-from cosim.base.registry import BASE, BASE_NAME, MODELS, resolve
+from cosim.base.registry import BASE, is_model, model_entry, resolve
+from cosim.base.registry import MODELS as MODEL_GROUP
+from cosim.base.registry import names as registered_names
 from cosim.loading.declared import checked
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import Source
@@ -30,8 +32,7 @@ from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
 
-ALLOWED = f"a model is {', '.join(MODELS)}, or FILE.py:Class of a model of one's own"
-SUBCLASS = "a model is a subclass of cosim.model.model.Model"
+SUBCLASS = "a model is a subclass of cosim.model.Model"
 GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
 
 
@@ -82,7 +83,7 @@ class ModelFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     schema_version: Literal[1] = 1
-    model: str = BASE_NAME
+    model: str = BASE
     parameters_from: str = ""
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False), UNIT_OF_KEY]] = {}
@@ -109,16 +110,22 @@ class LoadedModel:
         """What makes its FMU."""
         from cosim.fmi.fmu_build import model_recipe
 
-        if self.source in MODELS:
-            made: Recipe = resolve(MODELS[self.source].recipe)(dict(self.parameters))
+        if is_model(self.source):
+            made: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
             return replace(made, substep=self.model.chosen_substep)
         return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
 
 
 def named_model(name: str) -> Model:
     """A model of the registry, with its default parameters."""
-    model: Model = resolve(MODELS[name].model)()
+    model: Model = resolve(model_entry(name).model)()
     return model
+
+
+def _allowed() -> str:
+    """Return what may be named as a model."""
+    registered = [name for name in registered_names(MODEL_GROUP) if name != BASE]
+    return f"a model is {', '.join([*registered, 'or FILE.py:Class of a model of your own'])}"
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
@@ -127,7 +134,10 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     A file that is not there is a fault of the key `model` of the study that names it.
     """
     if text == BASE:
-        return LoadedModel(named_model(BASE_NAME), BASE_NAME)
+        try:
+            return LoadedModel(named_model(BASE), model_entry(BASE).name)
+        except InputError as error:
+            raise (_at_key(named_in, error) if named_in else error) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
@@ -140,6 +150,11 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     if not path.exists():
         raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
     return read_model(path)
+
+
+def _at_key(study: YamlFile, error: InputError) -> InputError:
+    """Return the faults of a named model at the key of the study that names it."""
+    return InputError([study.fault(("model",), fault.message) for fault in error.faults])
 
 
 def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
@@ -173,7 +188,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
     if faults:
         raise InputError(faults)
     values = {**taken, **content.parameters}
-    source = content.model if content.model in MODELS else _absolute(content.model, path.parent)
+    source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
 
 
@@ -208,13 +223,14 @@ def _refuse_study(yaml: YamlFile) -> None:
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     """The model that a model.yaml names, with its default parameters."""
     folder = yaml.path.parent
-    if content.model not in MODELS and not re.fullmatch(r".+\.py:\w+", content.model):
-        message = f'no model "{content.model}"{did_you_mean(content.model, MODELS)}; {ALLOWED}'
+    if not is_model(content.model) and not re.fullmatch(r".+\.py:\w+", content.model):
+        similar = did_you_mean(content.model, registered_names(MODEL_GROUP))
+        message = f'no model "{content.model}"{similar}; {_allowed()}'
         raise InputError([yaml.fault(("model",), message)])
     file = folder / content.model.rpartition(":")[0]
-    if content.model not in MODELS and not file.is_file():
-        raise InputError([yaml.fault(("model",), f"no such file: {file}; {ALLOWED}")])
-    return named_model(content.model) if content.model in MODELS else own_model(content.model, folder)
+    if not is_model(content.model) and not file.is_file():
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {_allowed()}")])
+    return named_model(content.model) if is_model(content.model) else own_model(content.model, folder)
 
 
 def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
@@ -322,6 +338,7 @@ def _module(path: Path, source: Source) -> ModuleType:
             raise InputError([source.raised(error, "does not load")]) from None
         skipped.append(path)
         raise NotExecuted(path)
+    source.check_imports()
     name = f"own_model_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
     assert spec is not None

@@ -6,13 +6,15 @@ import ast
 import traceback
 from pathlib import Path
 
-from cosim.base.errors import Fault
+from cosim.base.errors import Fault, InputError
 from cosim.model.namespaces import Namespace
 
 FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
 TRUTH = "truth value of"  # sympy's words where a symbol is asked whether it is true
 NO_BRANCH = "no `if`, `max`, `min` or `and` on a number: m.where(condition, then, otherwise) works on symbols too"
 FROM_NAMESPACE = f"functions come from m, which has {FUNCTIONS}"
+LANGUAGE = "cosim.model"  # what a model file imports from
+FORMER = {"delay", "design", "gain", "integrate", "model", "namespaces", "planar", "quantities", "sensors", "traits"}
 NO_NUMBER = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
 
 
@@ -23,15 +25,25 @@ class Source:
         self.path = path
         self.classes: list[str] = []
         self._places: dict[tuple[str, str], tuple[int, int]] = {}
+        self._former: list[ast.ImportFrom] = []
         try:
             tree = ast.parse(path.read_bytes())
         except (OSError, SyntaxError, ValueError):  # reported where the file is loaded
             return
+        self._former = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and _is_former(n.module or "")]
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 self.classes.append(node.name)
                 self._places[node.name, ""] = _start(node)
                 self._places |= {(node.name, name): place for name, place in _declared(node).items()}
+
+    def check_imports(self) -> None:
+        """Raise InputError where the file imports the modelling language from `plant`, where it was before."""
+        if self._former:
+            names = dict.fromkeys(alias.name for node in self._former for alias in node.names)
+            cure = f"write `from {LANGUAGE} import {', '.join(names)}`"
+            message = f"`plant` is not a part of the modelling language any more; {cure} in place of `from plant.…`"
+            raise InputError([Fault(self.path, *_start(self._former[0]), message)])
 
     def fault(self, owner: type, attribute: str, message: str) -> Fault:
         """A fault of what a class declares, at the class itself where it inherits that or does not declare it."""
@@ -58,6 +70,12 @@ class Source:
             if frame.filename == str(self.path):
                 return frame.lineno or 0, (frame.colno or 0) + 1
         return 0, 0
+
+
+def _is_former(module: str) -> bool:
+    """Return whether the modelling language was imported from a module of this name in earlier releases."""
+    package, _, name = module.partition(".")
+    return package == "plant" and name in FORMER
 
 
 def _start(node: ast.stmt) -> tuple[int, int]:

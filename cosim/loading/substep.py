@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.linear_algebra import eigenvalues
-from cosim.base.registry import MODELS
+from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
 from cosim.loading.file import LoadedModel
 from cosim.loading.own_run import Record, command_rows, moments
@@ -65,7 +65,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[Load
     Raises InputError if the stated substep is unstable, or if the model is too stiff for the default to be replaced.
     """
     model = loaded.model
-    if model.static or loaded.source in MODELS:
+    if model.static or is_model(loaded.source):
         return loaded, []
     fastest = _Fastest(model)
     modes = [(fastest.at_start(), _longest(model, model.rate))]

@@ -40,7 +40,7 @@ OTHER_MODEL = (
 
 
 class SignalLike(Protocol):
-    """An input or output of a model: `blocks.interface.Signal`, `cosim.model.quantities.Quantity`."""
+    """An input or output of a model: `cosim.blocks.component.Signal`, `cosim.model.Quantity`."""
 
     @property
     def name(self) -> str:

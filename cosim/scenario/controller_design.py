@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import AfterValidator, ConfigDict, Field, create_model
 
 from cosim.base.errors import Crashed, Fault, FmuError, InputError, NotExecuted
-from cosim.base.registry import BASE, BASE_NAME, MODELS, known, resolve
+from cosim.base.registry import BASE, entry_of, model_entry, resolve
 from cosim.blocks.description import read_description
 from cosim.fmi.sampled import law_of
 from cosim.isolation.process import Worker
@@ -148,7 +148,7 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
     if design.model is None:
-        return None, resolve(MODELS[BASE_NAME].design)
+        return None, resolve(model_entry().design)
     try:
         named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
     except NoNearest as error:
@@ -161,7 +161,7 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
             f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
         ]
         raise InputError(faults) from None
-    entry = known(type(loaded.model))
+    entry = entry_of(type(loaded.model))
     if entry is None or not entry.design:
         message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
         raise InputError([file.fault(("design", "model"), message)])

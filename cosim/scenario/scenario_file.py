@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.registry import BASE, MODELS
+from cosim.base.registry import BASE, is_model
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.signal_units import convert_quantities
@@ -268,7 +268,7 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
 
 def _whole(name: Any) -> Any:
     """The whole path of a file's name; what is no such name stays."""
-    return os.path.abspath(name) if isinstance(name, str) and name and name not in MODELS and name != BASE else name
+    return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
 
 
 def _value(text: str) -> Any:

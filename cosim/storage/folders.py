@@ -8,21 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError
+from cosim.storage.artefacts import artefacts
 from cosim.storage.folder_lock import take_folder
 
 RESULTS = Path("results")
-MARKS = {  # a file that only one command leaves
-    "manifest.json": "cosim run", "refine.json": "cosim refine", "residual.csv": "cosim replay",
-    "replay.json": "cosim replay",
-    "comparison.json": "cosim compare", "excitation.csv": "cosim excite", "sweep.json": "cosim sweep",
-    "linear.json": "cosim linearize", "identify.json": "cosim identify",
-    "consistency.json": "cosim consistency",
-}  # fmt: skip
 REPLAY = "replay.json"  # beside the rows of a replay
-SOURCES = {  # a file, and its keys that say of what it is
-    "cosim refine": ("refine.json", "study"), "cosim linearize": ("linear.json", "model"),
-    "cosim compare": ("comparison.json", "a", "b"), "cosim replay": (REPLAY, "log", "fmu"),
-}  # fmt: skip
 CURE = "give another folder as --out, or write over it by --force"
 
 
@@ -90,14 +80,14 @@ def check_left(folder: Path, by: str, *sources: str, force: bool = False) -> Non
     take_folder(folder)
     if force or not folder.is_dir():
         return
-    other = next((verb for file, verb in MARKS.items() if verb != by and (folder / file).is_file()), None)
-    if other is not None:
-        raise InputError([Fault(folder, 0, 0, f"holds what `{other}` left; {CURE}")])
-    if not sources or by not in SOURCES:
+    for other in artefacts():
+        if other.verb not in ("", by) and any((folder / mark).is_file() for mark in other.marks):
+            raise InputError([Fault(folder, 0, 0, f"holds what `{other.verb}` left; {CURE}")])
+    own = next((a for a in artefacts() if a.verb == by and a.sources), None)
+    if not sources or own is None:
         return
-    file, *keys = SOURCES[by]
-    content = content_of(folder / file)
-    before = [str(content.get(key) or "") for key in keys]
+    content = content_of(folder / own.marks[0])
+    before = [str(content.get(key) or "") for key in own.sources]
     if any(before) and not all(map(_same, before, sources)):
         of = " and ".join(filter(None, before))
         raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {of}; {CURE}")])

@@ -10,42 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError
+from cosim.storage import artefacts
 from cosim.storage.yaml_file import YamlFile
 
-LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, PROTOCOL, SWEEP = (
+LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, TABLE = (
     "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
-    "a model's Python file", "a protocol of a testing bench", "a sweep",
+    "a model's Python file", "a sweep", "the rows of a run", "a table of runs",
 )  # fmt: skip
-RESULTS, LINEAR, SWEPT, COMPARED, IDENTIFIED, PAGE, PICTURE, TABLE = (
-    "the rows of a run", "an answer of `cosim linearize`", "an answer of `cosim sweep`", "an answer of `cosim compare`",
-    "an answer of `cosim identify`", "a page for a browser", "a picture", "a table of runs",
+PAGE, PICTURE, NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT, DOCUMENT = (
+    "a page for a browser", "a picture", "a notebook", "a file of matrices", "a workbook",
+    "an archive that holds no FMU", "a compiled library", "a database", "a JSON schema", "a pointer of Git LFS",
+    "a text", "a PDF",
 )  # fmt: skip
-NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT, DOCUMENT, DESCRIPTION = (
-    "a notebook", "a file of matrices", "a workbook", "an archive that holds no FMU", "a compiled library",
-    "a database", "a JSON schema", "a pointer of Git LFS", "a text", "a PDF", "XML",
-)  # fmt: skip
-BINARY, REPLAYED = "a binary file", "an answer of `cosim replay`"
-READ_BY = {
-    LOG: "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
-    RESULTS: "`cosim compare {file} OTHER` holds it against another, "
-    "`cosim replay {file} --plant FMU --column COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
-    FMU: "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
-    "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
-    SSP: "`cosim run {file}` runs it",
-    SCENARIO: "`cosim run {file}` runs it",
-    MANIFEST: "`cosim run {file}` repeats its run",
-    PROTOCOL: "`cosim identify {file}` identifies from it",
-    SWEEP: "`cosim sweep {file}` runs it",
-    STUDY: "`cosim refine {file}` refines its model",
-    MODEL: "`cosim build --model {file}` builds its FMU, a study names it as model:",
-    ANSWER: "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
-    CODE: "`cosim build --model {file}:Class` builds its FMU, a study names it as model:",
-    LINEAR: "the linear.py beside it loads it in Python; `cosim linearize MODEL` makes one",
-    SWEPT: "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
-    TABLE: "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
-    COMPARED: "scripts read it; `cosim compare A B` makes one",
-    REPLAYED: "scripts read it; `cosim replay LOG.csv` makes one",
-    IDENTIFIED: "scripts read it; `cosim build --model` and studies take the model file beside it",
+DESCRIPTION, BINARY = "XML", "a binary file"
+UNREAD = "no command reads it; `cosim --help` lists what each takes"
+OTHERS = {  # kinds that no verb declares: files of other tools, and what may be done with them
     PAGE: "a browser opens it; `cosim report FOLDER` makes that of a run again",
     PICTURE: "a browser opens it; `cosim graph SCENARIO` draws one",
     NOTEBOOK: "Jupyter opens it; in it, `import cosim`",
@@ -56,34 +35,12 @@ READ_BY = {
     DATABASE: "`cosim sweep SWEEP.yaml` goes on with one that it left, named with its --out",
     SCHEMA: "an editor reads it; `cosim schema` prints it",
     POINTER: "`git lfs pull` fetches the file itself; then `cosim check` checks it",
-    TEXT: "no command reads it; `cosim --help` lists what each takes",
-    DOCUMENT: "no command reads it; `cosim --help` lists what each takes",
-    BINARY: "no command reads it; `cosim --help` lists what each takes",
     DESCRIPTION: "`cosim info` lists what the FMU has that it is of",
+    TEXT: UNREAD,
+    DOCUMENT: UNREAD,
+    BINARY: UNREAD,
 }
 AS = {RESULTS: LOG}  # taken wherever the other is
-FOLDERS = {  # a file in it: whose folder it is, and what is done with that
-    "manifest.json": (
-        "the folder of a run",
-        "`cosim report {file}` makes its page again, `cosim compare {file} OTHER` holds it against another",
-    ),
-    "refine.json": (
-        "the folder of a refine",
-        "`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment that decides",
-    ),
-    "residual.csv": ("the folder of a replay", "`cosim compare {file} OTHER` holds it against another"),
-    "sweep.json": ("the folder of a sweep", "`cosim.read` reads it in Python"),
-    "comparison.json": (
-        "the folder of a comparison",
-        "its report.html opens in a browser, scripts read comparison.json",
-    ),
-    "linear.json": (
-        "the folder of a linearisation",
-        "its report.html opens in a browser, its linear.py loads it in Python",
-    ),
-    "identify.json": ("the folder of an identification", "`cosim build --model` takes the model file in it"),
-    "excitation.yaml": ("the folder of an excitation", "`cosim run {file}/excitation.yaml` plays it"),
-}
 HEADS = (  # first bytes of a file
     (b"\x89PNG", PICTURE), (b"\xff\xd8\xff", PICTURE), (b"GIF8", PICTURE), (b"%PDF-", DOCUMENT), (b"PAR1", TABLE),
     (b"MATLAB", MATRICES), (b"\x89HDF\r\n", MATRICES), (b"\x7fELF", LIBRARY), (b"MZ", LIBRARY),
@@ -181,25 +138,19 @@ def _marked(head: bytes) -> str | None:
 
 
 def kind_by_keys(root: Any) -> str | None:
-    """The kind of a YAML or JSON file by its keys; None where they do not say."""
+    """Return the kind of a YAML or JSON file by its keys; None where they do not say."""
     keys = set(root) if isinstance(root, dict) else set()
-    known: tuple[tuple[bool, str], ...] = (
-        ("nbformat" in keys, NOTEBOOK),
-        ("$schema" in keys and bool(keys & {"properties", "$defs"}), SCHEMA),
-        (keys >= {"verdict", "candidates"}, ANSWER),
-        (keys >= {"schema_version", "sweep", "runs"}, SWEPT),
-        (keys >= {"schema_version", "differences"}, COMPARED),
-        (keys >= {"schema_version", "estimates"}, IDENTIFIED),
-        (keys >= {"schema_version", "states", "models"}, LINEAR),
-        (keys >= {"scenario", "schema_version"}, MANIFEST),
-        (keys >= {"schema_version", "units"}, REPLAYED),
-        (keys >= {"cells", "tests"} or (bool(keys & {"rest", "distance"}) and "logs" not in keys), PROTOCOL),
-        (bool(keys & {"components", "connections"}), SCENARIO),
-        ("vary" in keys, SWEEP),
-        ("logs" in keys, STUDY),
-        (bool(keys & {"parameters", "sensors"}), MODEL),
-    )
-    return next((kind for is_so, kind in known if is_so), None)
+    if "nbformat" in keys:
+        return NOTEBOOK
+    if "$schema" in keys and keys & {"properties", "$defs"}:
+        return SCHEMA
+    return artefacts.kind_by_keys(root)
+
+
+def next_step(kind: str, path: Path) -> str:
+    """Return what may be done with a file of a kind."""
+    text = OTHERS[kind] if kind in OTHERS else artefacts.of_kind(kind).next_step
+    return text.format(file=as_typed(path))
 
 
 def kind_of(path: Path) -> str | None:
@@ -219,8 +170,8 @@ def _by_keys(path: Path) -> str | None:
 def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
     """InputError where a file is of another kind than is wanted, with the command that reads it."""
     if kind is not None and kind not in wanted and AS.get(kind) not in wanted and path.is_file():
-        cure = READ_BY[kind].format(file=as_typed(path))
-        raise InputError([Fault(path, 0, 0, f"is {kind}, not {' or '.join(wanted)}: {cure}")])
+        message = f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}"
+        raise InputError([Fault(path, 0, 0, message)])
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
@@ -259,10 +210,9 @@ def as_typed(path: Path) -> str:
 
 def refuse_folder(path: Path, what: str) -> None:
     """InputError where a folder is one that a command left, and not what is wanted."""
-    for name, (whose, cure) in FOLDERS.items():
-        if (path / name).is_file():
-            message = f"is {whose}, not {what}: {cure.format(file=as_typed(path))}"
-            raise InputError([Fault(path, 0, 0, message)])
+    if (left := artefacts.left_in(path)) is not None:
+        message = f"is {left.folder}, not {what}: {left.folder_step.format(file=as_typed(path))}"
+        raise InputError([Fault(path, 0, 0, message)])
 
 
 def _folder(path: Path, what: str) -> str:

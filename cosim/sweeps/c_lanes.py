@@ -19,7 +19,7 @@ from cosim.storage.cache import fingerprint, kept
 
 WIDTH = 16  # runs side by side: numbers of runs are multiples of it
 SOURCE = Path(__file__).with_name("lanes.c")
-PRINTING = ("cosim.model.symbolic", "plant")
+PRINTING = ("cosim.model.symbolic", "cosim.model")
 
 
 class Stepping:

@@ -11,10 +11,12 @@ import numpy as np
 from scipy.stats import binomtest
 
 from cosim.base.arrays import Array
+from cosim.base.extras import optional
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 FEWEST, MOST = 50, 2000  # runs of which a sensitivity is estimated
 RESAMPLES = 50
+SENSITIVITY_USE = "the sensitivity of a sweep"
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,7 @@ def sensitivity(
 
 def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
     """Sobol indices, of runs that were drawn for them."""
-    from SALib.analyze import sobol
-
+    sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
     found = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
     order = np.argsort(-np.asarray(found["ST"]))
     pairs = [tuple((float(found[n][k]), float(found[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
@@ -94,8 +95,7 @@ def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -
 
 def _given(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
     """Of any runs: RBD-FAST, and PAWN with a factor more that does nothing."""
-    from SALib.analyze import pawn, rbd_fast
-
+    pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
     first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
     idle = np.random.default_rng([seed, 1]).random((len(X), 1))
     both = np.hstack((X, idle))

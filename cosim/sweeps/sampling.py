@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.extras import optional
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
@@ -109,8 +110,7 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
     if sampling == "random":
         return rng.random((rows, count))
     if sampling == "saltelli":
-        from SALib.sample import sobol
-
+        sobol = optional("SALib.sample.sobol", "a sweep sampled by saltelli")
         problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
         found: Array = sobol.sample(problem, saltelli_base(rows, count), calc_second_order=False, seed=seed)
         return np.clip(found, 1e-12, 1.0 - 1e-12)

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.registry import MODELS, TWINS, resolve
+from cosim.base.registry import models, resolve, twin_of
 from cosim.base.scratch import process_folder
 from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
@@ -59,8 +59,8 @@ def kind_of(component: Component) -> Kind | None:
         return _SourceKind(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
         return None
-    if (place := TWINS.get(component.description.modelName)) is not None:
-        found = resolve(place)()
+    if (twin := twin_of(component.description.modelName)) is not None:
+        found = twin()
         return found if found.fits(component) else None
     if (model := model_of(component.path, component.description.modelName)) is not None:
         kind = _ModelKind(component, *model)
@@ -144,7 +144,7 @@ def _known_model(name: str) -> tuple[Any, Any, Any] | None:
     from cosim.model.integrate import Stepper
     from cosim.model.namespaces import arrays
 
-    for known in MODELS.values():
+    for known in models().values():
         if f"{known.model.rpartition(':')[2]}Plant" == name:
             return resolve(known.model)(), Stepper, arrays()
     return None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.base.errors import CosimError, Fault, InputError, SimulationError, SweepFailed
+from cosim.base.extras import optional
 from cosim.base.text import counted
 from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
@@ -217,11 +218,9 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
     if address is None:
         yield None
         return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError([place("dask.distributed is not installed; pip install 'cosim-hovercraft[dask]'")]) from None
     import logging
+
+    Client = optional("distributed", place).Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said by us
     try:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
+from cosim.base.extras import optional
 from cosim.base.settings import Count
 from cosim.base.text import counted, plain
 from cosim.base.version import __version__
@@ -56,6 +57,8 @@ def sweep(
     check_left(folder, "cosim sweep", force=force)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
+    for library in ("pyarrow", "SALib"):  # before anything runs
+        optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
         if force:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError
-from cosim.base.registry import BASE_NAME, MODELS
+from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
 from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
@@ -88,7 +88,7 @@ def _fmu(
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
-        made = path.name in MODELS[BASE_NAME].built
+        made = is_model(BASE) and path.name in model_entry().built
         cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
         if file.manifest is not None:
             cure += f"; put it there, or {path.name} beside {file.path.name}"

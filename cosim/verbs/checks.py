@@ -24,7 +24,7 @@ from cosim.base.errors import (
     Signalled,
     TimedOut,
 )
-from cosim.base.registry import BASE
+from cosim.base.registry import BASE, is_model, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
@@ -46,6 +46,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.storage import kinds
+from cosim.storage.artefacts import of_kind
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import kind_by_form, kind_by_keys, refuse_unreadable
 from cosim.storage.table import read_header
@@ -122,7 +123,7 @@ def _check(path: Path, model: str | None, worker: Worker | None, columns: Mappin
         case kinds.CODE:
             kind = type(only_model(path)).__name__
             return _substep_of(load_model(f"{path}:{kind}", Path()))
-        case kinds.MODEL | kinds.PROTOCOL | kinds.SWEEP | kinds.STUDY | kinds.SCENARIO | kinds.MANIFEST:
+        case kinds.MODEL | kinds.SWEEP | kinds.STUDY | kinds.SCENARIO | kinds.MANIFEST:
             pass  # by its keys below
         case str() as other:
             _refuse_unchecked(path, other)
@@ -133,13 +134,12 @@ def _check(path: Path, model: str | None, worker: Worker | None, columns: Mappin
             return []
         return _substep_of(load_model(text, Path()))
     root = YamlFile(path).root
-    match kind_by_keys(root):
+    by_keys = kind_by_keys(root)
+    if by_keys is not None and by_keys not in kinds.OTHERS and (check := of_kind(by_keys).check):
+        return [f"warning: {text}" for text in resolve(check)(path)]
+    match by_keys:
         case kinds.MODEL:
             return _substep_of(read_model(path))
-        case kinds.PROTOCOL:
-            from plant.identification.checking import check_protocol  # of the craft's bench: others do without
-
-            return [f"warning: {text}" for text in check_protocol(path)]
         case kinds.SWEEP:
             from cosim.sweeps.reading import read_sweep
 
@@ -156,12 +156,14 @@ def _check(path: Path, model: str | None, worker: Worker | None, columns: Mappin
 
 
 def _refuse_unchecked(path: Path, kind: str) -> NoReturn:
-    cure = kinds.READ_BY[kind].format(file=kinds.as_typed(path))
-    raise InputError([Fault(path, 0, 0, f"is {kind}, in which there is nothing to check: {cure}")])
+    message = f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}"
+    raise InputError([Fault(path, 0, 0, message)])
 
 
 def _of_log(path: Path, model: str | None, columns: Mapping[str, str]) -> list[str]:
     """What is to be known of a log: of the model that is named, of base if it has an input of base, else by itself."""
+    if model is None and not is_model(BASE):
+        return findings_alone(path, columns)
     meant = load_model(BASE if model is None else model, Path())
     if model is None:
         names = {columns.get(name, name) for name in read_header(path)}

@@ -6,8 +6,9 @@ import gc
 import os
 import signal
 import sys
+import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
@@ -23,6 +24,7 @@ from cosim.base.errors import (
 )
 from cosim.base.garbage import collect_seldom
 from cosim.base.program import STOPPED, as_program
+from cosim.base.registry import ExtensionWarning
 from cosim.base.version import __version__
 from cosim.storage.files import check_text, is_full
 from cosim.verbs import register
@@ -227,16 +229,19 @@ def check(
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
 
 
-@app.command()
-def bench() -> None:
-    """Measure this machine: one JSON line of ratios."""
-    import json
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+    line: str | None = None,
+) -> None:  # fmt: skip
+    """Show a package that cannot be loaded as one line, other warnings as Python does."""
+    if issubclass(category, ExtensionWarning):
+        echo(f"warning: {message}", err=True)
+    else:
+        _python_shows(message, category, filename, lineno, file, line)
 
-    from benchmarks.bench import bench as measure
 
-    say(json.dumps(measure()))
-
-
+_python_shows = warnings.showwarning
+warnings.showwarning = _show_warning
 register(app)
 
 

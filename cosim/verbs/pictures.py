@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,16 +9,6 @@ import typer
 
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import Json, Open, say, say_json, show
-
-
-class Kind(StrEnum):
-    """Files whose keys are described."""
-
-    SCENARIO = "scenario"
-    STUDY = "study"
-    MODEL = "model"
-    SWEEP = "sweep"
-    PROTOCOL = "protocol"
 
 
 def register(app: typer.Typer) -> None:
@@ -67,8 +56,10 @@ def graph(
         show(path)
 
 
-def schema(kind: Annotated[Kind, typer.Argument(help="scenario, study, model, sweep or protocol.")]) -> None:
+def schema(
+    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
+) -> None:
     """Print the JSON schema of a file, for the completion of an editor."""
     from cosim.verbs.schemas import schema_of
 
-    say_json(schema_of(kind.value))
+    say_json(schema_of(kind))

@@ -3,48 +3,38 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from cosim.base.registry import SCHEMAS, resolve
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import resolve
+from cosim.storage.artefacts import Artefact, artefacts
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-TITLES = {"scenario": "cosim scenario", "study": "cosim study", "model": "cosim model file", "sweep": "cosim sweep",
-          "protocol": "cosim protocol of a testing bench"}  # fmt: skip
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
-def schema_of(kind: str) -> dict[str, Any]:
-    """JSON schema of a `scenario`, `study`, `model`, `sweep` or `protocol`, each key with what it means."""
-    schema = _model(kind).model_json_schema(by_alias=True)
+def schemas() -> dict[str, Artefact]:
+    """Return the kinds of files that have a schema, by the name of the schema."""
+    return {a.schema_name: a for a in artefacts() if a.schema}
+
+
+def schema_of(name: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of file, each key with its meaning; InputError where there is no such kind."""
+    known = schemas()
+    if name not in known:
+        allowed = ", ".join(sorted(known))
+        raise InputError([Fault(Path(name), 0, 0, f"is no kind of file that has a schema; give one of {allowed}")])
+    model: type[BaseModel] = resolve(known[name].schema)
+    schema = model.model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):
         _described(part)
     limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
     for key, content in limits.items():  # 10 s, 2 GB
         limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
-    return {"$schema": DIALECT, **_switched(schema), "title": TITLES[kind]}
-
-
-def _model(kind: str) -> type[BaseModel]:
-    if kind in SCHEMAS:
-        found: type[BaseModel] = resolve(SCHEMAS[kind])
-        return found
-    if kind == "scenario":
-        from cosim.scenario.scenario import Scenario
-
-        return Scenario
-    if kind == "sweep":
-        from cosim.sweeps.sweep_file import SweepFile
-
-        return SweepFile
-    if kind == "study":
-        from cosim.refinement.study import StudyFile
-
-        return StudyFile
-    from cosim.loading.file import ModelFile
-
-    return ModelFile
+    return {"$schema": DIALECT, **_switched(schema), "title": known[name].title}
 
 
 def _described(part: dict[str, Any]) -> None:

@@ -6,10 +6,7 @@ fit to it. What they call friction is one viscous coefficient.
 
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias
+from cosim.model import Bias, Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 
 REVERSAL_SPEED = 0.02  # [rad/s] below which dry friction is smoothed; the pendulum moves at up to 12 rad/s
 GRAVITY = 9.81  # [m/s2]

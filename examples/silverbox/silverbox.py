@@ -6,12 +6,20 @@ Wigren and Schoukens (2013). All forces are referred to the input, in volt: a sp
 
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.gain import Gain
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Gain,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Values,
+    overrides,
+    parameter,
+)
 
 REVERSAL_SPEED = 2.0  # [V/s] below which dry friction is smoothed; the circuit moves at up to 100 V/s
 SPRINGS = "a command strong enough that the output reaches several times its usual range, to both sides"

@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import SensorError
+from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, SensorError, Values, overrides, parameter
 
 
 class TankEffect(Effect):

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Number, Values
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
+from cosim.model import Delay, Namespace, Number, Quantity, Values, parameter
 from plant.effects.hooks import HovercraftEffect, Pair
 from plant.powertrain import second_order
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.model.model import Number
-from cosim.model.namespaces import Namespace
+from cosim.model import Namespace, Number, parameter
 from cosim.model.planar import local_vector
-from cosim.model.quantities import parameter
 from plant.effects.hooks import HovercraftEffect, Motion, Pair, Wrench
 
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cosim.model.model import Number
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import parameter
+from cosim.model import Namespace, Number, parameter
 from plant.effects.hooks import HovercraftEffect, Motion, Wrench
 
 STICTION_SPEED = 0.01  # [m/s] below which dry friction is smoothed

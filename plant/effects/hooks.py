@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cosim.model.model import Effect, Number, Values
-from cosim.model.namespaces import Namespace
+from cosim.model import Effect, Namespace, Number, Values
 
 Pair = tuple[Number, Number]
 Wrench = tuple[Number, Number, Number, Number]

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cosim.model.model import Number, Values
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import parameter
-from cosim.model.sensors import Bias, Drift, Latency, LeverArm, Scale, SensorError
+from cosim.model import Bias, Drift, Latency, LeverArm, Namespace, Number, Scale, SensorError, Values, parameter
 
 HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.model.model import Number
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import parameter
+from cosim.model import Namespace, Number, parameter
 from plant.effects.hooks import HovercraftEffect, Pair
 
 

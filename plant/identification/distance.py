@@ -16,8 +16,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
-from cosim.model.integrate import Stepper
-from cosim.model.model import Model
+from cosim.model import Model, Stepper
 from plant.identification.estimates import Figure, Result, made
 
 TRIES = 6  # values to either side of the model's own, among which the two that enclose the distance are sought

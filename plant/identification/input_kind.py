@@ -6,8 +6,9 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.storage.folders import folder_named
-from cosim.storage.kinds import PROTOCOL, check_given
+from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import YamlFile
+from plant.identification.artefacts import PROTOCOL
 
 
 def craft_file(path: Path) -> YamlFile | None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.errors import Fault, InputError, NotExecuted
-from cosim.base.registry import MODELS
+from cosim.base.registry import is_model
 from cosim.loading.file import load_model, named_model
-from cosim.model.model import Model
+from cosim.model import Model
 from plant.identification.cells import Cells, calibrated
 from plant.identification.planned import planned_faults
 from plant.identification.protocol import CHANNELS, Protocol, partly_read
@@ -64,7 +64,7 @@ def _model_of(protocol: Protocol) -> Model:
     """The model whose parameters the power-train sets."""
     text, where = protocol.file.model, protocol.yaml.place(("model",))
     try:
-        model = named_model(text) if text in MODELS else load_model(text, protocol.folder, protocol.yaml).model
+        model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
     except InputError as error:
         raise InputError(
             [Fault(protocol.yaml.path, *where, str(f)) if f.file != protocol.yaml.path else f for f in error.faults]

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from cosim.base.errors import Fault, InputError
 from cosim.base.text import counted
 from cosim.base.units import factor
-from cosim.storage.kinds import PROTOCOL, check_given
+from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import (
     UNIT_OF_KEY,
     Amount,
@@ -29,6 +29,7 @@ from cosim.storage.yaml_file import (
     did_you_mean,
 )
 from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
+from plant.identification.artefacts import PROTOCOL
 
 LEAST = 3  # repetitions: intervals come from the scatter between them
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is computed

@@ -15,7 +15,7 @@ from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
-from cosim.model.integrate import Stepper
+from cosim.model import Stepper
 from cosim.model.namespaces import arrays
 from cosim.storage.table import Column, Faults, Heading, read_table
 from cosim.storage.yaml_file import did_you_mean

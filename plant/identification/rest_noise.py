@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
 from cosim.logs.log import Log
-from cosim.model.model import Model
+from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
 from plant.identification.estimates import Estimate, Figure, Result
 

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.base.registry import MODELS, resolve
+from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
-from cosim.model.model import Model
+from cosim.model import Model
 from cosim.storage.files import FilePath, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left
-from cosim.storage.kinds import PROTOCOL, check_given
+from cosim.storage.kinds import check_given
 from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
+from plant.identification.artefacts import PROTOCOL
 from plant.identification.cells import Cells, calibrated
 from plant.identification.craft import CraftOutcome
 from plant.identification.craft_workflow import identify_craft
@@ -115,7 +116,7 @@ def _fmu(protocol: Protocol, folder: Path) -> Path:
         return protocol.folder / str(protocol.file.bench)
     from cosim.fmi.fmu_build import build
 
-    return build(resolve(MODELS[BENCH].recipe)(), folder / "bench.fmu")
+    return build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
 
 
 def analyse(
@@ -223,7 +224,7 @@ def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     base: Any = model
     if not needed <= {p.name for p in model.parameters} or not needed & set(values):
         return {}
-    from cosim.model.namespaces import SCALAR
+    from cosim.model import SCALAR
     from plant.powertrain import ground_effect as gain
 
     after: Any = model.with_values(values)

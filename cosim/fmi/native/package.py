@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cosim.base.drafts import draft_of
 from cosim.base.scratch import temporary_folder
+from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
 from cosim.fmi.native.check import check
@@ -18,7 +19,6 @@ from cosim.fmi.native.native_description import description2, description3
 from cosim.fmi.native.platforms import PLATFORMS, Platform, commands, glibc_floor
 from cosim.fmi.native.printing import Printer, Sources
 from cosim.model.model import Model
-from fmus import __version__
 
 HERE = Path(__file__).resolve().parent
 WAYS = {2: "FMI 2.0", 3: "FMI 3.0"}

@@ -8,10 +8,11 @@ import re
 import sys
 from dataclasses import dataclass
 
+from cosim.base.extras import install_command
 from cosim.fmi.native.compiler import compiler
 
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
-CURE = "install gcc or clang, say which in CC, or pip install 'cosim-hovercraft[native]'"
+CURE = f"install gcc or clang, say which in CC, or {install_command('native')}"
 
 
 class NoCompiler(LookupError):
@@ -88,7 +89,7 @@ def _compiler(wanted: Platform, own: bool, asked: bool) -> list[str]:
         return local
     if own:
         raise NoCompiler(f"no C compiler is found; {CURE}")
-    cure = "pip install 'cosim-hovercraft[native]', which brings a compiler that crosses"
+    cure = f"{install_command('native')}, which brings a compiler that crosses"
     raise NoCompiler(f"no compiler for {wanted.name} is found; {cure}")
 
 

@@ -134,7 +134,7 @@ class Trace:
         for late in (e for e in self.effects if e.delay):
             for hook in APART:
                 if getattr(type(late), hook) is not getattr(Delay, hook):
-                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of cosim.model.delay.Delay alone"
+                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
                     raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
         for k, effect in enumerate(self.effects):
             if effect.delay or effect not in shaping:

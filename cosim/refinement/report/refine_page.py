@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.registry import known
+from cosim.base.registry import entry_of
 from cosim.base.text import MISSING, counted, percent, plain
 from cosim.base.version import __version__
 from cosim.loading.refined import REFINED
@@ -289,7 +289,7 @@ def use_command(kind: type[Model], folder: Path) -> list[str]:
     """
     model, fmu = ((folder / name).resolve() for name in REFINED)
     command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
-    entry = known(kind)
+    entry = entry_of(kind)
     return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
 
 

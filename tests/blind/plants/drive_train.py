@@ -6,11 +6,21 @@ at some 14 Hz; the whole spins up in half a second.
 
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns at up to 50 rad/s
 TEETH = 4  # notches of the motor a turn

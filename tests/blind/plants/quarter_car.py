@@ -6,11 +6,21 @@ the body and its height by a laser. The body bounces at 1.2 Hz, the wheel hops a
 
 from dataclasses import dataclass
 
-from cosim.model.delay import Delay
-from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
-from cosim.model.namespaces import Namespace
-from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 CREEP = 0.02  # [m/s] below which dry friction of the damper is smoothed
 STOP = 0.025  # [m] of travel at which the bump stop is met
