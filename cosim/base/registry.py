@@ -75,7 +75,7 @@ class Extension:
 
     command:   place of a function of the typer app that adds the command
     function:  place of the function that `cosim.NAME` is in Python
-    artefacts: place of a tuple of `Artefact` (cosim/storage/artefacts.py)
+    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py)
     """
 
     command: str = ""

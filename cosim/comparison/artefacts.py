@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefacts import Artefact
+from cosim.storage.artefact import Artefact
 
 ARTEFACTS = (
     Artefact(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefacts import Artefact
+from cosim.storage.artefact import Artefact
 from cosim.storage.kinds import LOG
 
 ARTEFACTS = (Artefact(LOG, "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it"),)

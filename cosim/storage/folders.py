@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError
-from cosim.storage.artefacts import artefacts
+from cosim.storage.artefact import artefacts
 from cosim.storage.folder_lock import take_folder
 
 RESULTS = Path("results")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError
-from cosim.storage import artefacts
+from cosim.storage import artefact
 from cosim.storage.yaml_file import YamlFile
 
 LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, TABLE = (
@@ -144,12 +144,12 @@ def kind_by_keys(root: Any) -> str | None:
         return NOTEBOOK
     if "$schema" in keys and keys & {"properties", "$defs"}:
         return SCHEMA
-    return artefacts.kind_by_keys(root)
+    return artefact.kind_by_keys(root)
 
 
 def next_step(kind: str, path: Path) -> str:
     """Return what may be done with a file of a kind."""
-    text = OTHERS[kind] if kind in OTHERS else artefacts.of_kind(kind).next_step
+    text = OTHERS[kind] if kind in OTHERS else artefact.of_kind(kind).next_step
     return text.format(file=as_typed(path))
 
 
@@ -210,7 +210,7 @@ def as_typed(path: Path) -> str:
 
 def refuse_folder(path: Path, what: str) -> None:
     """InputError where a folder is one that a command left, and not what is wanted."""
-    if (left := artefacts.left_in(path)) is not None:
+    if (left := artefact.left_in(path)) is not None:
         message = f"is {left.folder}, not {what}: {left.folder_step.format(file=as_typed(path))}"
         raise InputError([Fault(path, 0, 0, message)])
 

@@ -46,7 +46,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.storage import kinds
-from cosim.storage.artefacts import of_kind
+from cosim.storage.artefact import of_kind
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import kind_by_form, kind_by_keys, refuse_unreadable
 from cosim.storage.table import read_header

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.registry import resolve
-from cosim.storage.artefacts import Artefact, artefacts
+from cosim.storage.artefact import Artefact, artefacts
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")

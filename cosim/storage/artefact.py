@@ -71,7 +71,7 @@ def artefacts() -> tuple[Artefact, ...]:
             declared += attempt(name, extension.artefacts) or ()
     for room in pkgutil.iter_modules([str(ROOMS)], "cosim."):
         module = f"{room.name}.{DECLARATIONS}"
-        if room.ispkg and module != __name__ and importlib.util.find_spec(module) is not None:
+        if room.ispkg and importlib.util.find_spec(module) is not None:
             declared += importlib.import_module(module).ARTEFACTS
     return tuple(declared)
 
