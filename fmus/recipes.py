@@ -92,7 +92,7 @@ def time_variant_recipe() -> Recipe:
     more = TimeVariantLaw, ExtendedFilter, Craft
     slave = HovercraftTimeVariantController
     recipe = _controller(slave, text, time_variant_dependencies(), TIME_VARIANT, *more)
-    return replace(recipe, printed=(("controller/printed.py", jacobians()),))
+    return replace(recipe, printed=(("controller.printed", jacobians()),))
 
 
 def _controller(

@@ -224,7 +224,7 @@ def test_a_stage_is_numbered_and_its_number_never_falls(
 
 
 def test_every_stage_that_a_refine_tells_has_its_number() -> None:
-    files = (ROOT / "cosim" / "refinement").glob("*.py")
+    files = (ROOT / "cosim" / "refinement").rglob("*.py")
     sources = [p.read_text() for p in files if p.name != "stages.py"]
     told = {words for text in sources for words in re.findall(r'progress\("([^"]+)"', text)}
     told |= {words for text in sources for words in re.findall(r'_each\("([^"]+)"', text)}

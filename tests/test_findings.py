@@ -151,7 +151,7 @@ def test_a_gain_is_found_where_every_number_comes_out_too_large_together(tmp_pat
     study = rail_study(tmp_path / "study", all_larger, TOLERANCE + "candidates: [push, mass, spring, coulomb]\n")
     text = (study.parent / "rail.py").read_text().replace("catalogue = (", "catalogue = (Push, ")
     text = text.replace("class Rail(", PUSH, 1).replace(
-        "from cosim.model.delay", "from cosim.model.gain import Gain\nfrom cosim.model.delay"
+        "from cosim.model import Bias,", "from cosim.model import Bias, Gain,"
     )
     (study.parent / "rail.py").write_text(text)
     r = proven(study, tmp_path / "out")

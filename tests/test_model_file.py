@@ -425,9 +425,9 @@ def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: 
 @pytest.mark.parametrize(
     ("text", "place", "message"),
     [
-        ("model: car\n", (1, 8), 'no model "car"; a model is hovercraft, bench, or FILE.py:Class'),
+        ("model: car\n", (1, 8), 'no model "car"; a model is bench, hovercraft, or FILE.py:Class'),
         ("model: hovercrft\n", (1, 8), 'no model "hovercrft"; did you mean "hovercraft"?'),
-        ("model: none.py:Car\n", (1, 8), "none.py; a model is hovercraft, bench, or FILE.py:Class"),
+        ("model: none.py:Car\n", (1, 8), "none.py; a model is bench, hovercraft, or FILE.py:Class"),
         ("parameters:\n  mass: heavy\n", (2, 9), "parameters.mass is 'heavy': give a finite number"),
         ("parameters:\n  mass: .inf\n", (2, 9), "parameters.mass is inf: give a finite number"),
         ("sensors:\n  gyro_bias.value: .nan\n", (2, 20), "finite number"),
@@ -454,9 +454,9 @@ def test_all_faults_of_a_model_yaml_are_told_at_once(tmp_path: Path) -> None:
     assert [(f.line, f.message.partition(":")[0].partition(";")[0]) for f in caught.value.faults] == [
         (2, "parameters.mass is nan"),
         (3, "izz is -1.0"),
-        (4, 'hovercraft has no parameter "lagg"'),
+        (4, 'base has no parameter "lagg"'),
         (5, "parameters.arm is 'heavy'"),
-        (7, 'hovercraft has no sensor "gyro_bias.valu"'),
+        (7, 'base has no sensor "gyro_bias.valu"'),
     ]
 
 

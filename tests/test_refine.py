@@ -31,9 +31,9 @@ from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
 from cosim.refinement.decision.verdict import Name
+from cosim.refinement.proof import measure
+from cosim.refinement.proof import native_replay as natively
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.proof.replay_check import measure
-from cosim.refinement.proof.replay_check import native_replay as natively
 from cosim.refinement.record import SCHEMA, Replayed, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report

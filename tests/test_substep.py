@@ -11,7 +11,7 @@ import pytest
 
 from cosim.base import linear_algebra
 from cosim.base.errors import InputError
-from cosim.base.registry import MODELS
+from cosim.base.registry import models
 from cosim.estimation.posing import build_problem, own_run
 from cosim.loading.build import build as build_fmus
 from cosim.loading.file import LoadedModel, load_model, named_model, read_model, write_model
@@ -88,7 +88,7 @@ def test_a_mode_that_is_fast_on_the_way_only_counts(tmp_path: Path) -> None:
     assert chosen.model.substep < Model.substep
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name].model])
+@pytest.mark.parametrize("name", list(models()))
 def test_models_of_the_registry_suit_their_substep(name: str) -> None:
     """They are not looked at by `with_substep`, which would take as long as the rest of a check."""
     stranger = LoadedModel(named_model(name), "a.py:Model")

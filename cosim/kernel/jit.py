@@ -45,9 +45,15 @@ def _source(generated: Generated) -> str:
     return f"{step}\n\n{later}\n\n{head}\n\n\n{generated.source}"
 
 
+def _without_compiler(message: str) -> Fault:
+    """Return the fault of a machine with neither a C compiler nor numba."""
+    cure = 'install a C compiler ("CC" in the environment may name it)'
+    return Fault(Path(sys.executable), 0, 0, f"{cure}; the filter without one {message}")
+
+
 def _compiled(source: str) -> Any:
     """The module of a source, its functions compiled; numba keeps those of a signature in `__pycache__` beside it."""
-    numba = optional("numba", 'a filter without a C compiler ("CC" in the environment may name one)')
+    numba = optional("numba", _without_compiler)
     float64, intp = numba.float64, numba.intp
 
     module = _module(source)

@@ -115,21 +115,29 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
     except (OSError, KeyError, ValueError, zipfile.BadZipFile):
         return _known_model(name)
     folder = unpacked(path) / "resources"
-    if not (folder / script.removesuffix("_slave") / "plant" / "integrate.py").is_file():
+    package = script.removesuffix("_slave")
+    # earlier releases carried the modelling language as `plant`
+    languages = (name for name in ("cosim.model", "plant") if _holds(folder / package, name))
+    language = next(languages, None)
+    if language is None:
         return None  # of somebody else
     sys.path.insert(0, str(folder))
     try:
         slave = getattr(importlib.import_module(script), name, None)
-        package = script.removesuffix("_slave")
         model = getattr(slave, "model", None)
         if model is None:
             return None
-        integrate, spaces = (importlib.import_module(f"{package}.plant.{n}") for n in ("integrate", "namespaces"))
+        integrate, spaces = (importlib.import_module(f"{package}.{language}.{n}") for n in ("integrate", "namespaces"))
         return model, integrate.Stepper, spaces.arrays()
     except Exception:  # whatever the file of another does: the runs are made through the FMU, which says it
         return None
     finally:
         sys.path.remove(str(folder))
+
+
+def _holds(package: Path, language: str) -> bool:
+    """Return whether the package in an FMU carries the modelling language under a name."""
+    return (package / language.replace(".", "/") / "integrate.py").is_file()
 
 
 @cache

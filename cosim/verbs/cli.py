@@ -250,10 +250,10 @@ def entry() -> None:
     open_streams()
     collecting = collect_seldom()
     ends = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
-    before = {number: signal.getsignal(number) for number in ends}
+    before, terminating = {number: signal.getsignal(number) for number in ends}, _Terminating()
     for number, handler in before.items():
         if handler != signal.SIG_IGN:  # nohup
-            signal.signal(number, _terminated)
+            signal.signal(number, terminating)
     try:
         check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
@@ -290,9 +290,16 @@ def _here() -> list[str]:
         return []
 
 
-def _terminated(number: int, frame: object) -> None:
-    """Asked to end: what is half done is taken away on the way out."""
-    raise Terminated(signal.Signals(number).name)
+class _Terminating:
+    """What a command does when it is asked to end: it raises once, and what is half done is removed on the way out."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, number: int, frame: object) -> None:
+        if not self.asked:
+            self.asked = True
+            raise Terminated(signal.Signals(number).name)
 
 
 if __name__ == "__main__":
