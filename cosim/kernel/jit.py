@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.arrays import Array
+from cosim.base.errors import Fault
 from cosim.base.extras import optional
 from cosim.kernel.buffers import ArrayKernel, constants
 from cosim.kernel.generate import Generated
