@@ -134,6 +134,29 @@ class C(Language):
         return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
 
 
+def _of_both_sides(printer: Any, choose: str) -> Any:
+    """Return a printer whose branches compute both sides: `choose(condition, then, otherwise)`."""
+    plain = type(printer)
+
+    class Printer(plain):  # type: ignore[misc, valid-type]
+        def _print_Piecewise(self, e: Any) -> str:
+            *branches, last = e.args
+            if last[1] != True:  # noqa: E712 - sympy's own
+                raise Unprintable("a branch without an otherwise")
+            text = str(self._print(last[0]))
+            for value, condition in reversed(branches):
+                text = f"{choose}({self._print(condition)}, {self._print(value)}, {text})"
+            return text
+
+        def _print_And(self, e: Any) -> str:
+            return " & ".join(f"({self._print(a)})" for a in e.args)
+
+        def _print_Or(self, e: Any) -> str:
+            return " | ".join(f"({self._print(a)})" for a in e.args)
+
+    return Printer()
+
+
 class Lanes(C):
     """C99 for many at once: every number but time is a row, one for each lane `i` of W; branches compute both sides."""
 
@@ -142,25 +165,7 @@ class Lanes(C):
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
         """As above; nothing is skipped, for lanes differ in what is dormant."""
         rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
-        plain = type(super().printer(rows))
-
-        class Printer(plain):  # type: ignore[misc, valid-type]
-            def _print_Piecewise(self, e: Any) -> str:
-                *branches, last = e.args
-                if last[1] != True:  # noqa: E712 - sympy's own
-                    raise Unprintable("a branch without an otherwise")
-                text = str(self._print(last[0]))
-                for value, condition in reversed(branches):
-                    text = f"chosen({self._print(condition)}, {self._print(value)}, {text})"
-                return text
-
-            def _print_And(self, e: Any) -> str:
-                return " & ".join(f"({self._print(a)})" for a in e.args)
-
-            def _print_Or(self, e: Any) -> str:
-                return " | ".join(f"({self._print(a)})" for a in e.args)
-
-        return Printer()
+        return _of_both_sides(super().printer(rows), "chosen")
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
         kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
@@ -206,22 +211,4 @@ class Arrays(Python):
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
         """Return the printer of Python; nothing is skipped, for points differ in the values of their terms."""
-        plain = type(super().printer(places))
-
-        class Printer(plain):  # type: ignore[misc, valid-type]
-            def _print_Piecewise(self, e: Any) -> str:
-                *branches, last = e.args
-                if last[1] != True:  # noqa: E712 - sympy's own
-                    raise Unprintable("a branch without an otherwise")
-                text = str(self._print(last[0]))
-                for value, condition in reversed(branches):
-                    text = f"math.where({self._print(condition)}, {self._print(value)}, {text})"
-                return text
-
-            def _print_And(self, e: Any) -> str:
-                return " & ".join(f"({self._print(a)})" for a in e.args)
-
-            def _print_Or(self, e: Any) -> str:
-                return " | ".join(f"({self._print(a)})" for a in e.args)
-
-        return Printer()
+        return _of_both_sides(super().printer(places), "math.where")
