@@ -14,10 +14,11 @@ EXAMPLES ?= 10000
 SEEDS ?= 200
 .DEFAULT_GOAL := run
 
-$(RUNTIME): pyproject.toml
+$(RUNTIME): pyproject.toml examples/hovercraft/pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip uninstall --quiet --yes cosim-hovercraft # of an earlier release: one distribution for all
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --editable examples/hovercraft
 	@touch $@
 
 $(TESTING): $(RUNTIME)
@@ -72,7 +73,7 @@ seed: $(TESTING)
 	$(BIN)/python -m tests.controllers 20
 
 bench: $(RUNTIME)
-	@$(BIN)/cosim bench
+	@$(BIN)/python -m benchmarks
 
 check: $(CHECKING)
 	$(BIN)/ruff format --check .

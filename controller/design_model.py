@@ -2,7 +2,7 @@
 
 State (x, ẋ, ψ, ψ̇, a): distance along the craft's axis, its rate, heading, yaw rate, thrust acceleration
 (F_Rx + F_Lx)/m. Input (α_R, α_L). The thesis puts the lag on the forward axis only; the plant has it on
-both (its linearisation stands in `plant.symbolic.linearize`).
+both (its linearisation stands in `cosim.model.symbolic.linearize`).
 """
 
 from __future__ import annotations

@@ -9,11 +9,19 @@ from typing import Any
 
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
-from controller.variants import INTEGRAL, INTEGRALS, POLES, PREDICTIONS, PREDICTIVE, TIME_VARIANT, conflicts
-from plant.design import Judged, Objection, Option
+from controller.variants import (
+    INTEGRAL,
+    INTEGRALS,
+    POLES,
+    PREDICTIONS,
+    PREDICTIVE,
+    TIME_VARIANT,
+    PredictiveSettings,
+    conflicts,
+)
+from cosim.model import Model, parameters_of
+from cosim.model.design import Judged, Objection, Option
 from plant.hovercraft import Hovercraft
-from plant.model import Model
-from plant.quantities import parameters_of
 
 WEIGHTS = (
     "weight_x",
@@ -159,7 +167,6 @@ def _settings(law: str) -> Any:
         from controller.time_variant_settings import TimeVariantSettings
 
         return TimeVariantSettings
-    from controller.variants import PredictiveSettings
 
     return PredictiveSettings
 

@@ -13,10 +13,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from controller.design_model import Matrix
 from controller.gains import Settings, variance
 from controller.slopes import Slopes
+from cosim.model import Moment, Stepper, parameter, parameters_of
+from cosim.model.model import Parametric
 from plant.hovercraft import Hovercraft
-from plant.integrate import Moment, Stepper
-from plant.model import Parametric
-from plant.quantities import parameter, parameters_of
 
 SENSED = ("psi", "psi_dot", "ax")
 AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
@@ -103,7 +102,7 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
         G = I, but for the world position, which the noise of x and y moves by (cos ψ, sin ψ), (sin ψ, −cos ψ)
 
-    jacobians: what `plant.symbolic.jacobian.printed_jacobians` printed of this model and (a_x), loaded
+    jacobians: what `cosim.model.symbolic.jacobian.printed_jacobians` printed of this model and (a_x), loaded
     """
 
     def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:

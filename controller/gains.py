@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from cosim.model import parameter, parameters_of
+from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.model import Parametric
-from plant.quantities import parameter, parameters_of
 
 ESTIMATORS = ("appendix_f", "lagged", "consistent")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row

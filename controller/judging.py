@@ -14,8 +14,8 @@ from controller.placement import placed_gain
 from controller.stability import FlownLoop, kept, worst
 from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
 from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
-from plant.design import Judged, Objection, Undesigned
-from plant.quantities import parameters_of
+from cosim.model import parameters_of
+from cosim.model.design import Judged, Objection, Undesigned
 
 AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # of the five poles
 SLOWER_FIRST = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)

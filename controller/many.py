@@ -14,7 +14,7 @@ import numpy as np
 from controller.design_model import Matrix, measurement_matrix
 from controller.gains import Settings
 from controller.kalman import discrete_model
-from plant.quantities import parameters_of
+from cosim.model import parameters_of
 
 INPUTS = ("psi", "psi_dot", "ax", "x_ref", "psi_ref")
 ESTIMATE = ("x_hat", "vx_hat", "psi_hat", "psi_dot_hat", "a_hat")

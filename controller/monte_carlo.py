@@ -21,9 +21,9 @@ from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
 from controller.observers import LinearFilter
+from cosim.model import Moment, Stepper
+from cosim.model.namespaces import arrays
 from plant.hovercraft import Hovercraft
-from plant.integrate import Moment, Stepper
-from plant.namespaces import arrays
 
 SETTLING = 50  # samples after which errors count
 FIX_EVERY = 5  # samples, 10 Hz
@@ -200,7 +200,7 @@ def _estimator(name: str) -> Any:
 
 @cache
 def _jacobians() -> Mapping[str, Any]:
-    from plant.symbolic.jacobian import loaded, printed_jacobians
+    from cosim.model.symbolic.jacobian import loaded, printed_jacobians
 
     return loaded(printed_jacobians(Hovercraft(), ("ax",)))
 

@@ -14,7 +14,7 @@ from plant.hovercraft import Hovercraft
 class Slopes:
     """∂f/∂x (`state`), ∂f/∂u (`command`) and ∂h/∂x (`output`) of a craft.
 
-    printed: module that `plant.symbolic.jacobian.printed_jacobians` printed of the craft, loaded
+    printed: module that `cosim.model.symbolic.jacobian.printed_jacobians` printed of the craft, loaded
     """
 
     def __init__(self, craft: Hovercraft, printed: Mapping[str, Any]) -> None:

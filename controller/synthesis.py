@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from controller.design_model import Matrix, ModelNumbers, design_model
+from cosim.model import SCALAR, Values
+from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.hovercraft import Hovercraft
-from plant.model import Values
-from plant.namespaces import SCALAR
-from plant.symbolic.linearize import LinearModel, linearize
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)

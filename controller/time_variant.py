@@ -16,7 +16,7 @@ from controller.laws import Estimator, Seen
 from controller.predictive import POSITIONS, Predicting
 from controller.slopes import Slopes
 from controller.time_variant_settings import TimeVariantSettings
-from plant.namespaces import arrays
+from cosim.model.namespaces import arrays
 
 SMALL = 0.25  # |λ|·h up to which the series of φ₁ is used: its error is (|λ|·h)⁵/120
 

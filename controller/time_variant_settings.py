@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 from controller.extended import ExtendedSettings
 from controller.gains import CRAFT, variance
 from controller.variants import PredictionSettings
+from cosim.model import SCALAR, Parameter, parameter, parameters_of
 from plant.hovercraft import Hovercraft
-from plant.namespaces import SCALAR
 from plant.powertrain import ground_effect
-from plant.quantities import Parameter, parameter, parameters_of
 
 NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
 # The equations are taken to hold to 1 % of a propeller's thrust, 25 mN at its arm, afresh at each sample of 0.02 s:

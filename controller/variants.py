@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from controller.gains import GAINS, Settings
-from plant.quantities import parameter
+from cosim.model import parameter
 
 # what `design:` knows; "" is the LQR
 POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT = LAWS = ("poles", "integral", "predictive", "time_variant")

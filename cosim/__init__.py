@@ -1,8 +1,8 @@
-"""Co-simulation of FMUs, held against measured logs: what a model lacks, found and added.
+"""Co-simulation of FMUs, and their refinement with measured logs.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `identify`, `linearize`, `compare`, `consistency`,
-`export_ssp` and `sweep` are the verbs of the command line as functions, `read` reads what they left; each is imported
-when it is first asked for. docs/python.md shows them.
+`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `linearize`, `compare`, `consistency`, `export_ssp`
+and `sweep` are the verbs of the command line as functions, `read` reads what they left. Installed packages add more.
+Each is imported when it is first asked for. docs/python.md shows them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.api import check, compare, read, refine, replay, run, simulate
+    from cosim.authoring.export import export_ssp
     from cosim.estimators.workflow import consistency
     from cosim.experiment.excite import excite
-    from cosim.identification.workflow import identify
     from cosim.linearization.workflow import linearize
-    from cosim.models.fmus import build
-    from cosim.simulation.export import export_ssp
+    from cosim.loading.build import build
     from cosim.sweeps.workflow import sweep
+    from cosim.verbs.api import check, compare, read, refine, replay, run, simulate
 
 __all__ = [
     "build",
@@ -27,7 +26,6 @@ __all__ = [
     "consistency",
     "excite",
     "export_ssp",
-    "identify",
     "linearize",
     "read",
     "refine",
@@ -38,19 +36,18 @@ __all__ = [
 ]
 
 _PLACES = {
-    "build": "cosim.models.fmus",
-    "check": "cosim.api",
-    "compare": "cosim.api",
+    "build": "cosim.loading.build",
+    "check": "cosim.verbs.api",
+    "compare": "cosim.verbs.api",
     "consistency": "cosim.estimators.workflow",
     "excite": "cosim.experiment.excite",
-    "export_ssp": "cosim.simulation.export",
-    "identify": "cosim.identification.workflow",
+    "export_ssp": "cosim.authoring.export",
     "linearize": "cosim.linearization.workflow",
-    "read": "cosim.api",
-    "refine": "cosim.api",
-    "replay": "cosim.api",
-    "run": "cosim.api",
-    "simulate": "cosim.api",
+    "read": "cosim.verbs.api",
+    "refine": "cosim.verbs.api",
+    "replay": "cosim.verbs.api",
+    "run": "cosim.verbs.api",
+    "simulate": "cosim.verbs.api",
     "sweep": "cosim.sweeps.workflow",
 }
 
@@ -60,9 +57,22 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cosim.given import checked
+    from cosim.base.settings import checked
 
-    function = globals()[name] = checked(getattr(import_module(_PLACES[name]), name))
-    return function
+    if name in _PLACES:
+        function = getattr(import_module(_PLACES[name]), name)
+    elif (function := _added(name)) is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = checked(function)
+    return globals()[name]
+
+
+def _added(name: str) -> Any:
+    """Return the function that an installed package adds under a name; None if there is none."""
+    if name.startswith("_"):
+        return None
+    from cosim.base.registry import extensions, resolve
+
+    places = (e.function for command, e in extensions() if e.function and command.replace("-", "_") == name)
+    place = next(places, None)
+    return None if place is None else resolve(place)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from cosim.program import as_program, ending_at_once
+from cosim.base.program import as_program, ending_at_once
 
 
 def main() -> None:
     """Console entry."""
     with ending_at_once():  # while modules are imported nothing is begun
-        from cosim.cli import entry
+        from cosim.verbs.cli import entry
     as_program(entry)
 
 

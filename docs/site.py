@@ -53,7 +53,7 @@ def gallery() -> None:
         subprocess.run([sys.executable, "examples/tanks/make_logs.py"], cwd=folder, check=True, capture_output=True)
         for page, words in REPORTS:
             print(f"cosim {words}", flush=True)
-            command = [sys.executable, "-m", "cosim.cli", *shlex.split(words)]
+            command = [sys.executable, "-m", "cosim", *shlex.split(words)]
             done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
             wanted = {"missed": 5, "failed": 4}.get(page, 0)
             if done.returncode != wanted:

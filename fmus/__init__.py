@@ -1,3 +1,3 @@
-"""The FMUs: FMI variables over the plant and the controller, and their build."""
+"""FMUs of the worked example, the thrust-vectoring hovercraft: their variables and recipes."""
 
-__version__ = "0.1.0"
+PACKAGES = ("plant", "controller", "fmus")  # carried by an FMU of the example, as far as its slave imports them

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fmus.model_fmu import ModelSlave
-from fmus.ports import model_ports
+from cosim.fmi.model_fmu import ModelSlave
+from cosim.fmi.ports import model_ports
 from plant.bench import Bench
 
 

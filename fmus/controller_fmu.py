@@ -11,10 +11,10 @@ from pythonfmu.enums import Fmi2Status
 from controller.gains import Settings
 from controller.laws import Law, StateFeedback
 from controller.loop import Loop
+from cosim.fmi.ports import Port, Value, parameter_port
+from cosim.fmi.slave import STEP, Slave
+from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_ports, start_ports
-from fmus.ports import Port, Value, parameter_port
-from fmus.slave import STEP, Slave
-from plant.quantities import parameters_of
 
 
 def controller_ports(settings: Settings) -> tuple[Port, ...]:

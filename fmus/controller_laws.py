@@ -8,9 +8,9 @@ from typing import Any
 from controller.laws import IntegralFeedback, Law
 from controller.time_variant_settings import TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
+from cosim.fmi.ports import Port, Value
 from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController, controller_ports
 from fmus.craft_ports import ESTIMATES
-from fmus.ports import Port, Value
 
 Dependencies = Mapping[str, Sequence[str]]
 INTEGRALS = (

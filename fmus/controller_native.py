@@ -9,12 +9,12 @@ from typing import Any
 from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
+from cosim.fmi.native.layout import Layout
+from cosim.fmi.native.package import Native, part
+from cosim.fmi.native.printing import LANGUAGE, Sources, quoted, variable_tables
+from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
-from fmus.native.layout import Layout
-from fmus.native.package import Native, part
-from fmus.native.printing import LANGUAGE, Sources, quoted, variable_tables
 from fmus.recipes import controller_recipe
-from plant.quantities import parameters_of
 
 STATES, COMMANDS, MEASURED, FIXED = len(ESTIMATE), 2, 3, 1
 NAMES = """

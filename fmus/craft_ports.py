@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fmus.ports import Port
+from cosim.fmi.ports import Port
 
 ESTIMATED = {  # name → unit, meaning
     "x": ("m", "distance along the craft's own axis"),

@@ -12,12 +12,12 @@ from typing import Any, ClassVar
 from controller.extended import ExtendedFilter, ExtendedSettings, level_tilt
 from controller.gains import Settings
 from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
+from cosim.fmi.ports import Port, Value, parameter_port
+from cosim.fmi.slave import Slave
+from cosim.model import Parameter, parameters_of
 from fmus.craft_ports import ESTIMATE, ESTIMATES, fix_ports, sigma_ports, start_ports
 from fmus.craft_ports import MEASURED as IMU
-from fmus.ports import Port, Value, parameter_port
-from fmus.slave import Slave
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from plant.quantities import Parameter, parameters_of
 
 SIGNALS = (
     *IMU,

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fmus.build import Recipe
-from fmus.description import Description
-from fmus.documentation import documented
-from fmus.ports import Port
-
-DESIGNING = (
-    "controller/synthesis.py",
-    "controller/designer.py",
-    "controller/placement.py",
-    "controller/stability.py",
-    "controller/judging.py",
-)  # what an estimator does without
-NEEDED = ("craft_ports",)  # of `fmus`
+from cosim.fmi.documentation import documented
+from cosim.fmi.fmu_build import Recipe
+from cosim.fmi.model_description import Description
+from cosim.fmi.ports import Port
+from fmus import PACKAGES
 
 
 def filter_recipe() -> Recipe:
@@ -27,8 +19,8 @@ def filter_recipe() -> Recipe:
 
     about = _about("Estimators of the hovercraft: three Kalman filters, double integration", HovercraftFilter.ports)
     text = documented(LinearFilter, discrete_model, DoubleIntegration, HovercraftFilter)
-    slave = ("estimator_fmu", "HovercraftFilter")
-    return Recipe(slave, ("plant", "controller"), about, text, (), NEEDED, without=DESIGNING)
+    slave = ("fmus.estimator_fmu", "HovercraftFilter")
+    return Recipe(slave, PACKAGES, about, text)
 
 
 def extended_recipe() -> Recipe:
@@ -38,18 +30,18 @@ def extended_recipe() -> Recipe:
 
     about = _about("Extended Kalman filter of the hovercraft on the plant's equations", HovercraftEkf.ports)
     text = documented(ExtendedFilter, Craft, HovercraftEkf)
-    slave = ("estimator_fmu", "HovercraftEkf")
-    printed = (("controller/printed.py", jacobians()),)
-    return Recipe(slave, ("plant", "controller"), about, text, (), NEEDED, without=DESIGNING, printed=printed)
+    slave = ("fmus.estimator_fmu", "HovercraftEkf")
+    printed = (("controller.printed", jacobians()),)
+    return Recipe(slave, PACKAGES, about, text, printed=printed)
 
 
 def jacobians() -> str:
     """Print ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a Python module; kept in the user's cache."""
-    from fmus.native.cache import fingerprint, kept
+    from cosim.model.symbolic.jacobian import printed_jacobians
+    from cosim.storage.cache import fingerprint, kept
     from plant.hovercraft import Hovercraft
-    from plant.symbolic.jacobian import printed_jacobians
 
-    code = fingerprint(("plant", "plant.effects", "plant.symbolic"))
+    code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))
     what = ("ax",), ("yaw_damping",)
     return str(kept(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what)))
 

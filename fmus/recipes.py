@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from fmus.build import Recipe, about_model, ordered
-from fmus.description import Description
-from fmus.documentation import documented, model_text
+from cosim.fmi.documentation import documented, model_text
+from cosim.fmi.fmu_build import Recipe, about_model, ordered
+from cosim.fmi.model_description import Description
+from fmus import PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
 HEAVY = {
@@ -18,20 +19,13 @@ HEAVY = {
     "actuator_second_order.damping_ratio": 0.5,
 }
 
-DESIGNING = (
-    "controller/synthesis.py",
-    "controller/designer.py",
-    "controller/placement.py",
-    "controller/stability.py",
-    "controller/judging.py",
-)  # offline
 Dependencies = Mapping[str, Sequence[str]]
 
 
 def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
     """The plant, with other defaults where `values` says so (a refined model)."""
+    import cosim.model.planar as planar
     import plant.hovercraft as craft
-    import plant.planar as planar
 
     model = craft.Hovercraft()
     about = about_model(
@@ -39,7 +33,7 @@ def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
         "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
     )
     text = f"<p>An unconnected plant hovers.</p>{model_text(model)}{documented(craft, planar)}"
-    return Recipe(("plant_fmu", "HovercraftPlant"), ("plant",), about, text, ordered(values), ("model_fmu",))
+    return Recipe(("fmus.plant_fmu", "HovercraftPlant"), PACKAGES, about, text, ordered(values))
 
 
 def heavy_recipe() -> Recipe:
@@ -98,7 +92,7 @@ def time_variant_recipe() -> Recipe:
     more = TimeVariantLaw, ExtendedFilter, Craft
     slave = HovercraftTimeVariantController
     recipe = _controller(slave, text, time_variant_dependencies(), TIME_VARIANT, *more)
-    return replace(recipe, printed=(("controller/printed.py", jacobians()),))
+    return replace(recipe, printed=(("controller.printed", jacobians()),))
 
 
 def _controller(
@@ -119,11 +113,9 @@ def _controller(
         sampled="sample_time",
         law=law,
     )
-    module = slave.__module__.rpartition(".")[2]
-    needed = ("craft_ports",) if module == "controller_fmu" else ("controller_fmu", "craft_ports")
     own = () if law == TIME_VARIANT else (discrete_model,)
     text = documented(Loop, *own, *more, slave)
-    return Recipe((module, slave.__name__), ("plant", "controller"), description, text, (), needed, without=DESIGNING)
+    return Recipe((slave.__module__, slave.__name__), PACKAGES, description, text)
 
 
 def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -136,4 +128,4 @@ def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
         "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed",
     )
     text = f"<p>An unconnected bench is at rest.</p>{model_text(model)}{documented(bench)}"
-    return Recipe(("bench_fmu", "PropellerBench"), ("plant",), about, text, ordered(values), ("model_fmu",))
+    return Recipe(("fmus.bench_fmu", "PropellerBench"), PACKAGES, about, text, ordered(values))

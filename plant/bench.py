@@ -9,9 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import SCALAR, Namespace
+from cosim.model import (
+    SCALAR,
+    Delay,
+    Effect,
+    Equations,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Values,
+    overrides,
+    parameter,
+)
 from plant.powertrain import (
     assembly_moment,
     ground_effect,
@@ -22,7 +32,6 @@ from plant.powertrain import (
     servo_rate,
     thrust_out_of_ground,
 )
-from plant.quantities import Quantity, parameter
 from plant.rigid_body import thrust_vector
 
 REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, nothing below

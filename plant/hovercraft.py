@@ -9,14 +9,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from cosim.model import (
+    SCALAR,
+    Equations,
+    Model,
+    Namespace,
+    Number,
+    PlanarFrame,
+    Quantity,
+    Validity,
+    Values,
+    overrides,
+    parameter,
+    world_velocity,
+)
 from plant.effects import CATALOGUE
-from plant.effects.sensors import SENSORS
-from plant.effects.terms import HovercraftEffect, Motion
-from plant.model import Equations, Model, Number, Validity, Values, overrides
-from plant.namespaces import SCALAR, Namespace
-from plant.planar import PlanarFrame, world_velocity
+from plant.effects.hooks import HovercraftEffect, Motion
+from plant.effects.sensor_errors import SENSORS
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
-from plant.quantities import Quantity, parameter
 from plant.rigid_body import thrust_vector
 
 QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad], as far as a propeller tilts

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from plant.model import Number
-from plant.namespaces import Namespace
+from cosim.model import Namespace, Number
 
 
 def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Number, gravity: Number) -> Number:

@@ -6,8 +6,7 @@ side up. World axes: X forward and Y left at ψ = 0, z up. No other reading sati
 
 from __future__ import annotations
 
-from plant.model import Number
-from plant.namespaces import Namespace
+from cosim.model import Namespace, Number
 
 
 def thrust_vector(m: Namespace, thrust: Number, alpha: Number) -> tuple[Number, Number]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 SOURCE = Path(__file__).with_name("bounce1.c")
 NAMES = ("kick_at", "ask_at", "end_at", "fail_at")

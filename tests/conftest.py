@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from cosim.fmi.fmu_build import Recipe, build
+from cosim.fmi.native.compiler import compiler
 from cosim.isolation import process
-from cosim.models.native import build_native
-from fmus.build import Recipe, build
-from fmus.native.compiler import compiler
+from cosim.loading.build_native import build_native
 from fmus.recipes import controller_recipe, plant_recipe
 
 ROOT = Path(__file__).resolve().parent.parent

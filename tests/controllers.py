@@ -37,13 +37,11 @@ from controller.variants import (
     placed_settings,
 )
 from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
+from cosim.model.symbolic.jacobian import loaded
 from fmus.estimator_recipes import jacobians
 from fmus.recipes import HEAVY
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.integrate import Moment, Stepper
-from plant.namespaces import SCALAR
-from plant.quantities import Parameter, parameters_of
-from plant.symbolic.jacobian import loaded
 
 STEP = 0.02  # [s], Fig 4.8
 

@@ -111,7 +111,7 @@ class Trial:
             "replay": ["replay", str(folder / "log.csv"), "--plant", str(folder / "bad.fmu"), *out],
         }[case.verb]
         return subprocess.Popen(
-            [sys.executable, "-m", "cosim.cli", *arguments],
+            [sys.executable, "-m", "cosim", *arguments],
             env=self.environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 DEEDS = (
     "nothing", "error of step", "error of update", "error of derivative", "discarded", "no number", "chatters",

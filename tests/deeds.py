@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 SOURCE = Path(__file__).with_name("deeds.c")
 PLATFORM = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib")}.get(platform.system())

@@ -13,8 +13,7 @@ MODEL = '''"""Sway and yaw of a ferry, each with a thruster and friction of its 
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class FerryEffect(Effect):

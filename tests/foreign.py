@@ -147,9 +147,9 @@ def compared(columns: Any, times: Any, reference: Any, step: float) -> dict[str,
 
 def ours(path: Path, way: str, start: float, step: float, steps: int, recorded: Sequence[str] = ()) -> Any:
     """Results of `cosim` for the FMU alone."""
-    from cosim.simulation.master import StoppedRun, simulate
-    from cosim.simulation.scenario_file import ScenarioFile
-    from cosim.simulation.system import build_system
+    from cosim.master.master import StoppedRun, simulate
+    from cosim.scenario.scenario_file import ScenarioFile
+    from cosim.system.system import build_system
 
     scenario = {
         "name": "alone",

@@ -6,9 +6,9 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from cosim.base.errors import CosimError
 from cosim.blocks.description import read_description, ways
 from cosim.blocks.summary import summary_of
-from cosim.errors import CosimError
 from cosim.linearization.workflow import linearize
 
 

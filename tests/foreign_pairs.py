@@ -35,9 +35,9 @@ PAIRS: dict[str, dict[str, Any]] = {
 
 
 def ours(job: dict[str, Any]) -> np.ndarray:
-    from cosim.simulation.master import simulate
-    from cosim.simulation.scenario_file import ScenarioFile
-    from cosim.simulation.system import build_system
+    from cosim.master.master import simulate
+    from cosim.scenario.scenario_file import ScenarioFile
+    from cosim.system.system import build_system
 
     scenario = {
         "name": "pair",

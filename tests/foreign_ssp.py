@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import CosimError, InputError
+from cosim.base.errors import CosimError, InputError
 from cosim.simulation.packaged import unpacked
 from cosim.simulation.workflow import run
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Part
-from cosim.ssp.package import opened
 from cosim.ssp.read import Reader
+from cosim.ssp.ssp_package import opened
 from tests.hosts import HOSTS, Refused, reason
 
 STEPS = 200

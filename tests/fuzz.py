@@ -32,10 +32,10 @@ from xml.etree import ElementTree
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from cosim.cli import entry
-from cosim.errors import CosimError
-from cosim.simulation.scenario_file import ScenarioFile
-from fmus.scratch import process_folder
+from cosim.base.errors import CosimError
+from cosim.base.scratch import process_folder
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.verbs.cli import entry
 
 ROOT = Path(__file__).resolve().parent.parent
 EXITS = {0, 2, 3, 4, 5, 124, 130}
@@ -610,7 +610,7 @@ def fuzz(
 
 def main() -> None:
     """Examples of every kind in turn, one line each; what was wrong is printed and ends in exit 1."""
-    from fmus.build import build
+    from cosim.fmi.fmu_build import build
     from fmus.recipes import plant_recipe
 
     total = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000

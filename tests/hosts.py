@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import CosimError
-from cosim.simulation.export import export_ssp
+from cosim.authoring.export import export_ssp
+from cosim.base.errors import CosimError
 from cosim.simulation.workflow import run
 from tests.hosts_fmpy import description_of
 

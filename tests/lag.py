@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 SOURCE = r"""
 #include <stdlib.h>

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.logs.log import Log, read_log
+from cosim.model import Moment, Stepper
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
-from plant.integrate import Moment, Stepper
 
 Array = NDArray[np.float64]
 STEP = 0.02  # [s], sample time of the rig

@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 MANY = 20_000
 HERE = Path(__file__).parent
@@ -55,7 +55,7 @@ def main() -> None:
         environment = {**os.environ, "PYTHONPATH": str(HERE.parent)}
         for what in (["check", "--no-load"], ["check"], ["run", "--out", f"{folder}/out"]):
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            command = [sys.executable, "-P", "-m", "cosim.cli", *what, str(path)]
+            command = [sys.executable, "-P", "-m", "cosim", *what, str(path)]
             done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
             if done.returncode:
                 sys.exit(done.stderr)

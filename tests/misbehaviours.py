@@ -103,7 +103,7 @@ def command_of(tool: str, folder: Path, case: Case) -> tuple[list[str], str]:
             "components:\n  fmu: {fmu: bad.fmu}\n  u: {block: reference, signals: {u: {start: 1}}}\n"
             "connections: [{from: u.u, to: fmu.u1}]\n"
         )
-        command = [sys.executable, "-m", "cosim.cli", "run", str(folder / "run.yaml"), "--no-report"]
+        command = [sys.executable, "-m", "cosim", "run", str(folder / "run.yaml"), "--no-report"]
         return [*command, "--out", str(folder / "out")], ""
     if tool == "FMPy":
         (folder / "in.csv").write_text("time,u1\n" + "".join(f"{0.1 * k:.1f},1\n" for k in range(steps + 1)))

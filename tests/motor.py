@@ -12,9 +12,7 @@ MODEL = '''"""Winding and shaft of a DC motor."""
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 
 
 class MotorEffect(Effect):

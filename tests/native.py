@@ -12,7 +12,7 @@ import pytest
 from fmpy import fmi2
 from scipy.integrate import solve_ivp
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 from tests.hosts_fmpy import description_of, extracted
 
 NEEDS_COMPILER = pytest.mark.skipif(compiler() is None, reason="no C compiler")

@@ -14,7 +14,7 @@ from pathlib import Path
 def main() -> int:
     """`cosim init` and `cosim run` in an empty folder; a line of JSON: exporters, connections, seconds, pages."""
     fmus = [str(Path(name).resolve()) for name in sys.argv[1:]]
-    cosim, seconds = [sys.executable, "-m", "cosim.cli"], {}
+    cosim, seconds = [sys.executable, "-m", "cosim"], {}
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
     with tempfile.TemporaryDirectory(prefix="newcomer-") as folder:
         for verb, arguments in (("init", fmus), ("run", ["scenario.yaml", "--out", "results"])):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from typing import Any
 
-from cosim.blocks.interface import Signal, in_turn
+from cosim.blocks.component import Signal, in_turn
 from cosim.isolation.rows import Rows
-from cosim.simulation.schedule import Stage
-from cosim.simulation.system import System
-from cosim.simulation.wiring import Transfer
+from cosim.system.schedule import Stage
+from cosim.system.system import System
+from cosim.system.wiring import Transfer
 
 Call = tuple[str, str, int]  # component, call, number that stands in `Rows.doing` meanwhile
 Law = Callable[[float, float, Sequence[float]], Sequence[float]]  # end of the step [s], its length [s], inputs

@@ -15,10 +15,7 @@ MODEL = '''"""A mass on a rail, between a spring and a motor."""
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency
+from cosim.model import Bias, Delay, Effect, Equations, Latency, Model, Quantity, overrides, parameter
 
 
 class RailEffect(Effect):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from tests.logs import write_log
 
 STEP, FINE = 0.02, 10  # [s], and steps of the truth to a row
@@ -19,10 +19,7 @@ ROVER = '''"""A rover: a force forward, a moment, and drag."""
 
 from dataclasses import dataclass
 
-from plant.gain import Gain
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Drift, Latency, LeverArm
+from cosim.model import Bias, Drift, Effect, Equations, Gain, Latency, LeverArm, Model, Quantity, overrides, parameter
 
 
 class RoverEffect(Effect):

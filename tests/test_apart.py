@@ -14,11 +14,7 @@ import pytest
 from tests.tank import LEAK, tank_study
 from tests.test_drive import EXAMPLE, simulated
 
-CRAFT = (
-    "plant.hovercraft", "plant.powertrain", "plant.rigid_body", "plant.effects", "controller", "fmus.plant_fmu",
-    "fmus.controller_fmu", "fmus.recipes", "cosim.simulation.report.craft", "cosim.experiment.closed_loop",
-    "cosim.bench",
-)  # fmt: skip
+CRAFT = ("plant", "controller", "fmus.plant_fmu", "fmus.controller_fmu", "fmus.recipes", "fmus.report", "benchmarks")
 APART = f"""
 import sys
 
@@ -28,7 +24,7 @@ class Closed:
             raise ImportError(f"{{name}} is the craft's")
 
 sys.meta_path.insert(0, Closed())
-from cosim.cli import entry
+from cosim.verbs.cli import entry
 sys.argv = ["cosim", *sys.argv[1:]]
 entry()
 """

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import sympy
 
+from cosim.model import Stepper, parameters_of
+from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
+from cosim.model.symbolic.symbols import symbolic
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR, SymbolNamespace, arrays
-from plant.quantities import parameters_of
-from plant.symbolic.symbols import symbolic
 from tests.independent import HOLD, excitation, flown
 
 COUNT = 6

@@ -10,11 +10,11 @@ import pytest
 import sympy
 from fmpy.validation import validate_fmu
 
-from cosim.identification.recordings import FmuPlayer, Run, play_plain
-from cosim.models.fmus import build
+from cosim.loading.build import build
+from cosim.model import Stepper
+from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
 from plant.bench import Bench
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR, SymbolNamespace, arrays
+from plant.identification.recordings import FmuPlayer, Run, play_plain
 from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
 
 REST = (5.0, 7.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cosim.estimation.posing import build_problem, coarsened
-from cosim.refinement.between import Between, between_rows
+from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.page import context
-from cosim.refinement.search import Search
+from cosim.refinement.report.refine_page import context
+from cosim.refinement.search.fits import Search
+from cosim.refinement.search.input_hold import Between, between_rows
 from cosim.refinement.study import read_study
-from plant.integrate import Stepper
 from tests.logs import write_log
 from tests.studies import proven
 from tests.tank import tank_study
@@ -25,7 +25,7 @@ FINE = 20  # steps of the truth in a row
 
 def motor_study(folder: Path, rig: str, study: str) -> Path:
     """A motor that lacks nothing, on a multisine that its rig holds or ramps between rows, and how a study takes it."""
-    from cosim.models.file import load_model
+    from cosim.loading.file import load_model
 
     (folder / "motor.py").write_text(MOTOR)
     model = load_model("motor.py:Motor", folder).model

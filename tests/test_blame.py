@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from cosim.blocks.interface import EndedEarly
+from cosim.base.errors import SimulationError, TimedOut
+from cosim.blocks.component import EndedEarly
 from cosim.blocks.sources import Source
-from cosim.errors import SimulationError, TimedOut
 from cosim.isolation import watch
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, Rows
 from cosim.isolation.watch import Clock, Watch, fmi_calls, how_ended
-from cosim.simulation.copying import Copying
-from cosim.simulation.halving import Halved, why_not
-from cosim.simulation.initialization import Initialization
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.schedule import Stage
+from cosim.master.copying import Copying
+from cosim.master.halving import Halved, why_not
+from cosim.master.initialization import Initialization
+from cosim.master.master import StoppedRun, simulate
+from cosim.system.schedule import Stage
 from tests.own_blocks import Block, rows_for, system_of
 
 CODES = {"put": 0, "advance": 1, "get": 2, "open": 3, "start": 3, "close": 3}
@@ -53,7 +53,7 @@ def test_every_call_of_a_run_is_announced_with_the_number_of_its_component() -> 
 
 def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: pytest.MonkeyPatch) -> None:
     blocks, seen = three(), list[tuple[str, int]]()
-    monkeypatch.setattr("cosim.simulation.halving.FmuBlock", Block)
+    monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
     system = chain(blocks)
     rows = rows_for(system, 2)
     for block in blocks:
@@ -93,7 +93,7 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
             super().advance(t, h)
             self.total += h * h
 
-    monkeypatch.setattr("cosim.simulation.halving.FmuBlock", Block)
+    monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
     block = Squares("a", [], ["y"], lambda t, h, u: [block.total])
     block.instance = SimpleNamespace(  # type: ignore[attr-defined]
         saved=lambda: block.total, take_back=lambda state: setattr(block, "total", state)

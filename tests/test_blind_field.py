@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.models.file import load_model
-from plant.integrate import Stepper
-from plant.model import Model
+from cosim.loading.file import load_model
+from cosim.model import Model, Stepper
 from tests.blind import field_score, field_study, harness
 from tests.blind.field_cost import Conditions, costs, remaining
 from tests.blind.field_craft import CraftRig

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.blind import truth
 from tests.blind.truth import VARIANCE, Log, craft_of, draw, fly, write
 from tests.blind.truth_craft import DUTY, OUTPUTS, SHEET, STEP, TILT_MAX, Command, Craft, Flight

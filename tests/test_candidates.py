@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import pytest
 
 from cosim.estimation.candidates import base_parameters, candidates, neutral_values
+from cosim.model import Equations, Model, Namespace, parameter
 from plant.hovercraft import Hovercraft
-from plant.model import Equations, Model
-from plant.namespaces import Namespace
-from plant.quantities import parameter
 
 
 def test_a_base_parameter_is_looked_for_within_its_own_bounds_near_its_value() -> None:

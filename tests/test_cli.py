@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.checks import check_files
-from cosim.cli import app, entry
-from cosim.errors import InputError, Interrupted
+from cosim.base.errors import InputError, Interrupted
+from cosim.master.remote import Stepped
 from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
-from cosim.simulation.apart import Stepped
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app, entry
 from cosim.verbs.terminal import Manner, stages
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
@@ -37,7 +37,7 @@ def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
     commands = {n: np.sin(time) for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")}  # down to −1
     log = write_log(tmp_path / "a.csv", {"time": time, **commands, "ax": np.cos(time)})
     run = subprocess.run(
-        [sys.executable, "-m", "cosim.cli", "check", str(log)],
+        [sys.executable, "-m", "cosim", "check", str(log)],
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": encoding},
         capture_output=True,
         timeout=120,
@@ -157,7 +157,7 @@ def stop(*_):
 main()
 """
 LOADING = "sys.meta_path.insert(0, type('Stops', (), {'find_spec': stop}))"
-TELLING = "import cosim.cli; cosim.cli.entry = stop"
+TELLING = "import cosim.verbs.cli; cosim.verbs.cli.entry = stop"
 
 
 def listening() -> None:
@@ -198,7 +198,7 @@ def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
         checked.append(system)
         return Stepped(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("cosim.checks.simulate_apart", interrupted)
+    monkeypatch.setattr("cosim.verbs.checks.simulate_apart", interrupted)
     path = str(deeds_scenario(tmp_path, "none", "none"))
     answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
     assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)
@@ -224,7 +224,7 @@ def test_a_stage_is_numbered_and_its_number_never_falls(
 
 
 def test_every_stage_that_a_refine_tells_has_its_number() -> None:
-    files = (ROOT / "cosim" / "refinement").glob("*.py")
+    files = (ROOT / "cosim" / "refinement").rglob("*.py")
     sources = [p.read_text() for p in files if p.name != "stages.py"]
     told = {words for text in sources for words in re.findall(r'progress\("([^"]+)"', text)}
     told |= {words for text in sources for words in re.findall(r'_each\("([^"]+)"', text)}

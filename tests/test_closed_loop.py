@@ -15,8 +15,8 @@ from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
 from controller.lqr import feedback
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 
 Array = NDArray[np.float64]
 H = 0.02

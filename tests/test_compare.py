@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compared
-from cosim.comparison.ran import Ran
-from cosim.errors import InputError
-from cosim.results import Results, read_results
+from cosim.comparison.run_files import Ran
+from cosim.storage.results import Results, read_results
 from tests.seen import faults
 from tests.test_first_steps import told
 from tests.typed import typed_fmu

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from cosim.arrays import Array
-from cosim.comparison.between import rows_between
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
-from cosim.comparison.page import compare, context
-from cosim.comparison.ran import Ran
+from cosim.comparison.intermediate_rows import rows_between
+from cosim.comparison.run_files import Ran
 from cosim.comparison.signals import near, rows_of
-from cosim.errors import InputError
-from cosim.results import Results
+from cosim.comparison.workflow import compare, context
+from cosim.storage.results import Results
 
 TIME = np.linspace(0.0, 1.0, 101)
 EPS = float(np.finfo(float).eps)

@@ -14,10 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
+from cosim.base.errors import CosimError, FmuError, InputError
 from cosim.blocks import compiling
-from cosim.cli import app
-from cosim.errors import CosimError, FmuError, InputError
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
+from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu, library
 from tests.typed import HERE, TYPED2, TYPED3
 
@@ -182,7 +182,7 @@ def test_another_language_is_refused(tmp_path: Path, compiled: Callable[[], int]
 def test_without_a_compiler_the_cure_is_told(
     tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fmus.native import platforms
+    from cosim.fmi.native import platforms
 
     monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
     monkeypatch.setattr(platforms, "crossing", lambda: False)

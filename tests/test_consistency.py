@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 from controller.extended import STATES
 from controller.monte_carlo import CASES, MANOEUVRE, Case, references, squares_of
-from cosim.cli import app
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.estimators.consistency import Consistency, Row, by_case, consistency_of, headline, independent_times
-from cosim.estimators.page import page
+from cosim.estimators.report import page
 from cosim.estimators.workflow import consistency
+from cosim.model import Stepper
+from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 
 
 def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:

@@ -26,17 +26,17 @@ from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, 
 from controller.time_variant import SMALL, TimeVariantLaw, held_over
 from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
-from cosim.errors import InputError
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.base.errors import InputError
+from cosim.fmi.fmu_build import build
+from cosim.model import Stepper
+from cosim.model.symbolic.linearize import linearize
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps.store import TABLE, read_table
 from cosim.sweeps.workflow import sweep
-from fmus.build import build
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.symbolic.linearize import linearize
 from tests.controllers import LAWS, WITHIN, conditions, figure_6_2, fly, manoeuvre, time_variant
 from tests.hosts_fmpy import Instance
 
@@ -455,7 +455,7 @@ def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: 
 def test_the_fmus_are_sound_and_say_which_law_they_are(fmus: dict[str, Path]) -> None:
     from fmpy.validation import validate_fmu
 
-    from fmus.sampled import law_of
+    from cosim.fmi.sampled import law_of
 
     for path in fmus.values():
         assert validate_fmu(str(path)) == []

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.closed_loop import ClosedLoop
 from controller.design_model import design_model
 from controller.gains import Settings
 from controller.synthesis import lqr_gain, numbers_of
-from cosim.experiment.closed_loop import ClosedLoop
-from cosim.models.file import own_model
-from cosim.registry import rig_of
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.base.registry import rig_of
+from cosim.fmi.fmu_build import build
+from cosim.loading.file import own_model
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from fmus.build import build
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 

@@ -8,11 +8,11 @@ import pytest
 
 from controller.designer import DESIGNER
 from controller.variants import INTEGRAL, POLES, PREDICTIVE, TIME_VARIANT
-from cosim.errors import InputError
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
-from fmus.build import build
+from cosim.base.errors import InputError
+from cosim.fmi.fmu_build import build
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.system import build_system
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 
 FMUS = {

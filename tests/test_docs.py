@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from cosim.cli import app
-from cosim.refinement.report.page import use_command
-from fmus.build import build
+from cosim.fmi.fmu_build import build
+from cosim.model import parameters_of
+from cosim.refinement.report.refine_page import use_command
+from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
-from plant.quantities import parameters_of
 from tests.test_first_steps import told
 
 ROOT = Path(__file__).parent.parent
@@ -57,7 +57,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     refined.write_text(f"schema_version: 1\nmodel: hovercraft\nparameters: {found}\n")
     for command in COMMANDS[:-1]:  # the flight of excite takes its time; tests/test_excite.py has it
         done = subprocess.run(
-            f"{sys.executable} -m cosim.cli {command}", shell=True, cwd=project, capture_output=True, text=True,
+            f"{sys.executable} -m cosim {command}", shell=True, cwd=project, capture_output=True, text=True,
             env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=120,
         )  # fmt: skip
         assert done.returncode == 0, (command, done.stderr)
@@ -68,7 +68,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
 
 def command(project: Path, line: str) -> subprocess.CompletedProcess[str]:
     """A command as a document shows it."""
-    arguments = [sys.executable, "-m", "cosim.cli", *shlex.split(line, comments=True)[1:]]
+    arguments = [sys.executable, "-m", "cosim", *shlex.split(line, comments=True)[1:]]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(arguments, cwd=project, env=environment, capture_output=True, text=True, timeout=120)
 
@@ -124,8 +124,8 @@ def test_the_effect_of_contributing_works_as_shown() -> None:
     assert block is not None
     imports = (
         "from dataclasses import dataclass\nfrom plant.effects.friction import REST\n"
-        "from plant.effects.terms import HovercraftEffect, Motion, Wrench\n"
-        "from plant.namespaces import SCALAR, Namespace\nfrom plant.quantities import parameter\n"
+        "from plant.effects.hooks import HovercraftEffect, Motion, Wrench\n"
+        "from cosim.model.namespaces import SCALAR, Namespace\nfrom cosim.model.quantities import parameter\n"
     )
     scope: dict[str, object] = {}
     exec(imports + "\n".join(line.removeprefix("   ") for line in block[1].splitlines()), scope)

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.models.file import load_model
+from cosim.fmi.fmu_build import build, model_recipe
+from cosim.loading.file import load_model
+from cosim.model import SCALAR, Stepper
 from cosim.refinement.workflow import refine
-from fmus.build import build, model_recipe
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR
 from tests.hosts_fmpy import Instance
 
 ROOT = Path(__file__).resolve().parent.parent

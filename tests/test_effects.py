@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.model import SCALAR, Stepper, parameters_of
 from plant.effects import CATALOGUE
 from plant.effects.actuator import (
     ActuatorDelay,
@@ -22,13 +23,10 @@ from plant.effects.actuator import (
 )
 from plant.effects.body import ComOffset, Coriolis, TableTilt
 from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
-from plant.effects.sensors import AccelerometerBias, AccelerometerScale, GyroBias
-from plant.effects.terms import Motion
+from plant.effects.hooks import Motion
+from plant.effects.sensor_errors import AccelerometerBias, AccelerometerScale, GyroBias
 from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR
-from plant.quantities import parameters_of
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 
 property_settings = settings(deadline=None, derandomize=True, max_examples=40)

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.models.file import load_model
+from cosim.loading.file import load_model
+from cosim.model import SCALAR, Model
 from cosim.refinement.workflow import refine
-from plant.model import Model
-from plant.namespaces import SCALAR
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.base.errors import SimulationError
 from cosim.blocks import model_exchange
-from cosim.errors import SimulationError
 from cosim.isolation import worker
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import ADVANCE
+from cosim.master.master import StoppedRun, simulate
 from cosim.residuals.workflow import replay
-from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from cosim.storage.results import Results
+from cosim.system.system import build_system
 from tests.decay import DEEDS, decay_fmu
 
 

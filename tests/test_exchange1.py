@@ -12,12 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.cli import app
+from cosim.master.master import StoppedRun, simulate
 from cosim.residuals.workflow import replay
-from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.results import Results
+from cosim.system.system import build_system
+from cosim.verbs.cli import app
 from tests.bounce1 import DESCRIPTION, bounce_fmu
 
 FALL = math.sqrt(2 / 9.81)  # [s] to the first bounce from 1 m

@@ -19,17 +19,17 @@ from typer.testing import CliRunner
 
 from controller.gains import Settings
 from controller.loop import Loop
-from cosim.cli import app
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
 from cosim.experiment.excite import Excitation, _merit, excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
-from cosim.refinement.attribution import Attributor
-from cosim.refinement.hypotheses import Attribution
-from cosim.refinement.judgement import decided
+from cosim.refinement.decision.judgement import decided
+from cosim.refinement.search.attribution import Attributor
+from cosim.refinement.search.hypotheses import Attribution
 from cosim.simulation.workflow import run
+from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE
 from tests.blind.truth_craft import STEP, Craft, Flight

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.errors import InputError
-from cosim.experiment.closed_loop import ClosedLoop
+from controller.closed_loop import ClosedLoop
+from cosim.base.errors import InputError
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.experiment.rigs import OpenLoop
@@ -24,8 +24,7 @@ FAN = '''"""A fan in front of a flap."""
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

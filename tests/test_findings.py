@@ -23,20 +23,20 @@ from cosim.estimation.fit import Fit, _Scoring, fit, inverse
 from cosim.estimation.noise_model import Noise, noise_range
 from cosim.estimation.posing import build_problem, coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
+from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model, read_model
-from cosim.refinement.attribution import Attributor
-from cosim.refinement.evidence import best_of, held_out, scattered
-from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
-from cosim.refinement.measure import first_rows
+from cosim.model import Model
+from cosim.refinement.decision.evidence import best_of, held_out, scattered
+from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
+from cosim.refinement.decision.trust import attributed
+from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search import Search
+from cosim.refinement.search.attribution import Attributor
+from cosim.refinement.search.fits import Search
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.unnamed import Leftover, left_beside
 from cosim.refinement.study import read_study
-from cosim.refinement.trust import attributed
-from cosim.refinement.unnamed import Leftover, left_beside
 from cosim.refinement.workflow import _follows
-from plant.model import Model
 from tests.ferry import ferry_study
 from tests.logs import write_log
 from tests.rail import MODEL, NOISE, SHEET, Rows, rail_log, rail_study, white
@@ -151,7 +151,7 @@ def test_a_gain_is_found_where_every_number_comes_out_too_large_together(tmp_pat
     study = rail_study(tmp_path / "study", all_larger, TOLERANCE + "candidates: [push, mass, spring, coulomb]\n")
     text = (study.parent / "rail.py").read_text().replace("catalogue = (", "catalogue = (Push, ")
     text = text.replace("class Rail(", PUSH, 1).replace(
-        "from plant.delay", "from plant.gain import Gain\nfrom plant.delay"
+        "from cosim.model import Bias,", "from cosim.model import Bias, Gain,"
     )
     (study.parent / "rail.py").write_text(text)
     r = proven(study, tmp_path / "out")

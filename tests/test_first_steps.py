@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.api import run, simulate
-from cosim.blocks.interface import Signal
-from cosim.checks import check_files
-from cosim.cli import app
-from cosim.errors import CosimError, InputError
-from cosim.kinds import READ_BY
-from cosim.results import read_results
-from cosim.simulation.draft_text import scalar
-from cosim.simulation.matching import Matches, Port, matched, text
-from cosim.simulation.parts import component_name
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.authoring.draft_text import scalar
+from cosim.authoring.matching import Matches, Port, matched, text
+from cosim.authoring.parts import component_name
+from cosim.base.errors import CosimError, InputError
+from cosim.blocks.component import Signal
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.kinds import LOG, next_step
+from cosim.storage.results import read_results
+from cosim.verbs.api import run, simulate
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app
 from tests.typed import typed_fmu
 
 EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'
@@ -80,7 +80,7 @@ def test_what_is_no_fmu_is_named_with_the_command_that_reads_it(tmp_path: Path, 
         (tmp_path, "is a folder, not an FMU"),
         (tmp_path / "none.fmu", "no such file; give an FMU"),
         (tmp_path / "empty.fmu", "is empty; give an FMU"),
-        (tmp_path / "log.csv", f"is a log, not an FMU: {READ_BY['a log'].format(file=tmp_path / 'log.csv')}"),
+        (tmp_path / "log.csv", f"is a log, not an FMU: {next_step(LOG, tmp_path / 'log.csv')}"),
         (tmp_path / "s.yaml", "is a scenario, not an FMU: `cosim run"),
     ):
         out = ["--out", tmp_path / "made.yaml"] if verb == "init" else []
@@ -212,8 +212,8 @@ def test_the_scenario_that_init_writes_checks_and_runs_and_converts_units(tmp_pa
 
 
 def test_what_init_offers_can_be_uncommented_where_nothing_was_connected(tmp_path: Path) -> None:
-    from cosim.simulation.draft_text import scenario_text
-    from cosim.simulation.parts import parts_of, times_of
+    from cosim.authoring.draft_text import scenario_text
+    from cosim.authoring.parts import parts_of, times_of
 
     parts = parts_of([typed_fmu(tmp_path, name="one"), typed_fmu(tmp_path, name="two")])
     (target,) = (p for p in parts[1].ports[0] if p[1].name == "r_in")
@@ -250,7 +250,7 @@ def test_two_of_one_name_get_names_of_their_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", ["on", "no", "a: b", "x # y", "p.e[1]", '"', "é ü", ""])
 def test_a_name_that_yaml_would_misread_stands_in_quotes(value: str) -> None:
-    from cosim.yaml_nodes import Document
+    from cosim.storage.yaml_nodes import Document
 
     assert Document(f"{{x: {scalar(value)}}}").data == {"x": value}
 

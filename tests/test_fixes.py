@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import InputError
-from cosim.results import Results
-from cosim.simulation.export import export_ssp
-from cosim.simulation.master import simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.authoring.export import export_ssp
+from cosim.base.errors import InputError
+from cosim.master.master import simulate
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.results import Results
+from cosim.system.system import build_system
 
 LEVEL = """name: level
 duration: {duration}

@@ -18,11 +18,11 @@ from controller.placement import POLES, placed_gain
 from controller.stability import LEAST_DAMPING, FlownLoop, Mode, kept, worst
 from controller.synthesis import integral_gain, lqr_gain
 from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings, mirrored
-from cosim.errors import InputError
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.base.errors import InputError
+from cosim.fmi.fmu_build import build
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from fmus.build import build
 from fmus.recipes import poles_recipe
 from tests.controllers import LAWS, STEP, fly, swings
 

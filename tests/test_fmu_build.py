@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 import uuid
@@ -13,12 +12,12 @@ from typing import Any
 
 import pytest
 
-import fmus.build
-from fmus.build import build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
 from tests.hosts_fmpy import Instance, description_of
+from tests.sources import copied_sources
 
-ROOT = fmus.build.ROOT
+ROOT = Path(__file__).resolve().parent.parent
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
 BOTH = pytest.mark.parametrize("which", list(RECIPES))
 
@@ -54,7 +53,7 @@ class Later(packer.datetime.datetime):
 packer.datetime = type("datetime", (), {"datetime": Later, "timezone": packer.datetime.timezone})
 then = time.gmtime(2.2e9)
 time.localtime, time.time = (lambda *_: then), (lambda: 2.2e9)
-from fmus.build import build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
 build(plant_recipe(), Path(sys.argv[1]))
 build(controller_recipe(), Path(sys.argv[2]))
@@ -108,12 +107,7 @@ def test_a_build_leaves_no_trace_in_this_process(which: str, tmp_path: Path) -> 
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the sources that the next builds are made of."""
-    folder = tmp_path / "tree"
-    for package in ("plant", "controller", "fmus"):
-        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "LICENSE", folder)
-    monkeypatch.setattr(fmus.build, "ROOT", folder)
-    return folder
+    return copied_sources(tmp_path / "tree", monkeypatch)
 
 
 def test_the_place_of_the_sources_does_not_matter(tree: Path, plant_fmu: Path, tmp_path: Path) -> None:
@@ -125,7 +119,7 @@ def test_the_place_of_the_sources_does_not_matter(tree: Path, plant_fmu: Path, t
     [
         ("plant_fmu", "plant/rigid_body.py"),
         ("plant_fmu", "plant/effects/thrust.py"),
-        ("plant_fmu", "fmus/slave.py"),
+        ("plant_fmu", "cosim/fmi/slave.py"),
         ("controller_fmu", "controller/loop.py"),
         ("controller_fmu", "fmus/controller_fmu.py"),
     ],

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.simulation.design import designed_values
-from cosim.simulation.master import simulate
-from cosim.simulation.scenario import FmuComponent
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.master.master import simulate
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario import FmuComponent
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.system import build_system
 from tests.hosts_fmpy import Instance
 
 ROOT = Path(__file__).resolve().parent.parent

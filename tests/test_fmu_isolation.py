@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-import fmus.build
-from fmus.build import build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import plant_recipe
 from tests.hosts_fmpy import Instance
 from tests.misbehaving import misbehaving_fmu
+from tests.sources import copied_sources
 
 ROOT = Path(__file__).resolve().parent.parent
 STEP = 0.02  # [s]
@@ -62,14 +62,11 @@ def test_two_builds_with_other_defaults_keep_their_own(plant_fmu: Path, tmp_path
 def test_two_builds_of_other_sources_keep_their_own(
     plant_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for package in ("plant", "fmus"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    source = tmp_path / "plant" / "rigid_body.py"
+    source = copied_sources(tmp_path, monkeypatch) / "plant" / "rigid_body.py"
     text = source.read_text(encoding="utf-8")
     changed = text.replace("return thrust * m.sin(alpha)", "return 2.0 * thrust * m.sin(alpha)")
     assert changed != text
     source.write_text(changed, encoding="utf-8")
-    monkeypatch.setattr(fmus.build, "ROOT", tmp_path)
     strong_fmu = build(plant_recipe(), tmp_path / "strong.fmu")
     for order in ((plant_fmu, strong_fmu), (strong_fmu, plant_fmu)):
         rows = dict(zip(order, alternately(*order), strict=True))
@@ -117,7 +114,8 @@ class Poison(types.ModuleType):
             raise AttributeError(name)
         raise RuntimeError(f"{self.__name__}.{name} was touched")
 
-poison = {n: Poison(n) for n in ("plant", "plant.hovercraft", "controller", "controller.loop", "fmus", "fmus.slave")}
+names = ("plant", "plant.hovercraft", "controller.loop", "fmus", "cosim", "cosim.model", "cosim.fmi.slave")
+poison = {n: Poison(n) for n in names}
 sys.modules.update(poison)
 rows = []
 with Instance(Path(sys.argv[1])) as plant, Instance(Path(sys.argv[2])) as controller:

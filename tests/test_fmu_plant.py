@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 
+from cosim.model import Moment, Stepper
 from plant.hovercraft import OUTPUTS, STATES, Hovercraft
-from plant.integrate import Moment, Stepper
 from tests.hosts_fmpy import Instance, extracted, refused
 
 STEP = 0.02  # [s], Fig 4.8

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from fmus.build import build
+from cosim.fmi.fmu_build import build
 from fmus.recipes import plant_recipe
 from tests.hosts_fmpy import Instance
 

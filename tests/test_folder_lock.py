@@ -17,14 +17,14 @@ import typer
 from typer.testing import CliRunner
 
 import cosim
-from cosim import folder_lock
-from cosim.cli import app
-from cosim.comparison.again import report_of
-from cosim.errors import InputError
-from cosim.files import check_writable
-from cosim.folder_lock import folder_locks, take_folder
-from cosim.models.native import build_native
-from fmus.scratch import lock_descriptor
+from cosim.base.errors import InputError
+from cosim.base.scratch import lock_descriptor
+from cosim.comparison.report_again import report_of
+from cosim.loading.build_native import build_native
+from cosim.storage import folder_lock
+from cosim.storage.files import check_writable
+from cosim.storage.folder_lock import folder_locks, take_folder
+from cosim.verbs.cli import app
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log

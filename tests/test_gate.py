@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
+from cosim.model import Equations, Model, Namespace, Quantity
+from cosim.model.traits import Traits
 from cosim.residuals.against import delay, delays, scales
+from cosim.verbs.checks import check_files
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
-from plant.model import Equations, Model
-from plant.namespaces import Namespace
-from plant.quantities import Quantity
-from plant.traits import Traits
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"

@@ -9,11 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cosim.api import run
+from cosim.authoring.graph import graph_of
 from cosim.report.diagram import Box, Port, Wire, diagram
-from cosim.simulation.graph import graph_of
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.system import build_system
+from cosim.verbs.api import run
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

@@ -11,11 +11,11 @@ import numpy as np
 from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
-from cosim.refinement.attribution import Attributor
-from cosim.refinement.evidence import held_out
-from cosim.refinement.judgement import decided
+from cosim.model import Stepper
+from cosim.refinement.decision.evidence import held_out
+from cosim.refinement.decision.judgement import decided
+from cosim.refinement.search.attribution import Attributor
 from plant.hovercraft import OUTPUTS, Hovercraft
-from plant.integrate import Stepper
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times
 
 TILT = math.radians(12)

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.fmi.fmu_build import build
+from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
-from cosim.models.file import load_model
+from cosim.model import Stepper
 from cosim.residuals import starts
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive, model_signals
+from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import free_run, horizons, self_started
-from cosim.residuals.words import verdict
 from cosim.residuals.workflow import write_replay
-from fmus.build import build
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, fly, log_of, measured, times, write_log
 
@@ -36,8 +36,7 @@ NOTHING = "nothing that the model lacks"
 OVEN = '''
 from dataclasses import dataclass
 
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from cosim import yaml_parsers
-from cosim.checks import check_files
-from cosim.errors import InputError
-from cosim.yaml_nodes import Document, NotYaml
-from fmus.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
+from cosim.base.errors import InputError
+from cosim.storage import yaml_parsers
+from cosim.storage.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
+from cosim.storage.yaml_nodes import Document, NotYaml
+from cosim.verbs.checks import check_files
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">

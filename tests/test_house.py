@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,16 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("plant", "controller", "fmus", "cosim")
 CODE = {".py", ".c", ".j2", ".css", ".js"}
 VERBS = ("run", "simulate", "replay", "refine", "check", "build", "read")
-# The rooms of the craft, and the registry that knows where they are.
-CRAFT = (
-    "plant/bench.py", "fmus/bench_fmu.py", "cosim/identification/",
-    "plant/hovercraft.py", "plant/powertrain.py", "plant/rigid_body.py", "plant/effects/", "controller/",
-    "fmus/plant_fmu.py", "fmus/controller_fmu.py", "fmus/controller_laws.py", "fmus/recipes.py",
-    "fmus/controller_native.py",
-    "cosim/simulation/report/craft/",
-    "cosim/experiment/closed_loop.py", "cosim/bench.py", "cosim/bench_native.", "cosim/registry.py",
-    "fmus/craft_ports.py", "fmus/estimator_fmu.py", "fmus/estimator_recipes.py",
-)  # fmt: skip
+EXAMPLE_ROOMS = ("plant/", "controller/", "fmus/")  # the worked example: everything else is general
 NAMES = re.compile(r"duty_|tilt|\bpsi|_psi|x_world|Hovercraft")
 
 
@@ -82,15 +75,56 @@ def test_what_the_package_does_not_have_is_an_attribute_error() -> None:
         importlib.import_module("cosim").levitate  # noqa: B018
 
 
+SHARED_NAMES = {"__init__.py", "__main__.py", "workflow.py", "report.py", "write.py", "artefacts.py"}
+
+
+def test_a_file_name_means_one_file() -> None:
+    names: dict[str, list[str]] = {}
+    for path in sources():
+        if path.suffix == ".py" and path.name not in SHARED_NAMES:
+            names.setdefault(path.name, []).append(path.as_posix())
+    assert {name: paths for name, paths in names.items() if len(paths) > 1} == {}
+
+
+def test_no_single_modules_at_the_top_of_the_framework() -> None:
+    files = {path.name for path in (ROOT / "cosim").iterdir() if path.is_file()}
+    assert files == {"__init__.py", "__main__.py", "py.typed"}
+
+
+def test_the_framework_names_no_module_of_the_example_in_a_text() -> None:
+    module = re.compile(r"(?:plant|controller|fmus)(?:\.\w+)+(?::\w+)?|(?:plant|controller|fmus):\w+")
+    found = [
+        f"{path}:{node.lineno}: {node.value}"
+        for path in sources()
+        if path.suffix == ".py" and path.parts[0] == "cosim"
+        for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and module.fullmatch(node.value)
+        if not node.value.endswith((".fmu", ".yaml", ".py"))
+    ]
+    assert found == []
+
+
 def test_the_names_of_the_craft_stand_in_its_own_rooms_alone() -> None:
     found = [
         f"{path}:{number}: {line.strip()}"
         for path in sources()
-        if not path.as_posix().startswith(CRAFT)
+        if not path.as_posix().startswith(EXAMPLE_ROOMS)
         for number, line in enumerate((ROOT / path).read_text(encoding="utf-8").splitlines(), 1)
         if NAMES.search(line)
     ]
     assert found == []
+
+
+def test_the_page_of_the_architecture_shows_the_floors_that_are_enforced() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
+    enforced = [{room.strip() for room in layer.split("|")} for layer in layers if layer != "__main__"]
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (`[^|]*) \|", page, re.MULTILINE)
+    assert [set(re.findall(r"`(\w+)`", rooms)) for _, rooms in rows] == enforced
+    assert [int(floor) for floor, _ in rows] == list(range(len(rows), 0, -1))
 
 
 def test_every_path_that_the_page_of_the_house_names_is_there() -> None:

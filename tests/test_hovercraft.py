@@ -7,10 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from cosim.model import SCALAR, Stepper, parameters_of
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR
-from plant.quantities import parameters_of
 from tests.independent import excitation, flown
 
 CRAFT = Hovercraft()

@@ -12,23 +12,23 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from cosim import run
-from cosim.checks import check_files
-from cosim.cli import app
-from cosim.errors import InputError
-from cosim.identification.cells import cell_of
-from cosim.identification.coverage import coverage
-from cosim.identification.ground_effect import fit
-from cosim.identification.lag import by_hand
-from cosim.identification.prepared import read_protocol
-from cosim.identification.protocol import StepTest
-from cosim.identification.recordings import Recording, play_plain, read_recording, runs_of
-from cosim.identification.response import tilt_response
-from cosim.identification.workflow import identify
-from cosim.models.file import read_model
-from cosim.models.fmus import build
-from cosim.table import write_table
+from cosim.base.errors import InputError
+from cosim.loading.build import build
+from cosim.loading.file import read_model
+from cosim.model.namespaces import arrays
+from cosim.storage.table import write_table
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app
 from plant.bench import Bench
-from plant.namespaces import arrays
+from plant.identification.cells import cell_of
+from plant.identification.command_response import tilt_response
+from plant.identification.coverage import coverage
+from plant.identification.ground_effect import fit
+from plant.identification.lag import by_hand
+from plant.identification.prepared import read_protocol
+from plant.identification.protocol import StepTest
+from plant.identification.recordings import Recording, play_plain, read_recording, runs_of
+from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
 
 ROOT = Path(__file__).resolve().parent.parent

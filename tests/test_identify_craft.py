@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import InputError
-from cosim.identification.noise import squared, variance
-from cosim.identification.workflow import identify
-from cosim.models.file import read_model
+from cosim.base.errors import InputError
+from cosim.loading.file import read_model
+from cosim.model import Stepper
+from cosim.verbs.checks import check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.integrate import Stepper
+from plant.identification.rest_noise import squared, variance
+from plant.identification.workflow import identify
 from tests.logs import write_log
 from tests.tank import MODEL, OUTLET
 

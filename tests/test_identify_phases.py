@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import InputError
-from cosim.identification.prepared import read_protocol
-from cosim.identification.recordings import play_plain
-from cosim.identification.thrust_line import dead_end
-from cosim.identification.workflow import played
+from cosim.base.errors import InputError
+from cosim.verbs.checks import check_files
+from plant.identification.prepared import read_protocol
+from plant.identification.recordings import play_plain
+from plant.identification.thrust_line import dead_end
+from plant.identification.workflow import played
 from tests.test_identify import PROTOCOL, short, written
 
 RAMP = [[0, 5, 0], [2, 5, 0], [17, 6.5, 0], [20, 5, 0]]  # the motor begins to turn at 5.77 %

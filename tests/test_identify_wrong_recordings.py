@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import InputError
-from cosim.identification.columns import COLUMNS
-from cosim.identification.equal_readings import equal_readings
-from cosim.identification.prepared import read_protocol
-from cosim.identification.recordings import play_plain, runs_of
-from cosim.identification.workflow import identify
-from cosim.table import write_table
+from cosim.base.errors import InputError
+from cosim.storage.table import write_table
+from cosim.verbs.checks import check_files
+from plant.identification.columns import COLUMNS
+from plant.identification.equal_readings import equal_readings
+from plant.identification.prepared import read_protocol
+from plant.identification.recordings import play_plain, runs_of
+from plant.identification.workflow import identify
 from tests.test_identify import LOADS, short, written
 
 HEADER = ["time", *COLUMNS]

@@ -15,7 +15,8 @@ import pytest
 from tests.table import TABLE, table_log
 
 ROOT = Path(__file__).resolve().parent.parent
-PARTS = ("plant", "controller", "fmus", "cosim", "pyproject.toml", "README.md", "LICENSE")
+EXAMPLE = "examples/hovercraft/pyproject.toml"
+PARTS = ("plant", "controller", "fmus", "cosim", "pyproject.toml", "README.md", "LICENSE", EXAMPLE)
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +30,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if here.is_dir():
             shutil.copytree(here, source / part, ignore=shutil.ignore_patterns("__pycache__"))
         else:
-            shutil.copy(here, source)
+            (source / part).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(here, source / part)
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*command, "--target", str(target), str(source)], check=True, capture_output=True, timeout=300)
+    projects = [str(source), str((source / EXAMPLE).parent)]
+    subprocess.run([*command, "--target", str(target), *projects], check=True, capture_output=True, timeout=300)
     return target
 
 
 def cosim(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
     """Run a command of the installed package; its output."""
     done = subprocess.run(
-        [sys.executable, "-m", "cosim.cli", *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
+        [sys.executable, "-m", "cosim", *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
         env={**os.environ, "PYTHONPATH": str(site), **environment},
     )  # fmt: skip
     assert done.returncode == 0, (arguments, done.stdout, done.stderr)

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.model import parameters_of
+from cosim.model.integrate import Moment, Stepper, rk4, substeps
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
-from plant.integrate import Moment, Stepper, rk4, substeps
-from plant.quantities import parameters_of
 from tests.independent import COLUMNS, HOLD, Array, excitation, flown, simulate
 
 MOVING = {

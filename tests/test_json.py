@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.cli import entry
+from cosim.verbs.cli import entry
 from tests.cart import cart_fmu
 from tests.deeds import deeds_scenario
 from tests.logs import times, write_log

@@ -14,8 +14,8 @@ from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from controller.loop import Loop
+from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 
 Matrix = NDArray[np.float64]
 DT, M, C, TAU, T_N = 0.02, 0.705, 0.25, 0.0884, 2.4973  # Fig 4.8, §5.2, §5.5, eqs 4.29, 5.36

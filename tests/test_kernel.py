@@ -14,29 +14,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
-from cosim.errors import InputError
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data
 from cosim.estimation.posing import start_state
+from cosim.fmi.native.compiler import compiler
 from cosim.kernel import backend
 from cosim.kernel.backend import kernel
-from cosim.kernel.compiled import CompiledKernel
+from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated, generate
-from cosim.kernel.interface import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.jit import JitKernel
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.settling import settling
-from cosim.models.file import own_model
-from fmus.native.cache import cached
-from fmus.native.compiler import compiler
+from cosim.loading.file import own_model
+from cosim.model import Equations, Model, Namespace, Stepper
+from cosim.model.symbolic.dormant import skippable
+from cosim.model.symbolic.functions import Body
+from cosim.model.symbolic.languages import C, Python
+from cosim.storage.cache import cached
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.model import Equations, Model
-from plant.namespaces import Namespace
-from plant.symbolic.dormant import skippable
-from plant.symbolic.functions import Body
-from plant.symbolic.languages import C, Python
 from tests.conftest import ROOT
 from tests.logs import IMU, fly, log_of, measured, times
 
@@ -319,7 +317,7 @@ def cut(file: Path) -> None:
 
 
 SIMULATE = (
-    "import sys, pickle, numpy as np; from cosim.kernel.compiled import CompiledKernel; from cosim.kernel.interface"
+    "import sys, pickle, numpy as np; from cosim.kernel.c_filter import CompiledKernel; from cosim.kernel.kernel"
     " import Data; g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
     "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(3), np.zeros(0)).states).all())"
 )

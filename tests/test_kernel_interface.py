@@ -10,16 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from cosim.estimation.candidates import Free
 from cosim.estimation.fit import fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.kernel.interface import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
-from plant.model import Equations, Model, Number, Values
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
 
 STEP, TAU, NOISE = 0.1, 1.6, 0.02
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.cli import app, entry
-from cosim.errors import CosimError
-from cosim.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.base.errors import CosimError
+from cosim.storage.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.verbs.cli import app, entry
 
 SHORT = 400  # characters that are read before one gives up
 WORDS = {  # file → what it is called

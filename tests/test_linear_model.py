@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from controller.design_model import design_model, measurement_matrix
 from controller.gains import Settings
+from cosim.model import SCALAR
+from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.effects.actuator import ActuatorSecondOrder
 from plant.effects.body import ComOffset, Coriolis, TableTilt
 from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
 from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
 from plant.hovercraft import Hovercraft
-from plant.namespaces import SCALAR
-from plant.symbolic.linearize import LinearModel, linearize
 
 Matrix = NDArray[np.float64]
 THESIS = Settings()

@@ -16,12 +16,12 @@ import sympy
 
 from controller.design_model import design_model, measurement_matrix
 from controller.gains import Settings
-from cosim.cli import entry
-from cosim.errors import InputError
-from cosim.linearization.linear import Linear, Point
-from cosim.linearization.structure import jordan_blocks, poles, structure
-from cosim.linearization.words import headline
+from cosim.base.errors import InputError
+from cosim.linearization.descriptions import headline
+from cosim.linearization.linear_model import Linear, Point
+from cosim.linearization.system_structure import jordan_blocks, poles, structure
 from cosim.linearization.workflow import linearize
+from cosim.verbs.cli import entry
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
 from tests.tank import MODEL
@@ -165,8 +165,7 @@ def test_a_point_without_a_derivative_is_refused_with_what_each_side_gives(tank:
 SERVO = """
 from dataclasses import dataclass
 
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,7 +327,7 @@ def test_only_an_equilibrium_is_called_stable(rate: float, told: str) -> None:
 
 
 def test_bode_plots_are_those_of_the_control_library(tank: Path) -> None:
-    from cosim.linearization.response import frequencies, response
+    from cosim.linearization.frequency_response import frequencies, response
 
     found = linearize(f"{tank}:Tank").first
     omega = frequencies(found)
@@ -441,7 +440,7 @@ def test_the_command_prints_json_for_scripts(
 
 def test_the_linear_model_predicts_what_the_plant_does() -> None:
     """Half a second after a small step of the tilts, the nonlinear plant is where the linear model says."""
-    from plant.integrate import Stepper
+    from cosim.model import Stepper
 
     craft = Hovercraft()
     found = linearize("base").first

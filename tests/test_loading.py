@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from cosim.base.errors import InputError
 from cosim.blocks.loading import load_error
-from cosim.checks import check_files
-from cosim.errors import InputError
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
+from cosim.verbs.checks import check_files
 from tests.decay import DESCRIPTION, library
 
 

@@ -21,17 +21,14 @@ from controller.extended import STATES, ExtendedFilter, ExtendedSettings
 from controller.gains import Settings
 from controller.loop import Loop
 from controller.observers import LinearFilter
-from cosim.outcomes import Run
-from fmus.build import build
+from cosim.fmi.fmu_build import build
+from cosim.model import Equations, Model, Namespace, Quantity, Stepper, Values, parameter
+from cosim.model.symbolic.jacobian import loaded, printed_jacobians
+from cosim.model.symbolic.linearize import linearize
+from cosim.verbs.outcomes import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.estimator_recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.model import Equations, Model, Values
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.symbolic.jacobian import loaded, printed_jacobians
-from plant.symbolic.linearize import linearize
 from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance, description_of, refused
 

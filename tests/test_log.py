@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.base.units import alternatives, factor
 from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
+from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
-from cosim.table import FAULTS_A_KIND, parted
-from fmus.units import alternatives, factor
+from cosim.storage.table import FAULTS_A_KIND, parted
 from plant.hovercraft import INPUTS, OUTPUTS
-from plant.traits import rate_of
 from tests.logs import MOVING, fly, measured, times, write_log
 
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.errors import InputError
-from cosim.table import read_columns, read_header
+from cosim.base.errors import InputError
+from cosim.storage.table import read_columns, read_header
 from tests.typed import typed_fmu
 
 ROWS = "".join(

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, _absurd, _continuous, slowness, stretches, usual_step
-from cosim.logs.noise import noise_level, surprise
-from cosim.logs.planar import mirrored
+from cosim.logs.planar_motion import mirrored
 from cosim.logs.spikes import _neighbours_agree, find_spikes, out_of_line
-from cosim.logs.tables import table_findings
+from cosim.logs.static_table import table_findings
 
 NOISE = 0.01
 

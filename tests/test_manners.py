@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.cli import app, entry
-from cosim.errors import InputError
-from cosim.folders import check_left, folder_named, folder_of_file, name_of
+from cosim.base.errors import InputError
+from cosim.storage.folders import check_left, folder_named, folder_of_file, name_of
+from cosim.verbs.cli import app, entry
 from tests.tank import MODEL as TANK
 from tests.typed import typed_fmu
 

@@ -12,15 +12,15 @@ import pytest
 
 from controller.gains import Settings
 from controller.loop import Loop
-from cosim.errors import InputError, SimulationError
-from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.base.errors import InputError, SimulationError
+from cosim.master.master import StoppedRun, simulate
+from cosim.model import Stepper
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.table import read_columns
+from cosim.storage.results import Results
+from cosim.storage.table import read_columns
+from cosim.system.system import build_system
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.misbehaving import misbehaving_fmu
 
 H = 0.02
@@ -209,7 +209,7 @@ def test_an_fmu_without_a_library_for_this_platform_does_not_load(project: Path,
             if not name.startswith("binaries/"):
                 part.writestr(name, whole.read(name))
     shutil.move(lame, project / "build" / "plant.fmu")
-    from cosim.errors import FmuError
+    from cosim.base.errors import FmuError
 
     with pytest.raises(FmuError, match="does not load"):
         results_of(project)

@@ -18,19 +18,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import Crashed, DiskFull, FmuError, InputError, SimulationError, TimedOut
+from cosim.base.errors import Crashed, DiskFull, FmuError, InputError, SimulationError, TimedOut
+from cosim.base.scratch import LOCK, scratch, sweep
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import BesideFile, read_beside
 from cosim.isolation.worker import PROGRESS
-from cosim.residuals.apart import DriveApart
 from cosim.residuals.drive import StoppedReplay, log_of_fmu
+from cosim.residuals.remote_drive import DriveApart
 from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
-from cosim.table import read_columns
-from fmus.scratch import LOCK, scratch, sweep
+from cosim.storage.table import read_columns
+from cosim.verbs.checks import check_files
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
@@ -38,7 +38,7 @@ from tests.logs import write_log
 pytestmark = pytest.mark.fresh
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
-COMMAND = [sys.executable, "-m", "cosim.cli", "run"]
+COMMAND = [sys.executable, "-m", "cosim", "run"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
@@ -369,7 +369,7 @@ def test_a_replay_on_a_full_disk_says_what_it_leaves(tmp_path: Path, monkeypatch
 
 
 KILLED = """import os, signal, sys; from pathlib import Path; from cosim.isolation.process import Worker
-worker = Worker("cosim.simulation.apart"); worker.start(); worker.take_along(Path(sys.argv[1]))
+worker = Worker("cosim.master.remote"); worker.start(); worker.take_along(Path(sys.argv[1]))
 os.kill(os.getpid(), signal.SIGKILL)"""
 
 
@@ -529,11 +529,11 @@ def test_a_worker_answers_fails_as_the_function_does_and_is_there_again_after_a_
 
 STOPPED_AGAIN = """
 import os, signal, sys, time
-import cosim.results, cosim.table
-from cosim.cli import entry
-from cosim.results import Results
+import cosim.storage.results, cosim.storage.table
+from cosim.verbs.cli import entry
+from cosim.storage.results import Results
 from cosim.sweeps.store import Database
-from cosim.program import as_program
+from cosim.base.program import as_program
 
 def stopping(what):
     def again(*arguments, **more):

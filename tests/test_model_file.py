@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cosim.base.errors import Fault, InputError
 from cosim.blocks.fmu import read_description
-from cosim.checks import check_files, check_fmu
-from cosim.cli import app
-from cosim.errors import Fault, InputError
-from cosim.models.declared import checked
-from cosim.models.file import load_model, own_model, read_model
-from cosim.models.source import Source
-from cosim.yaml_file import YamlFile
+from cosim.loading.declared import checked
+from cosim.loading.file import load_model, own_model, read_model
+from cosim.loading.source import Source
+from cosim.model import Model
+from cosim.storage.yaml_file import YamlFile
+from cosim.verbs.checks import check_files, check_fmu
+from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
-from plant.model import Model
 from tests.table import TABLE
 
 ROOT = Path(__file__).parent.parent
@@ -28,7 +28,7 @@ FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
 TOTAL = "total = command[0] - d * rate - k * angle"
 SENSOR = """
-from plant.sensors import SensorError
+from cosim.model import SensorError
 
 @dataclass(frozen=True, kw_only=True)
 class Bent(SensorError):
@@ -135,7 +135,7 @@ ONE_CHANGE = {
     ),
     "valid of nothing known": (
         FORCED,
-        f'{FORCED}\n    valid = (__import__("plant.model").model.Validity("M", ("torqe",), -1, 1, "it breaks"),)',
+        f'{FORCED}\n    valid = (__import__("cosim.model.model").model.Validity("M", ("torqe",), -1, 1, "it breaks"),)',
         "valid =",
         'valid: no input "torqe"',
     ),
@@ -350,7 +350,7 @@ def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str,
 
 def test_a_delay_remembers_as_long_as_it_may_last(tmp_path: Path) -> None:
     late = """
-from plant.delay import Delay
+from cosim.model import Delay
 
 @dataclass(frozen=True, kw_only=True)
 class Late(Delay, TableEffect):
@@ -416,7 +416,7 @@ def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) 
     ],
 )
 def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: str, message: str) -> None:
-    header = "from plant.hovercraft import Hovercraft\nfrom plant.model import Model\n"
+    header = "from plant.hovercraft import Hovercraft\nfrom cosim.model.model import Model\n"
     (tmp_path / "own.py").write_text(header + text)
     with pytest.raises(InputError, match=re.escape(message.format(tmp_path))):
         check_files([tmp_path / name])
@@ -425,9 +425,9 @@ def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: 
 @pytest.mark.parametrize(
     ("text", "place", "message"),
     [
-        ("model: car\n", (1, 8), 'no model "car"; a model is hovercraft, bench, or FILE.py:Class'),
+        ("model: car\n", (1, 8), 'no model "car"; a model is bench, hovercraft, or FILE.py:Class'),
         ("model: hovercrft\n", (1, 8), 'no model "hovercrft"; did you mean "hovercraft"?'),
-        ("model: none.py:Car\n", (1, 8), "none.py; a model is hovercraft, bench, or FILE.py:Class"),
+        ("model: none.py:Car\n", (1, 8), "none.py; a model is bench, hovercraft, or FILE.py:Class"),
         ("parameters:\n  mass: heavy\n", (2, 9), "parameters.mass is 'heavy': give a finite number"),
         ("parameters:\n  mass: .inf\n", (2, 9), "parameters.mass is inf: give a finite number"),
         ("sensors:\n  gyro_bias.value: .nan\n", (2, 20), "finite number"),
@@ -454,9 +454,9 @@ def test_all_faults_of_a_model_yaml_are_told_at_once(tmp_path: Path) -> None:
     assert [(f.line, f.message.partition(":")[0].partition(";")[0]) for f in caught.value.faults] == [
         (2, "parameters.mass is nan"),
         (3, "izz is -1.0"),
-        (4, 'hovercraft has no parameter "lagg"'),
+        (4, 'base has no parameter "lagg"'),
         (5, "parameters.arm is 'heavy'"),
-        (7, 'hovercraft has no sensor "gyro_bias.valu"'),
+        (7, 'base has no sensor "gyro_bias.valu"'),
     ]
 
 

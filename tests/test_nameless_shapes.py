@@ -14,13 +14,11 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import KNOTS, bump, rise
 from cosim.logs.log import read_log
-from cosim.refinement.search import Search
-from cosim.refinement.sentences import follows, unexplained
-from cosim.refinement.shapes import Shape
-from cosim.refinement.unnamed import Leftover, Unnamed, _Terms, left_beside
-from plant.model import Equations, Model
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Namespace, Quantity, parameter
+from cosim.refinement.decision.sentences import follows, unexplained
+from cosim.refinement.search.fits import Search
+from cosim.refinement.search.shapes import Shape
+from cosim.refinement.search.unnamed import Leftover, Unnamed, _Terms, left_beside
 from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4

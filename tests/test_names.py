@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from pythonfmu.builder import FmuBuilder
 
-from cosim.checks import check_files
-from cosim.cli import app
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.fmi.fmu_build import build
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
-from fmus.build import build
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from tests.test_log import RECORDED
 

@@ -17,22 +17,20 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-import fmus.native
+import cosim.fmi.native
 from controller.gains import Settings
 from controller.loop import Loop
-from cosim.errors import InputError
-from cosim.models.native import build_native
+from cosim.base.errors import InputError
+from cosim.fmi.native.compiler import compiler, loaded
+from cosim.fmi.native.platforms import commands as compilers
+from cosim.fmi.native.platforms import crossing, glibc_floor, here
+from cosim.fmi.ports import model_ports
+from cosim.fmi.state import MEMORY as MEMORY_PART
+from cosim.fmi.state import STATE, own_of, with_memory
+from cosim.loading.build_native import build_native
+from cosim.model import Model, Stepper, parameters_of
 from cosim.simulation.coupling import coupling_error
-from fmus.native.compiler import compiler, loaded
-from fmus.native.platforms import commands as compilers
-from fmus.native.platforms import crossing, glibc_floor, here
-from fmus.ports import model_ports
-from fmus.state import MEMORY as MEMORY_PART
-from fmus.state import STATE, own_of, with_memory
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.model import Model
-from plant.quantities import parameters_of
 from tests.hosts_fmpy import Instance, description_of
 from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.tank import MODEL as TANK
@@ -136,7 +134,7 @@ def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> 
 
 @pytest.mark.parametrize("name", ["drive_train.py:DriveTrain", "tanks.py:Tanks", "quarter_car.py:QuarterCar"])
 def test_a_native_model_of_ones_own_is_the_one_in_python(name: str, tmp_path: Path) -> None:
-    from cosim.models.file import load_model
+    from cosim.loading.file import load_model
 
     model = load_model(str(PLANTS / name), Path()).model
     (built,) = build_native(tmp_path, str(PLANTS / name))
@@ -425,7 +423,7 @@ void powers(int count, const double *from, const double *to, const double *expon
 
 
 def test_a_series_near_a_point_gives_what_the_c_library_gives() -> None:
-    library = loaded((Path(fmus.native.__file__).parent / "near.h").read_text(encoding="utf-8") + SERIES)
+    library = loaded((Path(cosim.fmi.native.__file__).parent / "near.h").read_text(encoding="utf-8") + SERIES)
     rng, count = np.random.default_rng(1), 20_000
     spread = 10.0 ** rng.uniform(-9, 0.5, count) * rng.choice([-1.0, 1.0], count)  # within its reach and beyond
 
@@ -579,7 +577,7 @@ def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_pa
 
 
 def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "cosim.cli", "build", "-o", str(tmp_path), "--native"]
+    command = [sys.executable, "-m", "cosim", "build", "-o", str(tmp_path), "--native"]
     done = subprocess.run([*command, "--platforms", "linux32,win64"], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
@@ -596,7 +594,7 @@ def test_platforms_without_a_compiler_that_crosses_are_refused(tmp_path: Path) -
     if crossing():
         pytest.skip("the extra native brings one")
     foreign = "win64" if sys.platform == "linux" else "linux64"
-    with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'cosim-hovercraft\[native\]'"):
+    with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'fmu-cosim\[native\]'"):
         build_native(tmp_path, platforms=[foreign])
     assert not list(tmp_path.iterdir())
 

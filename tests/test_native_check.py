@@ -8,16 +8,16 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.fmi.native.check import check
+from cosim.fmi.native.printing import Printer
+from cosim.fmi.ports import model_ports
 from cosim.kernel.backend import kernel
-from cosim.models.file import load_model
-from cosim.models.fmus import build
-from cosim.models.native import build_native
-from fmus.native.check import check
-from fmus.native.printing import Printer
-from fmus.ports import model_ports
+from cosim.loading.build import build
+from cosim.loading.build_native import build_native
+from cosim.loading.file import load_model
+from cosim.model import Model
 from plant.hovercraft import Hovercraft
-from plant.model import Model
 from tests.native import NEEDS_COMPILER
 from tests.test_native import PLANTS, TIGHT, by_fmu, by_python, difference, wandering
 
@@ -26,10 +26,7 @@ pytestmark = NEEDS_COMPILER
 ROTOR = """
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity as Q
-from plant.quantities import parameter
+from cosim.model import Delay, Effect, Equations, Model, Quantity as Q, overrides, parameter
 
 
 class Term(Effect):

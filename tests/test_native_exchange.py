@@ -12,9 +12,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from cosim.models.native import build_native
+from cosim.loading.build_native import build_native
+from cosim.model import SCALAR
 from plant.hovercraft import Hovercraft
-from plant.namespaces import SCALAR
 from tests.native import NEEDS_COMPILER, Exchange, dop853, rk4
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
 from tests.test_native import STEP, TIGHT, by_fmu, difference, wandering
@@ -97,7 +97,7 @@ def test_a_fine_solver_that_stops_at_events_finds_what_it_finds_on_the_python_eq
             row = (*row[:2], *play)
         acting.append((since, row))
     model = Hovercraft().with_values({n: v for n, v in memoryless.items() if not n.endswith("_start")})
-    from plant.integrate import Stepper
+    from cosim.model import Stepper
 
     stepper = Stepper(model)
     expected, t = [], 0.0
@@ -249,7 +249,7 @@ def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Pat
     text = MODEL.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(Model):", COUNTING)
     (tmp_path / "tank.py").write_text(text.replace("(Leak, Draw)", "(Slow, Leak, Draw)"), encoding="utf-8")
     (built,) = build_native(tmp_path, f"{tmp_path}/tank.py:Tank")
-    from cosim.models.file import load_model
+    from cosim.loading.file import load_model
 
     model, rows = load_model(f"{tmp_path}/tank.py:Tank", Path()).model, [(0.02 + 0.01 * (k % 9),) for k in range(60)]
     exact = by_python(model, rows, {"slow.time": 4.0}, 0.5)

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cosim.base.errors import InputError
 from cosim.blocks.fmu import read_description
-from cosim.cli import app
-from cosim.errors import InputError
-from cosim.models.fmus import build
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.loading.build import build
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from cosim.verbs.cli import app
 
 
 def refine_left(folder: Path, grade: str | None = "nearest", fmu: Path | None = None) -> Path:

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.checks import check_files
-from cosim.errors import InputError
-from cosim.models.file import load_model, without_execution
-from cosim.simulation.graph import graph_of
+from cosim.authoring.graph import graph_of
+from cosim.base.errors import InputError
+from cosim.loading.file import load_model, without_execution
 from cosim.simulation.workflow import run
 from cosim.sweeps.workflow import sweep as run_sweep
+from cosim.verbs.checks import check_files
 from tests.conftest import ROOT
 from tests.logs import write_log
 from tests.users import cosim
@@ -193,7 +193,7 @@ def test_python_that_ends_its_process_does_not_end_the_command_with_exit_code_0(
 
 def test_an_ssp_executes_nothing_without_loading(folder: Path, plant_fmu: Path) -> None:
     """The only Python of an SSP is that in its FMUs."""
-    from cosim.simulation.export import export_ssp
+    from cosim.authoring.export import export_ssp
 
     made = export_ssp(plain_scenario(folder), folder / "a.ssp").path
     marker = folder / "executed"

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError
 from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import playback
-from cosim.errors import InputError
+from cosim.master.master import simulate
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import metrics
-from cosim.simulation.design import designed_values
-from cosim.simulation.master import simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.system.system import build_system
 
 
 def test_noise_has_the_variance_and_bias_it_is_given() -> None:

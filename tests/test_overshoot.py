@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from controller.synthesis import numbers_of
-from cosim.errors import InputError
-from cosim.models.file import read_model
+from cosim.base.errors import InputError
+from cosim.loading.file import read_model
+from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.conftest import ROOT
 from tests.logs import write_log
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.checks import check_files
 from cosim.experiment.ranges import inputs_to_limit
-from cosim.models.file import read_model
+from cosim.loading.file import read_model
 from cosim.refinement.workflow import refine
+from cosim.verbs.checks import check_files
 from plant.hovercraft import Hovercraft
 from tests.table import RUBS, TABLE, table_log
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.estimation.expected import expected, unseen
 from cosim.estimation.fit import Fit, fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own, own_parameters, spread
 from cosim.estimation.posing import build_problem, halved
 from cosim.estimation.problem import Settings
+from cosim.loading.file import load_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model
-from cosim.refinement.measure import followed, replays
+from cosim.refinement.proof.measure import followed, replays
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine

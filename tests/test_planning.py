@@ -10,21 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.blocks.interface import Signal
-from cosim.errors import Fault, InputError, SimulationError
-from cosim.results import Results
-from cosim.simulation import feasible, parts
+from cosim.authoring import parts
+from cosim.authoring.matching import alike, matched
+from cosim.authoring.parts import Asked, component_name, times_of
+from cosim.base.errors import Fault, InputError, SimulationError
+from cosim.blocks.component import Signal
+from cosim.scenario.diagnosis import LONGEST, Diagnosis
+from cosim.scenario.pinned import sha256, with_files_beside
+from cosim.scenario.scenario import Criterion, Scenario
+from cosim.scenario.start_values import Misfit, settable, typed, with_elements
 from cosim.simulation.coupling import CouplingError, _largest, differences
 from cosim.simulation.criteria import evaluate, sentence
-from cosim.simulation.diagnosis import LONGEST, Diagnosis
-from cosim.simulation.matching import alike, matched
-from cosim.simulation.parts import Asked, component_name, times_of
-from cosim.simulation.pinned import sha256, with_files_beside
-from cosim.simulation.scenario import Criterion, Scenario
-from cosim.simulation.start_values import Misfit, settable, typed, with_elements
-from cosim.simulation.wiring import MOST_NAMED, Transfer, _some, lay_out
-from cosim.sweeps.design import drawn_rows, saltelli_base
-from cosim.yaml_file import MOST_FAULTS
+from cosim.storage.results import Results
+from cosim.storage.yaml_file import MOST_FAULTS
+from cosim.sweeps.sampling import drawn_rows, saltelli_base
+from cosim.system import feasible
+from cosim.system.wiring import MOST_NAMED, Transfer, _some, lay_out
 from tests.own_blocks import Block, system_of
 from tests.test_schedule import Noted
 

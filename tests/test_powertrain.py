@@ -7,9 +7,8 @@ import math
 import pytest
 
 from controller.gains import Settings
+from cosim.model import SCALAR, Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from plant.integrate import Stepper
-from plant.namespaces import SCALAR
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
 from tests.independent import flown
 

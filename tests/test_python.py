@@ -14,11 +14,11 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.cli import app
-from cosim.errors import InputError
-from cosim.outcomes import Refined, Replay, Run, Signals
-from cosim.schemas import schema_of
-from cosim.yaml_file import YamlFile
+from cosim.base.errors import InputError
+from cosim.storage.yaml_file import YamlFile
+from cosim.verbs.cli import app
+from cosim.verbs.outcomes import Refined, Replay, Run, Signals
+from cosim.verbs.schemas import schema_of
 from tests.conftest import ROOT
 from tests.test_first_steps import told
 from tests.typed import typed_fmu

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import CosimError, InputError
-from cosim.given import KINDS, WANTED, _alternatives
+from cosim.base.errors import CosimError, InputError
+from cosim.base.settings import KINDS, WANTED, _alternatives
 from tests.typed import typed_fmu
 
 

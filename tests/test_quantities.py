@@ -12,24 +12,23 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.blocks.interface import Signal
-from cosim.cli import app
+from cosim.base.errors import InputError
+from cosim.base.units import conversion, factor, parse, read_quantity, squared, unit_definitions
+from cosim.blocks.component import Signal
 from cosim.comparison.differences import compared
-from cosim.comparison.ran import read_ran
-from cosim.errors import InputError
-from cosim.identification.protocol import CellFile, SineTest
+from cosim.comparison.run_files import read_ran
+from cosim.loading.file import read_model
 from cosim.logs.log import read_log
-from cosim.models.file import read_model
 from cosim.refinement.study import StudyFile, read_study
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.reading import read_sweep
-from fmus.units import conversion, factor, parse, read_quantity, squared, unit_definitions
+from cosim.verbs.cli import app
+from plant.identification.protocol import CellFile, SineTest
 from tests.typed import typed_fmu
 
 TANK = """
 from dataclasses import dataclass
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,32 +18,34 @@ import jsonschema
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError, SimulationError
 from cosim.blocks.fmu import read_description
-from cosim.checks import check_files
-from cosim.cli import entry
-from cosim.errors import InputError, SimulationError
 from cosim.estimation.candidates import neutral_values
 from cosim.estimation.posing import build_problem
-from cosim.kernel.interface import DISTURBANCE, MEMORY
+from cosim.fmi.fmu_build import build
+from cosim.fmi.native import platforms
+from cosim.kernel.kernel import DISTURBANCE, MEMORY
+from cosim.loading.build_native import class_fmu
+from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model, read_model
-from cosim.models.native import class_fmu
-from cosim.refinement import measure, natively, workflow
+from cosim.model import Stepper
+from cosim.refinement import workflow
+from cosim.refinement.decision.verdict import Name
+from cosim.refinement.proof import measure
+from cosim.refinement.proof import native_replay as natively
+from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA, Replayed, schema
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.page import write_refine_report
+from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.study import read_study
-from cosim.refinement.variants import Variant
-from cosim.refinement.verdict import Name
 from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
-from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, windows
-from fmus.build import build
-from fmus.native import platforms
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import entry
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.native import NEEDS_COMPILER
 from tests.studies import FEW, holds, named, proven, refined, study_of
 from tests.tank import tank_study
@@ -507,9 +509,7 @@ def test_the_command_line_prints_what_the_gate_warns_of(
 
 RIG = '''
 from dataclasses import dataclass
-from plant.delay import Delay
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Delay, Equations, Model, Quantity, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Late(Delay):

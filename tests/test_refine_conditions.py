@@ -23,8 +23,7 @@ from tests.studies import holds, named, proven, study_of
 MOTOR = '''
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class Load(Effect):

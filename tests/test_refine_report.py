@@ -16,44 +16,43 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.cli import app
+from cosim.base.text import display, written
 from cosim.estimation.candidates import candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
-from cosim.models.file import BASE, LoadedModel
-from cosim.refinement.attribution import Attributor
-from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.judgement import decided
-from cosim.refinement.proof import proven
+from cosim.loading.file import BASE, LoadedModel
+from cosim.model import Stepper
+from cosim.refinement.decision.judgement import decided
+from cosim.refinement.decision.verdict import Verdict, judge
+from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.proof.replay_check import proven
 from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained
-from cosim.refinement.report.errors import second_sentence
+from cosim.refinement.report.effect_plots import Shown, shown
+from cosim.refinement.report.error_tables import second_sentence
 from cosim.refinement.report.innovations import innovations
-from cosim.refinement.report.page import context, write_refine_report
 from cosim.refinement.report.plots import runs
-from cosim.refinement.report.terms import Shown, shown
+from cosim.refinement.report.refine_page import context, write_refine_report
+from cosim.refinement.search.attribution import Attributor
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.search.unnamed import Leftover, Unnamed, left_beside
 from cosim.refinement.study import LogLists, Study, StudyFile
-from cosim.refinement.unnamed import Leftover, Unnamed, left_beside
-from cosim.refinement.variants import Variant
-from cosim.refinement.verdict import Verdict, judge
 from cosim.refinement.workflow import refine
 from cosim.report.drawing import Charts
-from cosim.residuals.statistics import excess_left
+from cosim.residuals.residual_statistics import excess_left
 from cosim.residuals.windows import Replay
-from cosim.text import display, written
+from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
 from tests.logs import IMU, fly, log_of, measured, times, write_log
 from tests.seen import faults
 
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
 from dataclasses import dataclass
-from plant.model import Effect, Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Quantity, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Dry(Effect):

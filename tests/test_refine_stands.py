@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import build_problem, coarsened
 from cosim.experiment.excite import excite
+from cosim.loading.file import load_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model
-from cosim.refinement.hypotheses import Hypothesis
-from cosim.refinement.proof import proven
-from cosim.refinement.verdict import Verdict
+from cosim.refinement.decision.verdict import Verdict
+from cosim.refinement.proof.replay_check import proven
+from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from cosim.cli import entry
-from cosim.files import scratch_folder, uninterrupted
 from cosim.refinement import workflow
+from cosim.storage.files import scratch_folder, uninterrupted
+from cosim.verbs.cli import entry
 from tests.test_refine_conditions import motor_study
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 4}
@@ -107,7 +107,7 @@ def test_where_no_signal_can_come_nothing_waits(tmp_path: Path) -> None:
 
 STUCK = """
 import ctypes, signal, sys
-from cosim.program import ending_when_stuck
+from cosim.base.program import ending_when_stuck
 for number in (signal.SIGTERM, signal.SIGINT):
     signal.signal(number, lambda *_: print("handled", flush=True))
 lock, mutex = ctypes.CDLL(None).pthread_mutex_lock, ctypes.create_string_buffer(64)

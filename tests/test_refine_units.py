@@ -20,8 +20,7 @@ MASS, DRAG, PULL = 2.0, 0.5, 0.06  # [kg], [N s/m], [N s²/m²]; the model does 
 NOISE = 1e-4  # [m] of the place
 MODEL = """
 from dataclasses import dataclass
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Model):

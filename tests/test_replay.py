@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.cli import app
-from cosim.errors import InputError, SimulationError
+from cosim.base.errors import InputError, SimulationError
+from cosim.loading.build import build as build_fmus
+from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
-from cosim.models.file import load_model
-from cosim.models.fmus import build as build_fmus
+from cosim.model import Stepper
 from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
 from cosim.residuals.drive import Drive, StoppedReplay, log_of_fmu, model_signals
+from cosim.residuals.replay_sentences import verdict
+from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.starts import start_parameters
-from cosim.residuals.statistics import rmse
 from cosim.residuals.windows import Replay, chains, replay, replay_windows, window_rows
-from cosim.residuals.words import verdict
 from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
-from cosim.table import Column, Faults, read_columns, read_table
+from cosim.storage.table import Column, Faults, read_columns, read_table
+from cosim.verbs.cli import app
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
-from plant.integrate import Stepper
 from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
 from tests.misbehaving import misbehaving_fmu

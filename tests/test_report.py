@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
-from cosim.report.data import Series, to_json
+from cosim.base.arrays import Array
+from cosim.report.chart_data import Series, to_json
 from cosim.report.packed import power
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import make_axis, thin
-from cosim.results import Results
 from cosim.simulation.report import write_figures, write_report
-from cosim.simulation.report.craft.judgement import belief, reference_steps, responses, saturation
-from cosim.simulation.report.craft.lines import state_panels
-from cosim.simulation.report.craft.roles import find_crafts
-from cosim.simulation.report.craft.topview import pose, reference_track, true_track
-from cosim.simulation.report.page import connection_panels, signal_panels
 from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.rows import connections
+from cosim.simulation.report.run_page import connection_panels, signal_panels
+from cosim.simulation.report.run_rows import connections
+from cosim.storage.results import Results
+from fmus.report.figures_of_run import belief, reference_steps, responses, saturation
+from fmus.report.lines import state_panels
+from fmus.report.roles import find_crafts
+from fmus.report.topview import pose, reference_track, true_track
 from tests.seen import faults
 
 ROOT = Path(__file__).parent.parent
@@ -329,7 +329,7 @@ def told_by_the_script(series: Series, t: str) -> Any:
 @with_node
 @pytest.mark.parametrize(("t", "nearest"), [("33.3", 4), ("46.9", 6), ("50", 6)])
 def test_a_read_out_is_of_a_recorded_row_and_names_it(t: str, nearest: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.report.data.MOST_CELLS", 6)  # more rows than the page may hold
+    monkeypatch.setattr("cosim.report.chart_data.MOST_CELLS", 6)  # more rows than the page may hold
     time = np.arange(5001) * 0.01
     series = Series(time, 1)
     values = np.full(5001, -100.0)  # between the rows in the page all is otherwise

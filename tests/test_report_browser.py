@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from cosim.report.packed import power
-from cosim.results import Results
 from cosim.simulation.report import write_report
+from cosim.storage.results import Results
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cosim.report.data import Abscissa
+from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts
 from cosim.report.packed import power
 from cosim.report.panels import Band, Panel, Trace

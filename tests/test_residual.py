@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.logs.noise import noise_level, surprise
-from cosim.residuals.statistics import fit_percent, input_correlations, pooled, rmse, score, whiteness
+from cosim.logs.channel_noise import noise_level, surprise
+from cosim.residuals.residual_statistics import fit_percent, input_correlations, pooled, rmse, score, whiteness
 
 Array = NDArray[np.float64]
 

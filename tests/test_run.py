@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.base.version import __version__
 from cosim.simulation.workflow import run
-from cosim.table import read_columns
-from cosim.version import __version__
+from cosim.storage.table import read_columns
 
 ROOT = Path(__file__).parent.parent
 
 
 def cosim(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     """The command as a user types it."""
-    command = [sys.executable, "-m", "cosim.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "cosim", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=120)
 
@@ -157,7 +157,7 @@ def test_build_makes_every_fmu_the_scenarios_name(tmp_path: Path) -> None:
 
 
 def test_swapping_the_plant_keeps_the_scenario_running(project: Path) -> None:
-    from fmus.build import build
+    from cosim.fmi.fmu_build import build
     from fmus.recipes import HEAVY, plant_recipe
 
     build(plant_recipe(HEAVY), project / "build" / "plant-heavy.fmu")

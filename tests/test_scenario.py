@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from cosim.errors import InputError
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.base.errors import InputError
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.yaml_file import YamlFile
+from cosim.storage.yaml_file import YamlFile
+from cosim.system.system import build_system
 
 GOOD = (Path(__file__).parent.parent / "scenarios" / "regulate.yaml").read_text()
 ALONE = "it is a number alone: no unit of it is declared"

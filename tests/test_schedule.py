@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from cosim.blocks.faults import MOST, Delayed, Held, disturbed, points, steps_in, whole
+from cosim.master.master import simulate
 from cosim.simulation import metrics
-from cosim.simulation.master import simulate
-from cosim.simulation.order import AlgebraicLoop, stages
-from cosim.simulation.schedule import _every, _names_all, schedule
-from cosim.simulation.wiring import Transfer
+from cosim.system.order import AlgebraicLoop, stages
+from cosim.system.schedule import _every, _names_all, schedule
+from cosim.system.wiring import Transfer
 from tests.own_blocks import Block, rows_for, system_of
 
 
@@ -107,7 +107,7 @@ def test_rates_that_seldom_meet_are_kept_for_the_whole_run(monkeypatch: pytest.M
         return [b.steps for b in blocks]
 
     whole_cycle = made()
-    monkeypatch.setattr("cosim.simulation.master.LONGEST_CYCLE", 29)
+    monkeypatch.setattr("cosim.master.master.LONGEST_CYCLE", 29)
     assert made() == whole_cycle
     assert [len(steps) for steps in whole_cycle] == [30, 20, 12]
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.loading.file import load_model
 from cosim.logs.log import Log
-from cosim.models.file import load_model
-from cosim.refinement.measure import Evidence
+from cosim.model import Stepper
+from cosim.refinement.decision.sentences import rises
+from cosim.refinement.proof.measure import Evidence
+from cosim.refinement.proof.sealed import plain_rise, risen
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.page import write_refine_report
-from cosim.refinement.sealed import plain_rise, risen
-from cosim.refinement.sentences import rises
+from cosim.refinement.report.refine_page import write_refine_report
 from cosim.residuals.windows import Replay
-from plant.integrate import Stepper
 from tests.logs import write_log
 from tests.studies import named, proven
 from tests.test_refine_conditions import MOTOR

@@ -19,16 +19,16 @@ from scipy.optimize import brentq
 from controller.design_model import design_model
 from controller.gains import Settings
 from controller.variants import PredictiveSettings
-from cosim.identification.cells import calibrated
-from cosim.identification.prepared import read_protocol
-from cosim.identification.recordings import load_runs, play_plain, runs_of
-from cosim.identification.workflow import analyse
-from cosim.linearization.linear import Linear
-from cosim.linearization.structure import controllability
+from cosim.linearization.linear_model import Linear
+from cosim.linearization.system_structure import controllability
 from cosim.linearization.workflow import linearize
+from cosim.model import SCALAR
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
-from plant.namespaces import SCALAR
+from plant.identification.cells import calibrated
+from plant.identification.prepared import read_protocol
+from plant.identification.recordings import load_runs, play_plain, runs_of
+from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 
 TESTS = Path(__file__).resolve().parent
@@ -84,7 +84,7 @@ def test_every_row_has_what_is_printed_and_ours() -> None:
 def test_every_command_of_the_list_is_one_that_can_be_given() -> None:
     from typer.main import get_command
 
-    from cosim.cli import app
+    from cosim.verbs.cli import app
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
     names = " ".join(re.findall(r"def (test_\w+)", "".join(p.read_text() for p in TESTS.glob("test_*.py"))))

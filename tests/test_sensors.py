@@ -11,23 +11,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
-from cosim.errors import InputError
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.estimation.posing import build_problem
-from cosim.identification.response import held_lag
+from cosim.fmi.fmu_build import build
 from cosim.kernel.backend import kernel
-from cosim.kernel.interface import Data
+from cosim.kernel.kernel import Data
+from cosim.loading.file import load_model, own_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model, own_model
-from cosim.refinement.measure import Variant, replays
+from cosim.model import Model, SensorError, Stepper
+from cosim.model.namespaces import SCALAR, arrays
+from cosim.refinement.proof.measure import Variant, replays
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.terms import shown
+from cosim.refinement.report.effect_plots import shown
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
-from cosim.table import write_table
-from fmus.build import build
-from plant.effects.sensors import (
+from cosim.storage.table import write_table
+from plant.effects.sensor_errors import (
     HOVER_THRUST,
     SENSORS,
     AccelerometerDrift,
@@ -37,11 +38,8 @@ from plant.effects.sensors import (
     MagnetometerDisturbance,
 )
 from plant.hovercraft import Hovercraft
-from plant.integrate import Stepper
-from plant.model import Model
-from plant.namespaces import SCALAR, arrays
+from plant.identification.command_response import held_lag
 from plant.powertrain import ground_effect
-from plant.sensors import SensorError
 from tests.logs import write_log
 from tests.rover import ROVER, STEP, commands, rover_log, rover_study
 from tests.studies import holds, named, proven, study_of

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.files import atomic_write
-from fmus.native.cache import cached
-from fmus.native.compiler import compiler
-from fmus.scratch import LOCK, PREFIX, process_folder, scratch, sweep
+from cosim.base.scratch import LOCK, PREFIX, process_folder, scratch, sweep
+from cosim.fmi.native.compiler import compiler
+from cosim.storage.cache import cached
+from cosim.storage.files import atomic_write
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.users import OTHER, command, cosim, other_user, shared_folder
@@ -145,8 +145,8 @@ def test_a_link_in_the_place_of_a_draft_is_not_followed(tmp_path: Path) -> None:
 PLANTED = """
 import os, sys
 from pathlib import Path
-import fmus.native.cache as cache
-from fmus.native.compiler import compiler, loaded
+import cosim.storage.cache as cache
+from cosim.fmi.native.compiler import compiler, loaded
 print(loaded("int answer(void) { return 42; }").answer())
 print(cache.cache_folder())
 """

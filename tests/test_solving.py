@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.base.errors import SimulationError
+from cosim.blocks.component import EndedEarly, Signal
 from cosim.blocks.derivatives import slopes_at
-from cosim.blocks.interface import EndedEarly, Signal
-from cosim.blocks.kinds import FMI1, FMI2, FMI3, Exchange, element_names, goes, kinds_of
+from cosim.blocks.fmi_types import FMI1, FMI2, FMI3, Exchange, element_names, goes, kinds_of
 from cosim.blocks.model_exchange import MOST_EVENTS, ModelExchange2
 from cosim.blocks.noise import samples_of, stream
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.solvers import FAILURES, SolveIvp, SolverFailed, _failure, nominals
 from cosim.blocks.sources import Recorded
 from cosim.blocks.values import Values
-from cosim.errors import SimulationError
 
 
 class Fmu:

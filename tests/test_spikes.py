@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
-from cosim.checks import check_files
+from cosim.base.arrays import Array
+from cosim.loading.build import build
+from cosim.loading.file import load_model
+from cosim.loading.own_run import predicted_outputs
+from cosim.loading.substep import with_substep
 from cosim.logs.log import Log, read_log
 from cosim.logs.spikes import find_spikes, without
-from cosim.models.file import load_model
-from cosim.models.fmus import build
-from cosim.models.own_run import predicted_outputs
-from cosim.models.substep import with_substep
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import model_signals
 from cosim.residuals.workflow import write_replay
+from cosim.verbs.checks import check_files
 from tests.logs import write_log
 from tests.motor import motor_file, motor_log
 

@@ -20,14 +20,14 @@ from fmpy.ssp.ssd import read_ssd, read_ssv
 from typer.testing import CliRunner
 
 from cosim import check
+from cosim.authoring.export import export_ssp
+from cosim.base.errors import InputError
 from cosim.blocks.profile import Profile, profile_function
-from cosim.cli import app
-from cosim.errors import InputError
-from cosim.results import Results
-from cosim.simulation.export import export_ssp
+from cosim.fmi.native.signal_source import build_source
 from cosim.simulation.workflow import run
-from fmus import archive as archive_rules
-from fmus.native.source import build_source
+from cosim.storage import archive as archive_rules
+from cosim.storage.results import Results
+from cosim.verbs.cli import app
 from tests.hosts import table
 from tests.hosts_fmpy import Instance
 from tests.lag import bound, component, connection, lag_fmu, real, ssp
@@ -476,7 +476,7 @@ def test_noise_and_criteria_are_left_out_which_is_said(tmp_path: Path) -> None:
 
 
 def test_a_source_is_its_profile_at_every_time(tmp_path: Path) -> None:
-    from cosim.simulation.export import _profile
+    from cosim.authoring.export import _profile
 
     lag_fmu(tmp_path / "lag.fmu")  # skips without a compiler
     changes = [{"at": 0.5, "to": 2.0, "rate": 1.5}, {"at": 1.0, "to": -1}, {"at": 1.5, "to": 3, "rate": 100}]

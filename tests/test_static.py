@@ -9,28 +9,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.arrays import Array
-from cosim.checks import check_files
-from cosim.errors import InputError
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.estimation.data import folds
 from cosim.estimation.posing import build_problem
 from cosim.experiment.excite import excite
+from cosim.fmi.fmu_build import build
+from cosim.fmi.native.compiler import compiler
 from cosim.kernel import jit
-from cosim.kernel.arrays import ArrayKernel
-from cosim.kernel.compiled import CompiledKernel
+from cosim.kernel.buffers import ArrayKernel
+from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated, generate
-from cosim.kernel.interface import Data
 from cosim.kernel.jit import JitKernel
+from cosim.kernel.kernel import Data
+from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
-from cosim.models.file import load_model, read_model
+from cosim.model.symbolic.languages import C, Python
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.page import write_refine_report
+from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.residuals.workflow import replay
-from fmus.build import build
-from fmus.native.compiler import compiler
-from plant.symbolic.languages import C, Python
+from cosim.verbs.checks import check_files
 from tests.studies import holds, named, proven
 from tests.valve import NOISE, VALVE, study_of
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from cosim.base.errors import SimulationError, Terminated
+from cosim.blocks.component import EndedEarly
 from cosim.blocks.fmi import CoSimulation1, CoSimulation2, CoSimulation3
 from cosim.blocks.instance import LONGEST_MESSAGE, Instance
-from cosim.blocks.interface import EndedEarly
-from cosim.errors import SimulationError, Terminated
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 

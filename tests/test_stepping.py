@@ -18,22 +18,22 @@ import numpy as np
 import pytest
 import yaml
 
-from cosim.bench_native import native_figures
+from benchmarks.bench_native import native_figures
+from cosim.base.errors import Interrupted
 from cosim.blocks.description import read_description
 from cosim.blocks.faults import disturbed
 from cosim.blocks.fmi import EXCHANGE, STEP2
+from cosim.blocks.fmi_types import FMI2, FMI3, Exchange
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.kinds import FMI2, FMI3, Exchange
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import Recorded
 from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, link, move, transfer
-from cosim.errors import Interrupted
 from cosim.isolation.rows import Rows
-from cosim.results import Results
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.master.master import StoppedRun, simulate
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from cosim.storage.results import Results
+from cosim.system.system import build_system
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim import table
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
+from cosim.storage import table
 from tests.logs import MOVING, fly, measured, times, write_log
 
 

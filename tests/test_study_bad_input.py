@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.checks import check_files
-from cosim.cli import app
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
+from cosim.verbs.checks import check_files
+from cosim.verbs.cli import app
 from tests.tank import MODEL, tank_log
 
 LATE = '''
@@ -34,7 +34,7 @@ class Tank('''
 def tanks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The texts of a model and of two logs, 100 s and 60 s long."""
     folder = tmp_path_factory.mktemp("tanks")
-    model = MODEL.replace("import SensorError", "import Latency, SensorError")
+    model = MODEL.replace("Quantity, SensorError", "Latency, Quantity, SensorError", 1)
     model = model.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(", LATE)
     model = model.replace("sensors = (GaugeOffset,)", "sensors = (GaugeOffset, GaugeLate)")
     logs = {

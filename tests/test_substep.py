@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import linear_algebra
-from cosim.checks import check_files
-from cosim.errors import InputError
+from cosim.base import linear_algebra
+from cosim.base.errors import InputError
+from cosim.base.registry import models
 from cosim.estimation.posing import build_problem, own_run
+from cosim.loading.build import build as build_fmus
+from cosim.loading.file import LoadedModel, load_model, named_model, read_model, write_model
+from cosim.loading.substep import MAX_CHOSEN, with_substep
 from cosim.logs.log import read_log
-from cosim.models.file import LoadedModel, load_model, named_model, read_model, write_model
-from cosim.models.fmus import build as build_fmus
-from cosim.models.substep import MAX_CHOSEN, with_substep
+from cosim.model import Model
 from cosim.refinement.workflow import refine
-from cosim.registry import MODELS
 from cosim.residuals.windows import replay
-from plant.model import Model
+from cosim.verbs.checks import check_files
 from tests.motor import motor_file, motor_log, motor_study
 
 WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft
@@ -88,7 +88,7 @@ def test_a_mode_that_is_fast_on_the_way_only_counts(tmp_path: Path) -> None:
     assert chosen.model.substep < Model.substep
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name].model])
+@pytest.mark.parametrize("name", list(models()))
 def test_models_of_the_registry_suit_their_substep(name: str) -> None:
     """They are not looked at by `with_substep`, which would take as long as the rest of a check."""
     stranger = LoadedModel(named_model(name), "a.py:Model")
@@ -162,8 +162,7 @@ def test_a_model_that_runs_away_is_told_with_its_log_and_time(
 RUNAWAY = '''
 from dataclasses import dataclass
 
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

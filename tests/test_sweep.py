@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import InputError, SweepFailed
-from cosim.models.file import load_model
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario_file import ScenarioFile
+from cosim.base.errors import InputError, SweepFailed
+from cosim.fmi.fmu_build import build
+from cosim.fmi.native.compiler import compiler
+from cosim.loading.file import load_model
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps import twins
 from cosim.sweeps.batch import Batch
-from cosim.sweeps.design import Factor, columns_of, distribution
 from cosim.sweeps.reading import read_sweep
-from cosim.sweeps.runs import Made, made
-from cosim.sweeps.statistics import sensitivity, share
+from cosim.sweeps.run_chunks import Made, made
+from cosim.sweeps.run_statistics import sensitivity, share
+from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import DATABASE, TABLE, read_table, signal_of
 from cosim.sweeps.workflow import EQUAL, sweep
-from fmus.build import build
-from fmus.native.compiler import compiler
 from tests.tank import MODEL
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -237,7 +237,7 @@ def test_a_sweep_that_was_killed_is_gone_on_with_and_its_table_is_that_of_one_th
     command = [
         sys.executable,
         "-m",
-        "cosim.cli",
+        "cosim.verbs.cli",
         "sweep",
         str(path),
         "--out",

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.model import Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from plant.integrate import Stepper
 from tests.independent import COLUMNS, Array, flown
 
 property_settings = settings(deadline=None, derandomize=True, max_examples=30)

@@ -12,15 +12,15 @@ from typing import Any
 
 import pytest
 
+from cosim.base.errors import FmuError, InputError
 from cosim.blocks.fmi import _routed
-from cosim.checks import check_files
-from cosim.errors import FmuError, InputError
-from cosim.results import Results
+from cosim.master.master import StoppedRun, simulate
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
-from cosim.simulation.master import StoppedRun, simulate
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import System, build_system
 from cosim.simulation.workflow import run
+from cosim.storage.results import Results
+from cosim.system.system import System, build_system
+from cosim.verbs.checks import check_files
 from tests.lag import lag_fmu
 from tests.typed import numbers_fmu, typed_fmu
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.blocks.interface import Signal
+from cosim.base.errors import InputError
+from cosim.base.units import SYMBOLS, Taken, coherent, factor, parse, taken
+from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
-from cosim.errors import InputError
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
-from cosim.outcomes import Replay
 from cosim.residuals.against import scales
-from cosim.results import read_results
-from cosim.table import read_columns
-from fmus.units import SYMBOLS, Taken, coherent, factor, parse, taken
+from cosim.storage.results import read_results
+from cosim.storage.table import read_columns
+from cosim.verbs.outcomes import Replay
 from tests.typed import typed_fmu
 
 NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one
@@ -105,7 +105,9 @@ def test_a_model_that_moves_as_the_column_did_before_it_was_converted_is_told(tm
 # -- of recordings and references in a scenario -----------------------------------------------------
 
 
-def played(folder: Path, column: str, units: tuple[str, str] = ("", ""), **connection: float) -> cosim.outcomes.Run:
+def played(
+    folder: Path, column: str, units: tuple[str, str] = ("", ""), **connection: float
+) -> cosim.verbs.outcomes.Run:
     (folder / "in.csv").write_text(f"time [ms],{column},mode\n0,500,RUN\n1000,800,STOP\n")
     components = {
         "a": {"fmu": str(typed_fmu(folder, units=units))},
@@ -242,8 +244,7 @@ def test_an_angle_whose_header_says_degrees_is_not_asked_to_be_in_degrees(tmp_pa
 
 CART = """
 from dataclasses import dataclass
-from plant.model import Equations, Model
-from plant.quantities import Quantity, parameter
+from cosim.model import Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.base.text import percent
 from cosim.estimation.candidates import Candidate, Free
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.measure import Floor
-from cosim.refinement.record import effects, unseen
-from cosim.refinement.sentences import (
+from cosim.refinement.decision.sentences import (
     calmer,
     cannot_tell,
     claim,
@@ -29,9 +27,11 @@ from cosim.refinement.sentences import (
     rises,
     unexplained,
 )
-from cosim.refinement.unnamed import Unnamed
-from cosim.refinement.verdict import Verdict
-from cosim.text import percent
+from cosim.refinement.decision.verdict import Verdict
+from cosim.refinement.proof.measure import Floor
+from cosim.refinement.record import effects, unseen
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.search.unnamed import Unnamed
 from plant.hovercraft import Hovercraft
 from tests.verdicts import contradictions
 

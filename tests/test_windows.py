@@ -13,17 +13,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.residuals import floor, windows
 from cosim.residuals.against import delay, delays, scales
 from cosim.residuals.compare import ChannelSummary
+from cosim.residuals.comparison_data import as_json
 from cosim.residuals.drive import rows_of
 from cosim.residuals.floor import Floor, draws
 from cosim.residuals.lags import every_lag, neighbours
-from cosim.residuals.record import as_json
-from cosim.residuals.statistics import (
+from cosim.residuals.replay_sentences import _and, horizon_name, input_words, quality, verdict, whiteness_words
+from cosim.residuals.residual_statistics import (
     FREE_RUN,
     InputCorrelation,
     Score,
@@ -36,8 +38,6 @@ from cosim.residuals.statistics import (
     whiteness,
 )
 from cosim.residuals.windows import Replay, chains, horizons, window_rows
-from cosim.residuals.words import _and, horizon_name, input_words, quality, verdict, whiteness_words
-from fmus.units import read_quantity
 
 
 def log_of(time: Array, step: float = 0.02, outputs: Any = None, inputs: Any = None, **more: Any) -> Log:

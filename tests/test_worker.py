@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.errors import InputError, SimulationError
+from cosim.base import scratch
+from cosim.base.errors import InputError, SimulationError
 from cosim.isolation import process, worker
 from cosim.isolation.limits import BYTES, read_limits
 from cosim.isolation.memory import resident
 from cosim.isolation.process import _Printed
 from cosim.isolation.rows import NOTHING, BesideFile, Rows, allocate, mapped_progress, mapped_table, read_table
 from cosim.isolation.worker import Said, _along, _restore, _sent
-from fmus import scratch
 
 
 def test_a_table_in_a_file_is_read_back_as_far_as_asked_for(tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ import numpy as np
 from controller.design_model import measurement_matrix
 from controller.gains import Settings
 from controller.kalman import discrete_model
-from cosim.arrays import Array
-from cosim.identification.thrust_line import least_degree
+from cosim.base.arrays import Array
+from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.namespaces import arrays
+from plant.identification.thrust_line import least_degree
 from plant.powertrain import assembly_moment, ground_effect
 
 BENCH = Bench()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.native.compiler import compiler
+from cosim.fmi.native.compiler import compiler
 
 HERE = Path(__file__).parent
 FOLDERS = {2: "linux64", 3: "x86_64-linux"}

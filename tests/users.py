@@ -29,7 +29,7 @@ def other_user(**environment: str) -> dict[str, Any]:
     given: dict[str, Any] = {"user": OTHER, "group": OTHER, "extra_groups": [], "env": own, "cwd": "/"}
     for python in PYTHONS:  # one may lie in a folder of root's own
         with suppress(OSError):
-            command = [python, "-c", "import cosim.cli"]
+            command = [python, "-c", "import cosim.verbs.cli"]
             if not subprocess.run(command, capture_output=True, check=False, **given).returncode:
                 return {**given, "python": python}
     pytest.skip("another user may not read this installation")
@@ -48,7 +48,7 @@ def shared_folder() -> Iterator[Path]:
 
 def command(*arguments: object, python: str = sys.executable) -> list[str]:
     """Return the words of a command."""
-    return [python, "-m", "cosim.cli", *map(str, arguments)]
+    return [python, "-m", "cosim.verbs.cli", *map(str, arguments)]
 
 
 def cosim(

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 VALVE = '''"""A valve."""
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, overrides
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias
+from cosim.model import Bias, Effect, Equations, Model, Quantity, overrides, parameter
 
 
 class ValveEffect(Effect):

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.text import percent, plain
+from cosim.base.text import percent, plain
 
 CLAIMS = {"effect_found", "parameter_error", "sensor_error"}
 FILES = {"claimed": ("model.yaml", "plant.fmu"), "other": ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu")}

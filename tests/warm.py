@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from cosim.isolation import process
 
 ROOT = Path(__file__).resolve().parent.parent
-MODULES = ("cosim.simulation.apart", "cosim.residuals.apart", "fmpy.fmi2", "fmpy.logging", "filterpy.kalman")
+MODULES = ("cosim.master.remote", "cosim.residuals.remote_drive", "fmpy.fmi2", "fmpy.logging", "filterpy.kalman")
 READ_AT_START = ("LD_", "PYTHON", "OMP_", "OPENBLAS_", "NUMBA_", "MALLOC_")  # variables that a fork comes too late for
 SPAWN = process._spawn  # what it does elsewhere
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from cosim.base.errors import FmuError
 from cosim.blocks.description import CPP, C, library_file
-from cosim.errors import FmuError
-from fmus.native.compiler import CompilerFailed, library_of
-from fmus.native.platforms import NoCompiler, library_command
+from cosim.fmi.native.compiler import CompilerFailed, library_of
+from cosim.fmi.native.platforms import NoCompiler, library_command
 
 SOURCES = "sources"
 LIMIT = 300.0  # [s] that a compiler may take for one FMU

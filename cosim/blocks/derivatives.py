@@ -11,14 +11,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
 from cosim.blocks.description import unit_of
+from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.kinds import element_names
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2
 from cosim.blocks.solvers import DOUBLES, derivatives_of
-from cosim.errors import SimulationError
-from fmus.archive import DESCRIPTION
+from cosim.storage.archive import DESCRIPTION
 
 REALS = ("Real", "Float64")
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
+from cosim.base.errors import FmuError
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
-from cosim.errors import FmuError
 
 Way = Literal["co-simulation", "model-exchange"]
 PLATFORMS, SOURCES = "binaries/", "sources/"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.blocks.interface import Row, Signal, in_turn
+from cosim.blocks.component import Row, Signal, in_turn
 from cosim.blocks.noise import stream
 
 COUNT = "fix"  # the output that counts

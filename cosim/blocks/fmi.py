@@ -13,8 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.component import EndedEarly
 from cosim.blocks.description import Way
-from cosim.blocks.interface import EndedEarly
 
 DISCARD = 2
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.compiling import permission
+from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.description import (
     Way,
     default_tolerance,
@@ -26,15 +27,14 @@ from cosim.blocks.description import (
     ways,
 )
 from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
+from cosim.blocks.fmi_types import element_names
 from cosim.blocks.instance import Instance
-from cosim.blocks.interface import ADVANCE, GET, PUT, Row, in_turn
-from cosim.blocks.kinds import element_names
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
-from cosim.blocks.ports import Ports
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot
 from cosim.blocks.values import Arguments, Values
-from fmus.sampled import AUTHOR, optional_inputs
+from cosim.blocks.variable_access import Ports
+from cosim.fmi.sampled import AUTHOR, optional_inputs
 
 __all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import FmuError
-from fmus.archive import BadArchive, check_archive, check_identifier
+from cosim.base.errors import FmuError
+from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
 EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")

@@ -11,19 +11,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from cosim.base.drafts import is_full
+from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
+from cosim.base.scratch import process_folder
 from cosim.blocks.compiling import compile_library
+from cosim.blocks.component import EndedEarly
 from cosim.blocks.description import C_CODE, library_of, no_library, offer_libm, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
-from cosim.blocks.interface import EndedEarly
 from cosim.blocks.loading import load_error
 from cosim.blocks.model_exchange import ModelExchange2
-from cosim.errors import DiskFull, FmuError, SimulationError, Terminated
-from fmus.archive import unpack
-from fmus.files import is_full
-from fmus.lifetime import let_go_at_exit
-from fmus.sampled import sampled_by
-from fmus.scratch import process_folder
+from cosim.fmi.lifetime import let_go_at_exit
+from cosim.fmi.sampled import sampled_by
+from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4

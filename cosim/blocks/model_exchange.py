@@ -13,11 +13,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from cosim.base.errors import SimulationError
+from cosim.blocks.component import EndedEarly
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
-from cosim.blocks.interface import EndedEarly
 from cosim.blocks.solvers import Solver, SolverFailed, solver
-from cosim.errors import SimulationError
 
 TOLERANCE = 1e-5  # relative, where nobody says another; FMPy's
 LONGEST = 50  # the solver's steps are at most this part of the whole time, as FMPy's

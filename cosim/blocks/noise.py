@@ -7,7 +7,7 @@ from array import array
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from pydantic import Field, field_validator
 
-from cosim.arrays import Array
-from cosim.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
+from cosim.base.arrays import Array
+from cosim.storage.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
 
 ROUNDING = 1e-9  # [s] by which a time may be off
 

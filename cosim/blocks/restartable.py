@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
-from fmus.annotation import traits_of
-from fmus.state import Memory, Own, own_of, with_memory
+from cosim.fmi.annotation import traits_of
+from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 
 class RestartableFmu(FmuBlock):

@@ -11,12 +11,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.blocks.interface import Row, Signal, in_turn
+from cosim.base.arrays import Array
+from cosim.base.units import computed_in
+from cosim.blocks.component import Row, Signal, in_turn
 from cosim.blocks.profile import ROUNDING, Profile, profile_function
 from cosim.blocks.stepping import Slot
-from cosim.table import read_columns
-from fmus.units import computed_in
+from cosim.storage.table import read_columns
 
 
 class OfTime(Protocol):

@@ -20,10 +20,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
-from cosim.arrays import Array
-from cosim.blocks.interface import Row
-from cosim.blocks.kinds import Exchange
-from fmus.native.compiler import compiler, loaded
+from cosim.base.arrays import Array
+from cosim.blocks.component import Row
+from cosim.blocks.fmi_types import Exchange
+from cosim.fmi.native.compiler import compiler, loaded
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1

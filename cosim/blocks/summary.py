@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.base.errors import Fault, FmuError, InputError
 from cosim.blocks.description import (
     platform_of,
     platforms_among,
@@ -17,8 +18,7 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.errors import Fault, FmuError, InputError
-from cosim.kinds import FMU, check_given
+from cosim.storage.kinds import FMU, check_given
 
 CAPABILITIES = (
     "canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canGetAndSetFMUstate", "canSerializeFMUState",

@@ -10,12 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cosim.base.errors import SimulationError
+from cosim.blocks.component import PUT, Row
+from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.instance import Instance
-from cosim.blocks.interface import PUT, Row
-from cosim.blocks.kinds import Exchange
-from cosim.blocks.ports import Ports
 from cosim.blocks.stepping import Move, Plan, Why, move
-from cosim.errors import SimulationError
+from cosim.blocks.variable_access import Ports
 
 Arguments = tuple[Any, ...]  # of a function for doubles that go straight to the row
 

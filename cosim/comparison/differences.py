@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.comparison.between import rows_between
-from cosim.comparison.ran import Ran
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.text import amount, counted
+from cosim.base.units import Conversion, conversion
+from cosim.comparison.intermediate_rows import rows_between
+from cosim.comparison.run_files import Ran
 from cosim.comparison.signals import (
     Difference,
     at_times,
@@ -25,9 +28,6 @@ from cosim.comparison.signals import (
     sized,
     with_rows_between,
 )  # fmt: skip
-from cosim.errors import Fault, InputError
-from cosim.text import amount, counted
-from fmus.units import Conversion, conversion
 
 if TYPE_CHECKING:
     import pandas
@@ -108,9 +108,9 @@ class Compared:
 
         KeyError of a name that has no numbers in both.
         """
-        from cosim.comparison.panels import panels_of
+        from cosim.comparison.signal_panels import panels_of
         from cosim.simulation.report.figures import sheet
-        from cosim.yaml_file import did_you_mean
+        from cosim.storage.yaml_file import did_you_mean
 
         for name in names:
             if name not in self.values:

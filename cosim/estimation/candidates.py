@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from plant.model import Model
-from plant.quantities import Parameter, parameters_of
+from cosim.model.model import Model
+from cosim.model.quantities import Parameter, parameters_of
 
 Kind = Literal["effect", "sensor", "parameter"]
 # A data sheet that states no tolerance is taken to be right to this share, in 95 cases of 100: recalibration within it

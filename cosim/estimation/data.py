@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
-from cosim.kernel.interface import Data, Layout
+from cosim.base.arrays import Array, Rows
+from cosim.kernel.kernel import Data, Layout
 from cosim.logs.log import Log, slowness
-from plant.integrate import substeps
-from plant.model import Model
+from cosim.model.integrate import substeps
+from cosim.model.model import Model
 
 UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
 MOST_ROWS, FOLDS = 40, 20  # rows of all tables, up to which each is left out alone; parts of those with more

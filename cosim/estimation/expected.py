@@ -11,7 +11,7 @@ import numpy as np
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.problem import Problem
-from cosim.logs.noise import NORMAL_95
+from cosim.logs.channel_noise import NORMAL_95
 
 
 def means(f: Fit) -> dict[str, float]:

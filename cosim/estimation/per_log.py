@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import pseudo_inverse
 from cosim.estimation.candidates import Candidate, Free, spread_of_base, usual_size
-from cosim.kernel.interface import Data, Kernel
-from cosim.linear_algebra import pseudo_inverse
-from plant.model import Model
+from cosim.kernel.kernel import Data, Kernel
+from cosim.model.model import Model
 
 STEP = 1e-4  # of a value, or of 1 where it is less, for differences; readings are nearly straight lines
 

@@ -8,18 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data, folds, unscored
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
 from cosim.kernel.backend import kernel
-from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
+from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
 from cosim.kernel.settling import settling
+from cosim.loading.own_run import shown_states
 from cosim.logs.log import Log, slowness
-from cosim.models.own_run import shown_states
-from plant.model import Model
+from cosim.model.model import Model
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start

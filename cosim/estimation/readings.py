@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cosim.arrays import Array, Flags, Rows
+from cosim.base.arrays import Array, Flags, Rows
 
 NEAR = 4  # readings on each side, over which a slope is taken
 ON_GRID = 0.99  # of the steps between readings, from which they are taken to be quantised

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.arrays import Array, Flags
+from cosim.base.arrays import Array, Flags
+from cosim.base.text import plain
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import own_run
 from cosim.estimation.problem import Problem
-from cosim.logs.noise import noise_level, surprise, white_noise
-from cosim.text import plain
-from plant.model import Model
+from cosim.logs.channel_noise import noise_level, surprise, white_noise
+from cosim.model.model import Model
 
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # of the times, to either side of their region

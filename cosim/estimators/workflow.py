@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import model_entry, resolve
+from cosim.base.settings import Count, Seed
 from cosim.estimators.consistency import Row, consistency_of
-from cosim.estimators.page import page
-from cosim.files import atomic_write, check_writable
-from cosim.folders import check_left
-from cosim.given import Count, Seed
-from cosim.registry import BASE_NAME, MODELS, resolve
+from cosim.estimators.report import page
+from cosim.storage.files import atomic_write, check_writable
+from cosim.storage.folders import check_left
 
 FEWEST = 2  # runs
 SHORTEST = 100  # steps; errors count after the first second
@@ -33,8 +33,8 @@ def consistency(
     if faults := [Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low]:
         raise InputError(faults)
     check_size(runs, steps)
-    squares_of = resolve(MODELS[BASE_NAME].estimators)
-    cases = resolve(MODELS[BASE_NAME].cases)
+    squares_of = resolve(model_entry().estimators)
+    cases = resolve(model_entry().cases)
     found = []
     for k, case in enumerate(cases):
         try:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from cosim.experiment.rigs import Axis
 
 TONES = 12

@@ -12,21 +12,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim import registry
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
+from cosim.base import registry
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
+from cosim.base.text import counted
 from cosim.estimation.posing import build_problem
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
-from cosim.files import FilePath, atomic_write, check_writable, named_path
-from cosim.folder_lock import folder_locks
-from cosim.folders import check_left
-from cosim.given import Count, ModelName, PositiveSeconds, Seed
 from cosim.logs.log import slowness
-from cosim.table import write_columns
-from cosim.text import counted
+from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left
+from cosim.storage.table import write_columns
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
@@ -220,7 +220,7 @@ def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial
 
 def _write(folder: Path, found: Excitation, seed: int) -> None:
     """excitation.csv, excitation.yaml and the FMUs it names."""
-    from fmus.build import build
+    from cosim.fmi.fmu_build import build
 
     trial, model = found.trial, found.question.loaded.model
     write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in model.inputs})

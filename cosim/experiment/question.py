@@ -8,21 +8,21 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError
 from cosim.estimation.candidates import Candidate, candidates, neutral_values
 from cosim.experiment.ranges import allowed, inputs_to_limit, seen_in
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
-from cosim.kinds import ANSWER, CODE, MODEL, check_form, check_given
+from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.refined import names_refine
+from cosim.loading.substep import with_substep
 from cosim.logs.log import read_log
-from cosim.models.file import LoadedModel, load_model
-from cosim.models.refined import names_refine
-from cosim.models.substep import with_substep
-from cosim.refinement.hypotheses import TOGETHER
-from cosim.refinement.judgement import SIGNIFICANT
+from cosim.model.model import Model
+from cosim.refinement.decision.judgement import SIGNIFICANT
+from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile
-from cosim.yaml_file import YamlFile, did_you_mean
-from plant.model import Model
+from cosim.storage.kinds import ANSWER, CODE, MODEL, check_form, check_given
+from cosim.storage.yaml_file import YamlFile, did_you_mean
 
 NOTHING = "nothing"
 

@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
+from cosim.base.units import NUMBER, conversion
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
-from cosim.yaml_file import did_you_mean
-from fmus.units import NUMBER, conversion
-from plant.model import Model
+from cosim.model.model import Model
+from cosim.storage.yaml_file import did_you_mean
 
 LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
 RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")

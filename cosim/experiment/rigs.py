@@ -1,6 +1,6 @@
 """Experiments that a rig can play: signals on a few axes, and what the model does under them.
 
-Any model is played open loop; one that would not stay where it is brings a rig of its own (`cosim.registry`).
+Any model is played open loop; one that would not stay where it is brings a rig of its own (`cosim.base.registry`).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from cosim.logs.log import Log
-from plant.integrate import Stepper
-from plant.model import Model, Values
+from cosim.model.integrate import Stepper
+from cosim.model.model import Model, Values
 
 Signals = Mapping[str, Array]
 Ranges = Mapping[str, tuple[float, float]]  # input → least and largest command

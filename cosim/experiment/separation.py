@@ -15,7 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import least_squares
 from cosim.estimation.candidates import Candidate, Free, base_parameters
 from cosim.estimation.data import as_data, unscored
 from cosim.estimation.fit import DIFFERENCE
@@ -23,10 +24,9 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import coarsened, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
-from cosim.linear_algebra import least_squares
 from cosim.logs.log import Log
-from plant.model import Model
-from plant.quantities import Parameter, parameters_of
+from cosim.model.model import Model
+from cosim.model.quantities import Parameter, parameters_of
 
 WRONG_BY = 0.2  # of its value: a base parameter that is wrong; suspect ones by the size of their fits
 Pair = tuple[str, str]

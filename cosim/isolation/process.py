@@ -14,13 +14,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from cosim.errors import Crashed, SimulationError
-from cosim.files import uninterrupted
+from cosim.base.errors import Crashed, SimulationError
+from cosim.base.scratch import Held, scratch
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
 from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send
-from fmus.native.cache import cache_environment
-from fmus.scratch import Held, scratch
+from cosim.storage.cache import cache_environment
+from cosim.storage.files import uninterrupted
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # [s] between looks at a process

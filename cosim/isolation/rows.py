@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 # What is called of a component: its number times CALLS, plus one of these.
 CALLS = 4

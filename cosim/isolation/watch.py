@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from cosim.errors import SimulationError, TimedOut
+from cosim.base.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cosim.errors import CosimError
-from cosim.garbage import collect_seldom
+from cosim.base.errors import CosimError
+from cosim.base.garbage import collect_seldom
+from cosim.base.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
-from fmus.scratch import remove
 
 HEAD = struct.Struct("!Q")
 PROGRESS, ALONG = "progress", "along"

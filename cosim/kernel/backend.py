@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import Fault, InputError
-from cosim.kernel.arrays import ArrayKernel
-from cosim.kernel.compiled import CompiledKernel
+from cosim.base.errors import Fault, InputError
+from cosim.fmi.native.compiler import compiler
+from cosim.kernel.buffers import ArrayKernel
+from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import generate
 from cosim.kernel.jit import JitKernel
-from fmus.native.compiler import compiler
-from plant.model import Model
-from plant.symbolic.guard import OfNumbersOnly
-from plant.symbolic.languages import C, Python
+from cosim.model.model import Model
+from cosim.model.symbolic.languages import C, Python
+from cosim.model.symbolic.tracing_guard import OfNumbersOnly
 
 _made: dict[tuple[Any, ...], ArrayKernel] = {}
 

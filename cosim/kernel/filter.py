@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # stand above and below: step.py; numbers of outputs and stochastic states; the model's functions
-    from cosim.arrays import Array, Rows
+    from cosim.base.arrays import Array, Rows
     from cosim.kernel.step import DELAY, NM, NU, NX, act, held, kept, measure, rk4
 
     NY = NS = 0

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
-from cosim.kernel.interface import CONSTANT, DISTURBANCE, MEMORY, Layout
+from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Layout
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
-from fmus.native.cache import fingerprint, kept
-from plant.model import Model
-from plant.namespaces import SymbolNamespace
-from plant.symbolic.functions import Body
-from plant.symbolic.guard import guarded
-from plant.symbolic.languages import Language
+from cosim.model.model import Model
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.symbolic.functions import Body
+from cosim.model.symbolic.languages import Language
+from cosim.model.symbolic.tracing_guard import guarded
+from cosim.storage.cache import fingerprint, kept
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def generate(
     asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
     asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
     asked += srepr([list(term.items()) for term in body.terms])
-    made = (type(language).__name__, stochastic, fingerprint(("plant.symbolic", "cosim.kernel")))
+    made = (type(language).__name__, stochastic, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
     text: str = kept(f"{made} {asked}", lambda: _printed(body, language, (f, g), (stochastic, x), shapes))
     layout = Layout(
         parameters=tuple(body.parameters),

@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
-from cosim.files import atomic_write
-from cosim.kernel.arrays import ArrayKernel, constants
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault
+from cosim.base.extras import optional
+from cosim.kernel.buffers import ArrayKernel, constants
 from cosim.kernel.generate import Generated
-from cosim.kernel.interface import Data
-from fmus.native.cache import cached
+from cosim.kernel.kernel import Data
+from cosim.storage.cache import cached
+from cosim.storage.files import atomic_write
 
 
 class JitKernel(ArrayKernel):
@@ -45,13 +46,15 @@ def _source(generated: Generated) -> str:
     return f"{step}\n\n{later}\n\n{head}\n\n\n{generated.source}"
 
 
+def _without_compiler(message: str) -> Fault:
+    """Return the fault of a machine with neither a C compiler nor numba."""
+    cure = 'install a C compiler ("CC" in the environment may name it)'
+    return Fault(Path(sys.executable), 0, 0, f"{cure}; the filter without one {message}")
+
+
 def _compiled(source: str) -> Any:
     """The module of a source, its functions compiled; numba keeps those of a signature in `__pycache__` beside it."""
-    try:
-        import numba
-    except ImportError as error:  # none is installed, or none for a Python as new as this
-        cure = 'install a C compiler ("CC" in the environment may name it), or numba'
-        raise InputError([Fault(Path(sys.executable), 0, 0, f"{error}; {cure}")]) from error
+    numba = optional("numba", _without_compiler)
     float64, intp = numba.float64, numba.intp
 
     module = _module(source)

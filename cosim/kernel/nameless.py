@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from plant.symbolic.symbols import SymbolicModel
+from cosim.model.symbolic.symbols import SymbolicModel
 
 PREFIX = "unnamed"  # of their coefficients among the parameters: `unnamed.state.basis`
 LOCAL = "local"  # of the numbers of a local shape: `local.1.of.position`, and `local.1.of.1` of the constant

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.linear_algebra import eigenvalues
-from plant.model import Model
-from plant.namespaces import SCALAR
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import eigenvalues
+from cosim.model.model import Model
+from cosim.model.namespaces import SCALAR
 
 FORGOTTEN = 1e-4  # of a wrong start, from which it no longer counts
 STILL = 1e-9  # [1/s], slower is no decay

@@ -1,4 +1,4 @@
-"""A model on the commands of a log, line for line that of fmus/native/step.c.
+"""A model on the commands of a log, line for line that of cosim/fmi/native/step.c.
 
 Plain Python on arrays, for numba to compile: read as text, and the model's constants and functions written below it.
 """
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # stand below: numbers of states, inputs, remembered values; the model's functions
-    from cosim.arrays import Array, Rows
+    from cosim.base.arrays import Array, Rows
 
     NX = NU = NM = DELAY = 0
 

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import Fault, FmuError, InputError, SimulationError
-from cosim.linearization.linear import Point
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.scratch import temporary_folder
+from cosim.base.units import read_quantity
+from cosim.linearization.linear_model import Point
+from cosim.linearization.linear_sources import EquationSource, Source
 from cosim.linearization.point import AT, Moment
-from cosim.linearization.source import EquationSource, Source
-from cosim.results import Results
+from cosim.model.integrate import Stepper
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp
-from cosim.simulation.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from fmus.scratch import temporary_folder
-from fmus.units import read_quantity
-from plant.integrate import Stepper
+from cosim.storage.results import Results
 
 SLACK = 1e-9  # [s]
 AGREE = 1e-6  # of an output's range, within which the model and the component are one

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 STEP = 1e-6  # of each state and input, or of 1, over which slopes to either side are compared
 BENT = 1e-3  # of the largest slope in a row, by which they may differ

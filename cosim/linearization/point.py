@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
-from cosim.linearization.linear import Point
-from cosim.linearization.source import Source
-from cosim.yaml_file import did_you_mean, short
-from fmus.units import read_quantity
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.units import read_quantity
+from cosim.linearization.linear_model import Point
+from cosim.linearization.linear_sources import Source
+from cosim.storage.yaml_file import did_you_mean, short
 
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MOST_TIMES = 100_000

@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.text import counted, plain, written
+from cosim.base.version import __version__
+from cosim.linearization.descriptions import headline, number, pole_rows
+from cosim.linearization.frequency_response import Response, frequencies, response
 from cosim.linearization.kinks import RATE, Kink, Row
-from cosim.linearization.linear import Linear
-from cosim.linearization.outcome import Outcome
-from cosim.linearization.response import Response, frequencies, response
-from cosim.linearization.structure import Pole, Structure, poles
-from cosim.linearization.words import headline, number, pole_rows
-from cosim.report.data import Abscissa
+from cosim.linearization.linear_model import Linear
+from cosim.linearization.result import Outcome
+from cosim.linearization.system_structure import Pole, Structure, poles
+from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts
+from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace
 from cosim.report.svg import Plot, make_axis
-from cosim.report.tables import Badge
 from cosim.report.template import render
-from cosim.text import counted, plain, written
-from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
 TOGETHER = 6  # curves in a panel

@@ -9,29 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.authoring.single import start_pairs
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import BASE, is_model
+from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
-from cosim.errors import Fault, InputError
-from cosim.files import FilePath, atomic_write, check_writable, named_path
-from cosim.folder_lock import folder_locks
-from cosim.folders import check_left
-from cosim.given import Given, Positive, texts
-from cosim.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.linearization.along import Along
-from cosim.linearization.exchange import MODULES, ExchangeSource, typed_values
+from cosim.linearization.fmu_source import MODULES, ExchangeSource, typed_values
 from cosim.linearization.kinks import BESIDE, OUTPUT, RATE, SIDES, Kink
-from cosim.linearization.linear import Linear, Point, chosen, missing_states, residualised
-from cosim.linearization.outcome import Outcome
-from cosim.linearization.parameters import with_parameters
+from cosim.linearization.linear_model import Linear, Point, chosen, missing_states, residualised
+from cosim.linearization.linear_sources import EquationSource, Source, settled
 from cosim.linearization.point import AT, moved, read_at
-from cosim.linearization.source import EquationSource, Source, settled
-from cosim.linearization.structure import structure
+from cosim.linearization.result import Outcome
+from cosim.linearization.set_parameters import with_parameters
+from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, write
-from cosim.models.file import LoadedModel, load_model, named_model
-from cosim.models.refined import names_refine, refined_file
-from cosim.registry import BASE, MODELS
-from cosim.simulation.single import start_pairs
-from cosim.yaml_file import did_you_mean
+from cosim.loading.file import LoadedModel, load_model, named_model
+from cosim.loading.refined import names_refine, refined_file
+from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left
+from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
+from cosim.storage.yaml_file import did_you_mean
 
 SIDE = Path("--side")
 NO_DERIVATIVE = "; there is no derivative: say --side below or --side above, or give a point beside it"
@@ -137,7 +137,7 @@ def _idle(found: Sequence[Linear]) -> list[str]:
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
     """The equations or the FMU that is named."""
     text = str(path)
-    if text not in MODELS and text != BASE and ".py:" not in text and not names_refine(path):
+    if not is_model(text) and text != BASE and ".py:" not in text and not names_refine(path):
         if path.exists():
             check_given(path, MODEL, FMU, CODE)
         if kind_of(path) == FMU:
@@ -145,7 +145,7 @@ def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | No
     if step is not None:
         told = "is of FMUs; equations are differentiated exactly, so leave it out"
         raise InputError([Fault(Path("--step"), 0, 0, told)])
-    if text in MODELS:
+    if is_model(text):
         loaded = LoadedModel(named_model(text), text)
     else:
         loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())

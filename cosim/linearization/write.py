@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.files import atomic_write
-from cosim.linearization.linear import Linear
-from cosim.linearization.structure import Structure
-from cosim.version import __version__
-from fmus.files import draft_of
+from cosim.base.drafts import draft_of
+from cosim.base.version import __version__
+from cosim.linearization.linear_model import Linear
+from cosim.linearization.system_structure import Structure
+from cosim.storage.files import atomic_write
 
 FILES = ("linear.json", "linear.mat", "linear.py")
 HEADER = 116  # bytes of text at the beginning of a .mat, in which scipy writes the time of day

@@ -9,12 +9,12 @@ from types import MappingProxyType
 
 import numpy as np
 
+from cosim.base.text import counted
+from cosim.base.units import parse, taken
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, LogReader
-from cosim.table import Column, Heading
-from cosim.text import counted
-from fmus.units import parse, taken
+from cosim.storage.table import Column, Heading
 
 WITHOUT_MODEL = "checked without a model: --model FILE:CLASS holds names, units and signs against one"
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.linear_algebra import least_squares
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import least_squares
+from cosim.base.text import amount, counted, plain
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
-from cosim.logs.planar import mirrored
-from cosim.text import amount, counted, plain
-from plant.traits import Traits, rate_of
+from cosim.logs.planar_motion import mirrored
+from cosim.model.traits import Traits, rate_of
 
 STILL = 1e-9  # [unit of the signal], below which its changes are rounding
 DEGREES = 180.0 / math.pi

@@ -8,16 +8,16 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.text import amount, counted, percent, plain
+from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frames
 from cosim.logs.log import MISSING, Log, named
-from cosim.logs.noise import noise_level
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.logs.tables import table_findings
-from cosim.text import amount, counted, percent, plain
-from plant.traits import Traits
+from cosim.logs.static_table import table_findings
+from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's

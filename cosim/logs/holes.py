@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
+from cosim.base.arrays import Array, Rows
 from cosim.logs.log import Log
 
 SMOOTH = 0.5  # of what holding misses, up to which a straight line between neighbours is the better guess

@@ -16,11 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
-from cosim.errors import Fault, InputError
-from cosim.table import Column, Faults, Heading, read_table
-from cosim.yaml_file import closest, did_you_mean, short
-from fmus.units import Conversion, alternatives, conversion, taken
+from cosim.base.arrays import Array, Rows
+from cosim.base.errors import Fault, InputError
+from cosim.base.units import Conversion, alternatives, conversion, taken
+from cosim.storage.table import Column, Faults, Heading, read_table
+from cosim.storage.yaml_file import closest, did_you_mean, short
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
@@ -40,7 +40,7 @@ OTHER_MODEL = (
 
 
 class SignalLike(Protocol):
-    """An input or output of a model: `blocks.interface.Signal`, `plant.quantities.Quantity`."""
+    """An input or output of a model: `cosim.blocks.component.Signal`, `cosim.model.Quantity`."""
 
     @property
     def name(self) -> str:

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Array, Flags, Rows
+from cosim.base.arrays import Array, Flags, Rows
+from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.log import Log
-from cosim.logs.noise import noise_level, surprise
 
 JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
 ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does

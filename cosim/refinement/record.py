@@ -12,19 +12,19 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
+from cosim.base.version import __version__
 from cosim.estimation.expected import expected
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
-from cosim.logs.noise import NORMAL_95
-from cosim.refinement.between import Between, Way
-from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.measure import Evidence, Floor, rmse
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.model.model import Model
+from cosim.refinement.decision.verdict import Grade, Name, Verdict
+from cosim.refinement.proof.measure import Evidence, Floor, rmse
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
-from cosim.refinement.verdict import Grade, Name, Verdict
-from cosim.residuals.statistics import FREE_RUN
-from cosim.version import __version__
-from plant.model import Model
+from cosim.residuals.residual_statistics import FREE_RUN
 
 SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}

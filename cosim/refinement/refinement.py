@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from cosim.estimation.problem import Problem
-from cosim.refinement.hypotheses import Attribution
-from cosim.refinement.measure import Evidence
+from cosim.refinement.decision.verdict import Verdict
+from cosim.refinement.proof.measure import Evidence
+from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
+from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.study import Study
-from cosim.refinement.variants import Variant
-from cosim.refinement.verdict import Verdict
 
 
 @dataclass(frozen=True)

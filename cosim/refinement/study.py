@@ -15,27 +15,27 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag
 
-from cosim.arrays import Rows
-from cosim.errors import Fault, InputError, NotExecuted
+from cosim.base.arrays import Rows
+from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.registry import BASE
+from cosim.base.text import counted, plain
+from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
-from cosim.kinds import STUDY, check_form, kind_by_keys, refuse_other
+from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.own_run import predicted_outputs
+from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import find_spikes, without
-from cosim.models.file import LoadedModel, load_model
-from cosim.models.own_run import predicted_outputs
-from cosim.models.substep import with_substep
-from cosim.refinement.groups import full_name, group_of, per_log_faults
-from cosim.registry import BASE
+from cosim.model.model import Model
+from cosim.model.traits import Traits
+from cosim.refinement.search.groups import full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
-from cosim.text import counted, plain
-from cosim.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
-from fmus.units import has_unit, read_quantity
-from plant.model import Model
-from plant.traits import Traits
+from cosim.storage.kinds import STUDY, check_form, kind_by_keys, refuse_other
+from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise

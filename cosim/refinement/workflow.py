@@ -17,14 +17,40 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError
 from cosim.estimation.candidates import Candidate, candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
-from cosim.files import (
+from cosim.fmi.fmu_build import build
+from cosim.isolation.process import Worker
+from cosim.loading.file import LoadedModel, write_model
+from cosim.loading.refined import ANSWER, NEAREST, REFINED
+from cosim.model.model import Model
+from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness
+from cosim.refinement.decision.judgement import BETTER, decided
+from cosim.refinement.decision.sentences import calmer, holds, rises
+from cosim.refinement.decision.trust import attributed
+from cosim.refinement.decision.verdict import Verdict, judge
+from cosim.refinement.proof.measure import FLOOR_SEED, followed, noise_floor, rmse
+from cosim.refinement.proof.native_replay import LogSets, Replayer, replayed, warnings_of
+from cosim.refinement.proof.nearest import nearest
+from cosim.refinement.proof.refined_models import Variant, of_noise, refined_model, variant_of, variants_of
+from cosim.refinement.proof.replay_check import held_against_replays
+from cosim.refinement.proof.sealed import risen
+from cosim.refinement.proof.table_errors import errors_left_out, on_rows_left_out, with_leftover
+from cosim.refinement.record import Floors, Record, Replayed, known, record
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.search.fits import Found
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.input_hold import between_rows
+from cosim.refinement.search.missing import unknown_inputs
+from cosim.refinement.search.unnamed import Leftover, left_beside
+from cosim.refinement.study import Study, read_study
+from cosim.residuals.remote_drive import MODULES
+from cosim.storage.files import (
     FilePath,
     atomic_write,
     check_writable,
@@ -35,34 +61,8 @@ from cosim.files import (
     scratch_folder,
     uninterrupted,
 )
-from cosim.folder_lock import folder_locks
-from cosim.folders import check_left
-from cosim.isolation.process import Worker
-from cosim.models.file import LoadedModel, write_model
-from cosim.models.refined import ANSWER, NEAREST, REFINED
-from cosim.refinement.between import between_rows
-from cosim.refinement.evidence import best_of, beyond_chance, predicts, steadiness
-from cosim.refinement.hypotheses import Attribution, Hypothesis
-from cosim.refinement.judgement import BETTER, decided
-from cosim.refinement.measure import FLOOR_SEED, followed, noise_floor, rmse
-from cosim.refinement.missing import unknown_inputs
-from cosim.refinement.natively import LogSets, Replayer, replayed, warnings_of
-from cosim.refinement.nearest import nearest
-from cosim.refinement.proof import held_against_replays
-from cosim.refinement.record import Floors, Record, Replayed, known, record
-from cosim.refinement.refinement import Refinement
-from cosim.refinement.sealed import risen
-from cosim.refinement.search import Found
-from cosim.refinement.sentences import calmer, holds, rises
-from cosim.refinement.study import Study, read_study
-from cosim.refinement.tables import errors_left_out, on_rows_left_out, with_leftover
-from cosim.refinement.trust import attributed
-from cosim.refinement.unnamed import Leftover, left_beside
-from cosim.refinement.variants import Variant, of_noise, refined_model, variant_of, variants_of
-from cosim.refinement.verdict import Verdict, judge
-from cosim.residuals.apart import MODULES
-from fmus.build import build
-from plant.model import Model
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
@@ -131,7 +131,7 @@ def refine(
     content = written.model_dump(mode="json")
     outcome = Refinement(study, attribution, verdict, content, folder, problem, variants, evidence)
     if report:
-        from cosim.refinement.report.page import write_refine_report
+        from cosim.refinement.report.refine_page import write_refine_report
 
         progress("drawing the report", 0.0)
         write_refine_report(folder / "report.html", outcome)

@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.report.data import OVER_TIME, Abscissa, Series, sample_rows, to_json
+from cosim.base.arrays import Array
+from cosim.report.chart_data import OVER_TIME, Abscissa, Series, sample_rows, to_json
 from cosim.report.panels import Band, Panel
 from cosim.report.svg import Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 DIGITS, OF_SPAN = 5, 4  # kept of the largest value, and of how far a signal moves
 ROUNDING = 1e-12  # of the largest value: a signal that moves less stands still

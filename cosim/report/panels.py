@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 OTHERS_PER_PANEL = 6
 LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Array, Rows
+from cosim.base.arrays import Array, Rows
+from cosim.base.text import MINUS, MISSING
 from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
-from cosim.text import MINUS, MISSING
 
 WIDTH, HEIGHT = 4000, 1000
 CAP = 18  # half the width of a bar's ends

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.text import amount, plain
+from cosim.base.units import alternatives, factor
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.residuals.statistics import correlation_at_lags
-from cosim.text import amount, plain
-from fmus.units import alternatives, factor
+from cosim.residuals.residual_statistics import correlation_at_lags
 
 SLOW = 1.0  # [s], slower changes say nothing about a delay
 LONGEST_DELAY = 0.5  # [s]

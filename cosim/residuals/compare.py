@@ -6,15 +6,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from cosim.base.text import plain, size
+from cosim.logs.channel_noise import noise_beside
 from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
 from cosim.logs.log import Log
-from cosim.logs.noise import noise_beside
 from cosim.residuals.against import delays, scales
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import EXACT, Floor, draws, floors
-from cosim.residuals.starts import start_parameters
-from cosim.residuals.statistics import (
+from cosim.residuals.residual_statistics import (
     FREE_RUN,
     InputCorrelation,
     Score,
@@ -24,8 +24,8 @@ from cosim.residuals.statistics import (
     score,
     whiteness,
 )
+from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import HORIZONS, Replay, horizons, self_started
-from cosim.text import plain, size
 
 FOLLOWS = 2.5  # times the 95 % band, five standard errors: no chance, though errors of the start are slow
 

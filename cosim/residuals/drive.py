@@ -12,20 +12,20 @@ from typing import Any, Self
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.units import Conversion, conversion
+from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock, read_description
-from cosim.blocks.interface import Signal
 from cosim.blocks.restartable import RestartableFmu
-from cosim.errors import Fault, FmuError, InputError, SimulationError
+from cosim.fmi.annotation import traits_of
+from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
-from cosim.kinds import FMU, LOG, check_given
 from cosim.logs.log import Log, SignalLike, read_log
-from cosim.yaml_file import did_you_mean
-from fmus.annotation import traits_of
-from fmus.state import Memory, Own
-from fmus.units import Conversion, conversion
-from plant.planar import PlanarFrame
+from cosim.model.planar import PlanarFrame
+from cosim.storage.kinds import FMU, LOG, check_given
+from cosim.storage.yaml_file import did_you_mean
 
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500

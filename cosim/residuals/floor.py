@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import SimulationError
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
+from cosim.fmi.state import Memory
+from cosim.logs.channel_noise import noise_beside
 from cosim.logs.log import Log
-from cosim.logs.noise import noise_beside
 from cosim.residuals.drive import Drive, as_columns
+from cosim.residuals.residual_statistics import FREE_RUN, pooled, rmse
 from cosim.residuals.starts import StartParameter, first_start
-from cosim.residuals.statistics import FREE_RUN, pooled, rmse
 from cosim.residuals.windows import Replay, chains, self_started
-from fmus.state import Memory
 
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
 BY_CHANCE = 1e-4  # of a right model, a channel

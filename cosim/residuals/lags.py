@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Rows
-from cosim.report.data import Abscissa
+from cosim.base.arrays import Rows
+from cosim.base.text import MISSING, plain
+from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts, Drawing
-from cosim.residuals.statistics import Whiteness
-from cosim.text import MISSING, plain
+from cosim.residuals.residual_statistics import Whiteness
 
 LAG = ("lag", "s")
 

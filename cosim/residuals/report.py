@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.text import MISSING, amount, counted, display, percent, plain, size
+from cosim.base.version import __version__
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.report.data import Abscissa
+from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts, Drawing
+from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
 from cosim.report.svg import Plot
-from cosim.report.tables import Badge, Row
-from cosim.residuals import words
+from cosim.residuals import replay_sentences as words
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive
 from cosim.residuals.lags import LAG, every_lag, lag_drawing, neighbours
-from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
-from cosim.text import MISSING, amount, counted, display, percent, plain, size
-from cosim.version import __version__
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
 STEMS = 100  # of an autocorrelation

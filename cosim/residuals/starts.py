@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
-from cosim.errors import SimulationError
-from cosim.linear_algebra import least_squares
+from cosim.base.arrays import Array, Rows
+from cosim.base.errors import SimulationError
+from cosim.base.linear_algebra import least_squares
+from cosim.fmi.state import MEMORY, STATE, Memory, Own
+from cosim.logs.channel_noise import noise_beside, noise_level
 from cosim.logs.log import Log
-from cosim.logs.noise import noise_beside, noise_level
+from cosim.model.namespaces import SCALAR
+from cosim.model.planar import PlanarFrame, local_vector, world_velocity
+from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, rows_of
-from fmus.state import MEMORY, STATE, Memory, Own
-from plant.namespaces import SCALAR
-from plant.planar import PlanarFrame, local_vector, world_velocity
-from plant.traits import rate_of
 
 PAST = 0.5  # [s] before a window
 FIRST = 1.0  # [s] after the start of the log, where there is no past

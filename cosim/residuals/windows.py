@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.fmi.state import Memory, Own
 from cosim.logs.log import Log, stretches
 from cosim.residuals.drive import Drive, as_columns, rows_of
+from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.starts import (
     FIRST,
     PAST,
@@ -29,8 +31,6 @@ from cosim.residuals.starts import (
     start_parameters,
     window_start,
 )
-from cosim.residuals.statistics import FREE_RUN
-from fmus.state import Memory, Own
 
 SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
 HORIZONS = (0.5, 2.0)  # [s], the second is the measure

@@ -11,32 +11,41 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array, far_beyond
-from cosim.errors import DiskFull, Terminated, stopped
-from cosim.files import FilePath, atomic_write, check_writable, hold_stops, is_full, named_path, one_stop, release_stops
-from cosim.folder_lock import folder_locks
-from cosim.folders import REPLAY, check_left
+from cosim.base.arrays import Array, far_beyond
+from cosim.base.errors import DiskFull, Terminated, stopped
+from cosim.base.registry import BASE
+from cosim.base.scratch import temporary_folder
+from cosim.fmi.fmu_build import build as build_fmu
+from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
+from cosim.loading.file import load_model
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, renamed
 from cosim.logs.spikes import find_spikes
-from cosim.models.file import load_model
-from cosim.registry import BASE
 from cosim.report.template import render
-from cosim.residuals.apart import MODULES, DriveApart
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.given import start_values
+from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.residuals.replay_sentences import verdict
+from cosim.residuals.replay_settings import start_values
 from cosim.residuals.report import TEMPLATE, context
-from cosim.residuals.statistics import FREE_RUN
+from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, free_run
-from cosim.residuals.words import verdict
-from cosim.results import Results
-from fmus.build import build as build_fmu
-from fmus.sampled import AUTHOR
-from fmus.scratch import temporary_folder
+from cosim.storage.files import (
+    FilePath,
+    atomic_write,
+    check_writable,
+    hold_stops,
+    is_full,
+    named_path,
+    one_stop,
+    release_stops,
+)
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import REPLAY, check_left
+from cosim.storage.results import Results
 
 SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT

@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import InputError, Interrupted
-from cosim.files import FilePath
+from cosim.base.errors import InputError, Interrupted
 from cosim.isolation.process import Worker
-from cosim.results import Results
-from cosim.simulation.apart import MODULES, simulate_apart, simulate_here
-from cosim.simulation.design import designed_apart
-from cosim.simulation.halving import why_not
-from cosim.simulation.nearest import take_nearest
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.master.halving import why_not
+from cosim.master.remote import MODULES, simulate_apart, simulate_here
+from cosim.scenario.controller_design import designed_apart
+from cosim.scenario.nearest_models import take_nearest
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.files import FilePath
+from cosim.storage.results import Results
+from cosim.system.system import build_system
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import far_beyond
-from cosim.results import Results
+from cosim.base.arrays import far_beyond
+from cosim.scenario.scenario import Criterion, Scenario
 from cosim.simulation import metrics
-from cosim.simulation.scenario import Criterion, Scenario
+from cosim.storage.results import Results
 
 
 @far_beyond

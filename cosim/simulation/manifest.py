@@ -10,13 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import InputError
-from cosim.files import atomic_write
-from cosim.simulation.pinned import key_of, sha256
-from cosim.simulation.scenario import FmuComponent, Scenario, resolved
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import System
-from cosim.version import __version__
+from cosim.base.errors import InputError
+from cosim.base.version import __version__
+from cosim.scenario.pinned import key_of, sha256
+from cosim.scenario.scenario import FmuComponent, Scenario, resolved
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.files import atomic_write
+from cosim.system.system import System
 
 SCHEMA_VERSION = 1
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")

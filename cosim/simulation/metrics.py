@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 
 
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:

@@ -11,20 +11,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import Fault, InputError
-from cosim.files import atomic_write, check_writable
-from cosim.kinds import SSP, kind_by_form
-from cosim.simulation.scenario_file import ROUNDING, ScenarioFile
-from cosim.simulation.system import build_system
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.scratch import temporary_folder
+from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
-from cosim.ssp.package import Package, opened
 from cosim.ssp.read import Reader
+from cosim.ssp.ssp_package import Package, opened
 from cosim.ssp.structure import Structure
-from cosim.yaml_nodes import Location
-from fmus.files import draft_of
-from fmus.scratch import temporary_folder
+from cosim.storage.files import atomic_write, check_writable
+from cosim.storage.kinds import SSP, kind_by_form
+from cosim.storage.yaml_nodes import Location
+from cosim.system.system import build_system
 
 FOLDER, SCENARIO = "system", "scenario.json"  # within that of the results
 STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say

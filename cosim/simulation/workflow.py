@@ -12,9 +12,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim import kinds
-from cosim.errors import DiskFull, SimulationError, Terminated, stopped
-from cosim.files import (
+from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import allocate
+from cosim.master.remote import MODULES, Stepped, simulate_apart, simulate_here
+from cosim.scenario.controller_design import designed_apart
+from cosim.scenario.nearest_models import take_nearest
+from cosim.scenario.pinned import sha256
+from cosim.scenario.scenario import Scenario
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.criteria import evaluate
+from cosim.simulation.manifest import check_pinned, made_with, manifest, write_manifest
+from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.storage import kinds
+from cosim.storage.files import (
     FilePath,
     check_writable,
     hold_stops,
@@ -24,22 +35,11 @@ from cosim.files import (
     release_stops,
     uninterrupted,
 )
-from cosim.folder_lock import folder_locks
-from cosim.folders import check_ours, folder_named
-from cosim.isolation.process import Worker
-from cosim.isolation.rows import allocate
-from cosim.kinds import check_form
-from cosim.results import Results
-from cosim.simulation.apart import MODULES, Stepped, simulate_apart, simulate_here
-from cosim.simulation.criteria import evaluate
-from cosim.simulation.design import designed_apart
-from cosim.simulation.manifest import check_pinned, made_with, manifest, write_manifest
-from cosim.simulation.nearest import take_nearest
-from cosim.simulation.packaged import is_ssp, lay_out
-from cosim.simulation.pinned import sha256
-from cosim.simulation.scenario import Scenario
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import System, build_system
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_ours, folder_named
+from cosim.storage.kinds import check_form
+from cosim.storage.results import Results
+from cosim.system.system import System, build_system
 
 RESULTS, MANIFEST = "results.csv", "manifest.json"
 SPARE = 8192  # bytes beside a manifest's own

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from cosim.errors import Fault
-from fmus.archive import MOST_XML, BadArchive, check_xml
+from cosim.base.errors import Fault
+from cosim.storage.archive import MOST_XML, BadArchive, check_xml
 
 NAMESPACES = {
     "http://ssp-standard.org/SSP1/SystemStructureDescription": "ssd",

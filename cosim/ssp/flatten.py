@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
+from cosim.base.errors import FmuError, InputError
+from cosim.blocks.component import Signal
 from cosim.blocks.description import read_description, unit_definition, unit_of
-from cosim.blocks.interface import Signal
-from cosim.errors import FmuError, InputError
 from cosim.ssp.elements import Element
 from cosim.ssp.levels import Flat, Level, Link, Part, directed, levels
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
-from cosim.yaml_file import did_you_mean, shown
+from cosim.storage.yaml_file import did_you_mean, shown
 
 
 def flatten(structure: Structure, reader: Reader) -> Flat:

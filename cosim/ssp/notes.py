@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from cosim.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError
 from cosim.ssp.elements import Element
-from cosim.ssp.package import Package
+from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import Definition, Linear, Units
-from cosim.yaml_file import MOST_FAULTS, shown
+from cosim.storage.yaml_file import MOST_FAULTS, shown
 
 VERSIONS = ("1.0", "2.0")
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")

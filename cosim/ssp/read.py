@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cosim.ssp.elements import Element
-from cosim.ssp.parameters import ParameterReader
+from cosim.ssp.parameter_sets import ParameterReader
 from cosim.ssp.structure import Component, Connection, Connector, Structure, System
-from cosim.yaml_file import shown
+from cosim.storage.yaml_file import shown
 
 FMU = "application/x-fmu-sharedlibrary"
 WAYS = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import Fault
+from cosim.base.errors import Fault
 from cosim.ssp.elements import NAMESPACES
 
 SCHEMAS = {

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from cosim.base.drafts import draft_of
+from cosim.base.version import __version__
 from cosim.ssp.elements import NAMESPACES
 from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
-from cosim.version import __version__
-from fmus.archive import STRUCTURE
-from fmus.files import draft_of
+from cosim.storage.archive import STRUCTURE
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
 START, RESOURCES = "start", "resources"

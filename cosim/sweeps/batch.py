@@ -1,6 +1,6 @@
 """Many runs of one system at once: the master's loop on a row of signals with a column a run.
 
-As `cosim.simulation.master` does: values are exchanged in initialization until none changes, then each stage pulls,
+As `cosim.master.master` does: values are exchanged in initialization until none changes, then each stage pulls,
 steps and is read; steps are counted. No run's values reach another's.
 """
 
@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
 from cosim.blocks.noise import samples_of, stream
-from cosim.simulation.initialization import EXACT_SWEEPS
-from cosim.simulation.system import System
-from cosim.simulation.wiring import Transfer
-from cosim.sweeps.compiled import WIDTH
+from cosim.master.initialization import EXACT_SWEEPS
+from cosim.sweeps.c_lanes import WIDTH
 from cosim.sweeps.twins import Kind, Twin, kind_of, merged
+from cosim.system.system import System
+from cosim.system.wiring import Transfer
 
 Starts = Mapping[str, Mapping[str, Any]]  # component → variable → value
 LIMIT = 1 << 28  # bytes of rows and noise that are held at once

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.errors import Fault, InputError
+from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.errors import Fault, InputError
-from cosim.simulation.design import designed_values
-from cosim.simulation.scenario import Scenario, resolved
-from cosim.simulation.scenario_file import ScenarioFile, keys_of
-from cosim.simulation.start_values import Misfit, converted, settable, typed
-from cosim.simulation.start_values import kind_of as kind_of_variable
-from cosim.simulation.system import System, build_system
-from cosim.sweeps.design import MOST_RUNS, Factor, distribution, drawn_rows, saltelli_base
-from cosim.sweeps.study import SweepFile, Varied
-from cosim.yaml_file import YamlFile, did_you_mean, short
-from fmus.units import split_quantity
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario import Scenario, resolved
+from cosim.scenario.scenario_file import ScenarioFile, keys_of
+from cosim.scenario.start_values import Misfit, converted, settable, typed
+from cosim.scenario.start_values import kind_of as kind_of_variable
+from cosim.storage.yaml_file import YamlFile, did_you_mean, short
+from cosim.sweeps.sampling import MOST_RUNS, Factor, distribution, drawn_rows, saltelli_base
+from cosim.sweeps.sweep_file import SweepFile, Varied
+from cosim.system.system import System, build_system
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # the same for all runs
 FILES = ("fmu", "file", "model")  # last keys of paths whose values are names of files

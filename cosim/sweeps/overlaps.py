@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
-from cosim.errors import Fault
-from cosim.simulation.scenario_file import keys_of
-from cosim.sweeps.study import SweepFile
-from cosim.yaml_file import YamlFile
+from cosim.base.errors import Fault
+from cosim.scenario.scenario_file import keys_of
+from cosim.storage.yaml_file import YamlFile
+from cosim.sweeps.sweep_file import SweepFile
 
 Place = tuple[str, ...]
 

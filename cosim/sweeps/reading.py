@@ -9,21 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.base.errors import Fault, InputError
+from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
-from cosim.errors import Fault, InputError
-from cosim.kinds import SWEEP, check_given
-from cosim.simulation.design import designed_values
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario import Scenario, resolved
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
-from cosim.simulation.scenario import Scenario, resolved
-from cosim.simulation.scenario_file import ScenarioFile
-from cosim.simulation.system import System, build_system
-from cosim.sweeps.design import Factor, columns_of
+from cosim.storage.kinds import SWEEP, check_given
+from cosim.storage.yaml_file import YamlFile, short
 from cosim.sweeps.factors import Factors, Location, beside
 from cosim.sweeps.overlaps import overlap_faults
-from cosim.sweeps.runs import Asked, Job, Watched
-from cosim.sweeps.study import SweepFile
-from cosim.version import __version__
-from cosim.yaml_file import YamlFile, short
+from cosim.sweeps.run_chunks import Asked, Job, Watched
+from cosim.sweeps.sampling import Factor, columns_of
+from cosim.sweeps.sweep_file import SweepFile
+from cosim.system.system import System, build_system
 
 WORTH_COMPILING = 300_000  # steps of all runs: it takes a second or two, a step on arrays some 5 µs
 MOST_SIGNALS = 8  # kept where nobody says which

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.text import counted, display, joined, percent, plain, written
+from cosim.base.version import __version__
 from cosim.report.drawing import Charts
+from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.tables import Badge
 from cosim.report.template import render
-from cosim.sweeps.outcome import Swept, way_of
-from cosim.sweeps.statistics import Sensitivity, quantiles, sensitivity
+from cosim.sweeps.run_statistics import Sensitivity, quantiles, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.text import counted, display, joined, percent, plain, written
-from cosim.version import __version__
+from cosim.sweeps.sweep_result import Swept, way_of
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16

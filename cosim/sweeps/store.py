@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cosim.arrays import Array
-from cosim.errors import Fault, InputError
-from cosim.sweeps.runs import Made
-from fmus.files import draft_of
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.extras import optional
+from cosim.sweeps.run_chunks import Made
 
 if TYPE_CHECKING:
     import pyarrow
 
 DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
+TABLE_USE = "the table of a sweep"
 GROUP = 4096  # runs that are written at a time
 MADE, CHECKED = "made", "checked"
 COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
@@ -101,9 +103,7 @@ def write_table(
 
     A signal is a list of values at the times that stand in the metadata, as JSON under `cosim`.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa, pq = optional("pyarrow", TABLE_USE), optional("pyarrow.parquet", TABLE_USE)
     types: dict[str, Any] = {"run": pa.int64()}
     design = {name: _of_one_type(values) for name, values in design.items()}
     types |= {name: pa.array(values).type for name, values in design.items()}
@@ -148,8 +148,7 @@ def _number(value: float) -> float | None:
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     """The table that a sweep left, and what stands in its metadata. Raises OSError, ValueError."""
-    import pyarrow.parquet as pq
-
+    pq = optional("pyarrow.parquet", TABLE_USE)
     table = pq.read_table(path)
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 

@@ -17,15 +17,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.registry import models, resolve, twin_of
+from cosim.base.scratch import process_folder
+from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.interface import Component
 from cosim.blocks.sources import Source
-from cosim.registry import MODELS, TWINS, resolve
-from cosim.sweeps.compiled import stepping
-from fmus.archive import unpack
-from fmus.scratch import process_folder
-from plant.quantities import parameters_of
+from cosim.model.quantities import parameters_of
+from cosim.storage.archive import unpack
+from cosim.sweeps.c_lanes import stepping
 
 Given = Mapping[str, Any]  # variable → value, or an array with one for each run
 
@@ -59,8 +59,8 @@ def kind_of(component: Component) -> Kind | None:
         return _SourceKind(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
         return None
-    if (place := TWINS.get(component.description.modelName)) is not None:
-        found = resolve(place)()
+    if (twin := twin_of(component.description.modelName)) is not None:
+        found = twin()
         return found if found.fits(component) else None
     if (model := model_of(component.path, component.description.modelName)) is not None:
         kind = _ModelKind(component, *model)
@@ -115,21 +115,29 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
     except (OSError, KeyError, ValueError, zipfile.BadZipFile):
         return _known_model(name)
     folder = unpacked(path) / "resources"
-    if not (folder / script.removesuffix("_slave") / "plant" / "integrate.py").is_file():
+    package = script.removesuffix("_slave")
+    # earlier releases carried the modelling language as `plant`
+    languages = (name for name in ("cosim.model", "plant") if _holds(folder / package, name))
+    language = next(languages, None)
+    if language is None:
         return None  # of somebody else
     sys.path.insert(0, str(folder))
     try:
         slave = getattr(importlib.import_module(script), name, None)
-        package = script.removesuffix("_slave")
         model = getattr(slave, "model", None)
         if model is None:
             return None
-        integrate, spaces = (importlib.import_module(f"{package}.plant.{n}") for n in ("integrate", "namespaces"))
+        integrate, spaces = (importlib.import_module(f"{package}.{language}.{n}") for n in ("integrate", "namespaces"))
         return model, integrate.Stepper, spaces.arrays()
     except Exception:  # whatever the file of another does: the runs are made through the FMU, which says it
         return None
     finally:
         sys.path.remove(str(folder))
+
+
+def _holds(package: Path, language: str) -> bool:
+    """Return whether the package in an FMU carries the modelling language under a name."""
+    return (package / language.replace(".", "/") / "integrate.py").is_file()
 
 
 @cache
@@ -141,10 +149,10 @@ def unpacked(path: Path) -> Path:
 
 
 def _known_model(name: str) -> tuple[Any, Any, Any] | None:
-    from plant.integrate import Stepper
-    from plant.namespaces import arrays
+    from cosim.model.integrate import Stepper
+    from cosim.model.namespaces import arrays
 
-    for known in MODELS.values():
+    for known in models().values():
         if f"{known.model.rpartition(':')[2]}Plant" == name:
             return resolve(known.model)(), Stepper, arrays()
     return None

@@ -10,15 +10,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from cosim.errors import CosimError, Fault, InputError, SimulationError, SweepFailed
+from cosim.base.errors import CosimError, Fault, InputError, SimulationError, SweepFailed
+from cosim.base.extras import optional
+from cosim.base.text import counted
+from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.sweeps.runs import Asked, Job, Made, Way, error_of, failed, made
-from cosim.text import counted
-from cosim.version import __version__
-from cosim.yaml_file import YamlFile
+from cosim.storage.yaml_file import YamlFile
+from cosim.sweeps.run_chunks import Asked, Job, Made, Way, error_of, failed, made
 
-MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
+MODULES = ("cosim.sweeps.run_chunks", "fmpy.fmi2", "fmpy.logging")
 ANSWER = 5  # [s] that a dask scheduler may take to answer
 AHEAD = 4  # chunks that are asked for beyond those being made
 
@@ -217,11 +218,9 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
     if address is None:
         yield None
         return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError([place("dask.distributed is not installed; pip install 'cosim-hovercraft[dask]'")]) from None
     import logging
+
+    Client = optional("distributed", place).Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said by us
     try:
@@ -246,8 +245,8 @@ def _unfit_workers(client: Any) -> str:
     def version_there() -> str:  # within a function: pickled by value, so that a worker need not import this module
         from importlib import import_module
 
-        import_module("cosim.sweeps.runs")
-        return str(import_module("cosim.version").__version__)
+        import_module("cosim.sweeps.run_chunks")
+        return str(import_module("cosim.base.version").__version__)
 
     versions = client.run(version_there, on_error="return")
     unfit = {worker: found for worker, found in versions.items() if found != __version__}

@@ -12,22 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from cosim.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
-from cosim.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
-from cosim.folder_lock import folder_locks
-from cosim.folders import check_left, folder_named
-from cosim.given import Count
-from cosim.simulation.scenario import Criterion
+from cosim.base.errors import Fault, InputError, SweepFailed, SweepStopped, Terminated
+from cosim.base.extras import optional
+from cosim.base.settings import Count
+from cosim.base.text import counted, plain
+from cosim.base.version import __version__
+from cosim.scenario.scenario import Criterion
+from cosim.storage.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left, folder_named
 from cosim.sweeps.batch import why_not_on_arrays
-from cosim.sweeps.outcome import Swept, criterion_names
-from cosim.sweeps.outcome import apart as apart_of
 from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.runs import MOST_ROWS, Way, sampled_rows
-from cosim.sweeps.statistics import share
+from cosim.sweeps.run_chunks import MOST_ROWS, Way, sampled_rows
+from cosim.sweeps.run_statistics import share
 from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
+from cosim.sweeps.sweep_result import Swept, criterion_names
+from cosim.sweeps.sweep_result import apart as apart_of
 from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
-from cosim.text import counted, plain
-from cosim.version import __version__
 
 RECORD, REPORT = "sweep.json", "report.html"
 REPEATED = 20  # random runs that are made through the FMUs too
@@ -56,6 +57,8 @@ def sweep(
     check_left(folder, "cosim sweep", force=force)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
+    for library in ("pyarrow", "SALib"):  # before anything runs
+        optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
         if force:

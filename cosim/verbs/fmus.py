@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.blocks.description import C_CODE
-from cosim.kinds import as_typed
+from cosim.storage.kinds import as_typed
 from cosim.verbs.outcome import told
 from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, say_json, seconds, table, warn
 
@@ -123,9 +123,9 @@ def init(
     as_json: Json = False,
 ) -> None:
     """Write a first scenario of FMUs, connected by name and unit: guesses are marked, and it runs as it is."""
-    from cosim.simulation.draft import write_draft
-    from cosim.simulation.matching import text
-    from cosim.text import counted
+    from cosim.authoring.draft import write_draft
+    from cosim.authoring.matching import text
+    from cosim.base.text import counted
 
     draft = write_draft(out, fmus)
     found = draft.matches.found
@@ -196,8 +196,8 @@ def simulate(
     compile_: Compile = False,
 ) -> None:
     """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
+    from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
-    from cosim.simulation.single import simulate as simulate_fmu
 
     with compiling(compile_), progress_bar() as progress:
         outcome, notes = simulate_fmu(

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.folders import folder_named, name_of
+from cosim.storage.folders import folder_named, name_of
 from cosim.verbs.terminal import Compile, Force, Json, Open, Report, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
-    from cosim.linearization.outcome import Outcome
+    from cosim.linearization.result import Outcome
 
 NAMES = "comma between them, repeatable"
 
@@ -80,7 +80,7 @@ def _names(given: list[str] | None) -> list[str]:
 
 
 def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
-    from cosim.linearization.words import HEAD, headline, matrix_lines, pole_table
+    from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_table
 
     m = outcome.first
     for name in "ABCD":

@@ -1,4 +1,4 @@
-"""`cosim replay`, `refine`, `excite` and `identify`: models and measured logs."""
+"""`cosim replay`, `refine` and `excite`: models and measured logs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.folders import folder_named, folder_of_file, name_of
-from cosim.program import ending_when_stuck
+from cosim.base.program import ending_when_stuck
+from cosim.storage.folders import folder_named, folder_of_file, name_of
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import (
     Compile,
@@ -31,7 +31,7 @@ from cosim.verbs.terminal import (
 
 def register(app: typer.Typer) -> None:
     """Add these commands."""
-    for command in (replay, refine, excite, identify):
+    for command in (replay, refine, excite):
         app.command()(command)
 
 
@@ -63,8 +63,8 @@ def replay(
 ) -> None:
     """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
     from cosim.blocks.compiling import compiling
-    from cosim.residuals.record import as_json as numbers
-    from cosim.residuals.words import verdict
+    from cosim.residuals.comparison_data import as_json as numbers
+    from cosim.residuals.replay_sentences import verdict
     from cosim.residuals.workflow import replay as replay_log
 
     place = folder_of_file(log) if out is None else out
@@ -81,12 +81,12 @@ def replay(
     if as_json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
-        say_json({**content, **_left(place, "results.csv", "residual.csv")})
+        say_json({**content, **files_in(place, "results.csv", "residual.csv")})
     if report and open_:
         show(place / "report.html")
 
 
-def _left(folder: Path, *names: str) -> dict[str, str]:
+def files_in(folder: Path, *names: str) -> dict[str, str]:
     """What is in a folder, by name without its ending."""
     return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
@@ -105,7 +105,7 @@ def refine(
     """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cosim.refinement.report.errors import second_sentence
+    from cosim.refinement.report.error_tables import second_sentence
     from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
@@ -121,7 +121,7 @@ def refine(
     if as_json:
         told_of = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in told_of if key in result.record}
-        say_json({**answer, **_left(place, "refine.json", "model.yaml", "plant.fmu")})
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     if report and open_:
         show(place / "report.html")
     if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
@@ -183,41 +183,3 @@ def excite(
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
         files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
         say_json({"apart": apart, "warning": found.warning, **files})
-
-
-def identify(
-    protocol: Annotated[
-        Path,
-        typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
-    ] = None,
-    report: Report = True,
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
-    from cosim.identification.given import results_of
-    from cosim.identification.workflow import identify as identify_bench
-
-    place = results_of(protocol) if out is None else out
-    with stages() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
-    for text in outcome.warnings:
-        warn(text)
-    for line in outcome.sentences:
-        say(line)
-    say(outcome.closing(place))
-    if report:
-        say(f"report: {place / 'report.html'}")
-    if as_json:
-        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
-        say_json({**said, **_left(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    if report and open_:
-        show(place / "report.html")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import typer
 from typer.models import OptionInfo
 
-from cosim.files import NOT_BLANK
+from cosim.storage.files import NOT_BLANK
 from cosim.verbs.terminal import MANNER
 
 Quiet = Annotated[

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.errors import CriterionMissed
+from cosim.base.errors import CriterionMissed
 from cosim.verbs.terminal import MANNER, judged, say, say_json, say_more, show, table, warn
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.errors import CriterionMissed
+from cosim.base.errors import CriterionMissed
 from cosim.verbs.terminal import Force, Json, Open, Report, judged, say, say_json, show, table
 
 SHOWN = 12  # signals told on the terminal
@@ -38,9 +38,9 @@ def compare(
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
     from cosim.comparison.differences import sentence
-    from cosim.comparison.page import compare as compare_runs
-    from cosim.comparison.ran import read_ran
+    from cosim.comparison.run_files import read_ran
     from cosim.comparison.signals import shared, sized
+    from cosim.comparison.workflow import compare as compare_runs
 
     if absolute and tolerance is None:
         tolerance = 0.0
@@ -80,7 +80,7 @@ def report_again(
     as_json: Json = False,
 ) -> None:
     """Make the page of a run again, from its results.csv and manifest.json."""
-    from cosim.comparison.again import report_of
+    from cosim.comparison.report_again import report_of
 
     page = report_of(folder, figures=figures)
     say(f"report:  {page}")

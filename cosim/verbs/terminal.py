@@ -16,9 +16,9 @@ from typing import Annotated, Any
 
 import typer
 
-from cosim.errors import CosimError, SimulationError
+from cosim.base.errors import CosimError, SimulationError
+from cosim.base.units import read_quantity
 from cosim.verbs.streams import echo
-from fmus.units import read_quantity
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
 Numbered = Callable[[str], tuple[int, int]]

@@ -6,9 +6,7 @@ inputs, outputs, parameters, effects and one body of equations.
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
+from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 
 REVERSAL_SPEED = 1e-3  # [m/s] below which dry friction is smoothed; the drive moves at up to 0.13 m/s
 TOLD_APART_BY = {

@@ -6,10 +6,7 @@ fit to it. What they call friction is one viscous coefficient.
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias
+from cosim.model import Bias, Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 
 REVERSAL_SPEED = 0.02  # [rad/s] below which dry friction is smoothed; the pendulum moves at up to 12 rad/s
 GRAVITY = 9.81  # [m/s2]

@@ -6,10 +6,7 @@ The APC Slow Flyer 10x4.7 of the UIUC propeller data base, standing still. T = C
 import math
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias
+from cosim.model import Bias, Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 
 DIAMETER = 0.254  # [m] 10 in
 DENSITY = 1.225  # [kg/m3] the standard one, with which C_T is made a thrust; see README.md

@@ -6,12 +6,20 @@ Wigren and Schoukens (2013). All forces are referred to the input, in volt: a sp
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.gain import Gain
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Gain,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Values,
+    overrides,
+    parameter,
+)
 
 REVERSAL_SPEED = 2.0  # [V/s] below which dry friction is smoothed; the circuit moves at up to 100 V/s
 SPRINGS = "a command strong enough that the output reaches several times its usual range, to both sides"

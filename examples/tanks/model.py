@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import SensorError
+from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, SensorError, Values, overrides, parameter
 
 
 class TankEffect(Effect):

@@ -6,11 +6,19 @@ carries it away, and a sensor in close contact shows it. All temperatures are ab
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Scale
+from cosim.model import (
+    Delay,
+    Effect,
+    Equations,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 ROOM = 294.0  # [K] what the laws of radiation need; a degree more or less makes 1 % of it
 BLACK = 5.67e-8 * 1.2e-3  # [W/K4] radiation of a black body of a heater's surface, 12 cm²

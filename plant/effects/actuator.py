@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.effects.terms import HovercraftEffect, Pair
-from plant.model import Number, Values
-from plant.namespaces import Namespace
+from cosim.model import Delay, Namespace, Number, Quantity, Values, parameter
+from plant.effects.hooks import HovercraftEffect, Pair
 from plant.powertrain import second_order
-from plant.quantities import Quantity, parameter
 
 
 def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:

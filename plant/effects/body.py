@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.effects.terms import HovercraftEffect, Motion, Pair, Wrench
-from plant.model import Number
-from plant.namespaces import Namespace
-from plant.planar import local_vector
-from plant.quantities import parameter
+from cosim.model import Namespace, Number, parameter
+from cosim.model.planar import local_vector
+from plant.effects.hooks import HovercraftEffect, Motion, Pair, Wrench
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from plant.effects.terms import HovercraftEffect, Motion, Wrench
-from plant.model import Number
-from plant.namespaces import Namespace
-from plant.quantities import parameter
+from cosim.model import Namespace, Number, parameter
+from plant.effects.hooks import HovercraftEffect, Motion, Wrench
 
 STICTION_SPEED = 0.01  # [m/s] below which dry friction is smoothed
 STICTION_YAW_RATE = 0.02  # [rad/s] likewise in yaw

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.effects.terms import HovercraftEffect, Pair
-from plant.model import Number
-from plant.namespaces import Namespace
-from plant.quantities import parameter
+from cosim.model import Namespace, Number, parameter
+from plant.effects.hooks import HovercraftEffect, Pair
 
 
 @dataclass(frozen=True, kw_only=True)

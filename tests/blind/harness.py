@@ -46,7 +46,7 @@ class RefinerFailed(Exception):
 
 def default_command() -> str:
     """`cosim refine` of the tree that the suite is started in: a `cosim` that is installed may be of another."""
-    return f"{shlex.quote(sys.executable)} -m cosim.cli refine {{study}} --out {{out}}"
+    return f"{shlex.quote(sys.executable)} -m cosim refine {{study}} --out {{out}}"
 
 
 def command_refiner(template: str, timeout: float) -> Refiner:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
+from cosim.base.arrays import Array, Rows
 from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import bases
-from cosim.refinement.missing import Missing
-from cosim.refinement.shapes import Shape, signals_of
-from plant.model import Model
-from plant.symbolic.symbols import symbolic
+from cosim.model.model import Model
+from cosim.model.symbolic.symbols import symbolic
+from cosim.refinement.search.missing import Missing
+from cosim.refinement.search.shapes import Shape, signals_of
 
 BINS = 12
 

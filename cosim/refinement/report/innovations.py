@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.text import MISSING, plain
 from cosim.estimation.data import unscored
 from cosim.estimation.noise_model import Noise
-from cosim.logs.noise import NORMAL_95
+from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot
 from cosim.residuals.lags import every_lag, lag_drawing, neighbours
-from cosim.residuals.statistics import Whiteness, lags_of, rmse, whiteness
-from cosim.text import MISSING, plain
+from cosim.residuals.residual_statistics import Whiteness, lags_of, rmse, whiteness
 
 STEMS = 50  # of an autocorrelation
 STYLES = ("s1", "true")

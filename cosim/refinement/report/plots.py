@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.arrays import Array, Rows
+from cosim.base.arrays import Array, Rows
+from cosim.base.text import counted, display, finer
+from cosim.logs.channel_noise import NORMAL_95
 from cosim.logs.log import slowness
-from cosim.logs.noise import NORMAL_95
-from cosim.refinement.measure import Evidence
+from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
-from cosim.refinement.report.terms import Shown
-from cosim.report.data import Abscissa
+from cosim.refinement.report.effect_plots import Shown
+from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, extent, make_axis
-from cosim.residuals.statistics import rmse
-from cosim.text import counted, display, finer
+from cosim.residuals.residual_statistics import rmse
 
 CURVES = 10  # at most of a channel: measured, two models, two errors, the edges of two shades
 DOTS, FINE = 24, 80  # places with an error bar, and of the claimed curve

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.base.text import amount, display, joined, plain
 from cosim.estimation.candidates import Candidate, Free
-from cosim.logs.noise import NORMAL_95
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.model.quantities import Parameter
+from cosim.refinement.proof.refined_models import refined_model
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.variants import refined_model
-from cosim.text import amount, display, joined, plain
-from plant.quantities import Parameter
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15

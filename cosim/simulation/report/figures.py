@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.arrays import Array
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
-from cosim.results import Results
-from cosim.simulation.report.page import recorded, signal_panels
 from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.run_page import recorded, signal_panels
 from cosim.simulation.report.subject import figures_of
-from fmus.files import draft_of
+from cosim.storage.results import Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

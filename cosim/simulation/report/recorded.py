@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from cosim.arrays import Array
-from cosim.results import Results
+from cosim.base.arrays import Array
+from cosim.storage.results import Results
 
 
 def mapping(value: Any) -> Mapping[str, Any]:

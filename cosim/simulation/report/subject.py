@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim import registry
+from cosim.base import registry
 from cosim.report.drawing import Drawing
-from cosim.report.tables import Row
+from cosim.report.html_tables import Row
 from cosim.simulation.report.recorded import Run
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.base.text import amount, counted
 from cosim.simulation.report.recorded import Run, mappings, number
-from cosim.text import amount, counted
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,20 @@ Measured are the position by a camera, the angle by a potentiometer and its rate
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 CREEP = 0.02  # [m/s] below which the rail's dry friction is smoothed
 TURN = 0.1  # [rad/s] below which the pivot's is

@@ -6,11 +6,21 @@ at some 14 Hz; the whole spins up in half a second.
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns at up to 50 rad/s
 TEETH = 4  # notches of the motor a turn

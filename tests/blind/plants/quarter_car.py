@@ -6,11 +6,21 @@ the body and its height by a laser. The body bounces at 1.2 Hz, the wheel hops a
 
 from dataclasses import dataclass
 
-from plant.delay import Delay
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Delay,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 CREEP = 0.02  # [m/s] below which dry friction of the damper is smoothed
 STOP = 0.025  # [m] of travel at which the bump stop is met

@@ -5,10 +5,20 @@ Levels of some 0.1 m to 0.5 m, pumps of up to 0.1 L/s; the tanks take minutes, a
 
 from dataclasses import dataclass
 
-from plant.model import Effect, Equations, Model, Number, Values, overrides
-from plant.namespaces import Namespace
-from plant.quantities import Quantity, parameter
-from plant.sensors import Bias, Latency, Scale
+from cosim.model import (
+    Bias,
+    Effect,
+    Equations,
+    Latency,
+    Model,
+    Namespace,
+    Number,
+    Quantity,
+    Scale,
+    Values,
+    overrides,
+    parameter,
+)
 
 SHALLOW = 1e-3  # [m] below which a tank presses nothing out
 EDGE = 0.42  # [m] at which the left tank spills

@@ -1,0 +1,1 @@
+"""Benchmarks that `make bench` runs; not installed."""

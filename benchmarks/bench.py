@@ -1,0 +1,374 @@
+"""Benchmarks as ratios: both sides interleaved in one process, medians of each, for machines are shared and noisy."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench_native import native_figures
+from controller.gains import Settings
+from controller.loop import Loop
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.noise import gaussian, stream
+from cosim.fmi.fmu_build import build
+from cosim.fmi.native.compiler import compiler
+from cosim.isolation import worker
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import Rows, allocate, mapped_table
+from cosim.isolation.watch import Watch
+from cosim.master.master import PROGRESS_EVERY, simulate
+from cosim.model import Stepper
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.sweeps.batch import Batch, kinds_of
+from cosim.system.system import System, build_system
+from fmus.recipes import controller_recipe, plant_recipe
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+
+H = 0.02
+STEPS = 1000
+MANY = 100_000  # steps of FMUs that take next to no time
+ROUNDS = 9
+RUNS = 512  # of a sweep at once
+IMPORTS = "import numpy, fmpy, filterpy.kalman"
+NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
+
+SCENARIO = """
+name: bench
+duration: {duration}
+step: 0.02
+seed: 1
+design: {{estimator: appendix_f}}
+components:
+  plant: {{fmu: plant.fmu, start: {{x_start: 1, psi_start: 1}}}}
+  controller: {{fmu: controller.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}
+  reference: {{block: reference, signals: {{x_ref: {{unit: m}}, psi_ref: {{unit: rad}}}}}}
+connections:
+  - {{from: plant.psi, to: controller.psi, noise: {{variance: {psi}}}}}
+  - {{from: plant.psi_dot, to: controller.psi_dot, noise: {{variance: {psi_dot}}}}}
+  - {{from: plant.ax, to: controller.ax, noise: {{variance: {ax}}}}}
+  - {{from: reference.x_ref, to: controller.x_ref}}
+  - {{from: reference.psi_ref, to: controller.psi_ref}}
+  - {{from: controller.duty_right, to: plant.duty_right}}
+  - {{from: controller.duty_left, to: plant.duty_left}}
+  - {{from: controller.tilt_right, to: plant.tilt_right}}
+  - {{from: controller.tilt_left, to: plant.tilt_left}}
+"""
+IDLE_SLAVE = '''
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class {name}(Fmi2Slave):
+    """Does nothing."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        for k in range({inputs}):
+            setattr(self, f"u{{k}}", 0.0)
+            self.register_variable(Real(f"u{{k}}", causality=Fmi2Causality.input))
+        for k in range({outputs}):
+            setattr(self, f"y{{k}}", 0.0)
+            self.register_variable(Real(f"y{{k}}", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        return True
+'''
+
+
+def bench() -> dict[str, float | str]:
+    """Every ratio, by the name the issues and the README use; why there is none, where there is none."""
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
+        place = Path(folder)
+        build(plant_recipe(), place / "plant.fmu")
+        build(controller_recipe(), place / "controller.fmu")
+        (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H, **NOISE))
+        (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H, **NOISE))
+        (place / "one.yaml").write_text(SCENARIO.format(duration=H, **NOISE))
+        figures: dict[str, float | str] = {
+            "loop_over_plain": loop_over_plain(place / "loop.yaml"),
+            "fmpy_over_ours_overhead": fmpy_over_ours(place),
+            "dormant_over_base": dormant_over_base(),
+            "startup_over_import": startup_over_import(place),
+            "ten_times_the_steps": ten_times_the_steps(place),
+            "sweep_over_fmpy_without_compiler": sweep_over_fmpy(place, compiled=False),
+        }
+        if compiler() is not None:
+            figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
+            figures["sweep_over_fmpy"] = sweep_over_fmpy(place, compiled=True)
+        else:
+            figures["sweep_over_fmpy"] = "no C compiler"
+        figures |= native_figures(place)
+    return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
+
+
+def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = ROUNDS) -> float:
+    """Median time of `ours` over that of `other`, run in turn; each returns its own seconds."""
+    ours(), other()
+    pairs = [(ours(), other()) for _ in range(rounds)]
+    return median(a for a, _ in pairs) / median(b for _, b in pairs)
+
+
+def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
+    """Seconds the master takes for the steps alone, loading and unloading left out."""
+    marks: list[float] = []
+    simulate(system, steps, H, lambda k: marks.append(time.perf_counter()), rows)
+    return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY)
+
+
+def loop_over_plain(scenario: Path) -> float:
+    """Master with both FMUs over the same plant and controller as plain functions."""
+    file = ScenarioFile(scenario)
+    return ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
+
+
+def plain_seconds() -> float:
+    """The loop as plain functions: same noise, same signals recorded."""
+    stepper = Stepper(Hovercraft())
+    moment = stepper.start(0.0, {"x": 1.0, "psi": 1.0})
+    loop = Loop(Settings(), (1.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0)
+    duty = loop.settings.duty_nominal
+    noise = [gaussian(stream(1, name), variance, 0.0, STEPS + 1) for name, variance in NOISE.items()]
+    psi_noise, psi_dot_noise, ax_noise = noise
+    table = np.zeros((STEPS + 1, 37))
+    command = (duty, duty, *loop.command)
+    began = time.perf_counter()
+    for k in range(1, STEPS + 1):
+        moment = stepper.step(moment, command, H)
+        y = stepper.output(moment.t, moment.state, command)
+        measured = (y[4] + psi_noise[k], y[8] + psi_dot_noise[k], y[10] + ax_noise[k])
+        command = (duty, duty, *loop.step(measured, 0.0, 0.0))
+        table[k] = (*command, *y, *measured, 0.0, 0.0, *command, *loop.estimate, *loop.sigma, 0.0, 0.0)
+    return time.perf_counter() - began
+
+
+def fmpy_over_ours(place: Path) -> float:
+    """A plain FMPy loop over our master, on two FMUs that do nothing."""
+    from pythonfmu.builder import FmuBuilder
+
+    for name, inputs, outputs in (("IdleA", 5, 12), ("IdleB", 12, 5)):
+        script = place / f"{name.lower()}.py"
+        script.write_text(IDLE_SLAVE.format(name=name, inputs=inputs, outputs=outputs))
+        FmuBuilder.build_FMU(script, place / f"{name.lower()}.fmu")
+    links = [f"  - {{from: a.y{k}, to: b.u{k}}}" for k in range(12)] + [
+        f"  - {{from: b.y{k}, to: a.u{k}}}" for k in range(5)
+    ]
+    text = f"name: idle\nduration: {STEPS * H}\nstep: 0.02\norder: [a, b]\ncomponents:\n"
+    text += "  a: {fmu: idlea.fmu}\n  b: {fmu: idleb.fmu}\nconnections:\n" + "\n".join(links) + "\n"
+    (place / "idle.yaml").write_text(text)
+    file = ScenarioFile(place / "idle.yaml")
+    return ratio(
+        lambda: fmpy_seconds(place / "idlea.fmu", place / "idleb.fmu"), lambda: loop_seconds(build_system(file), STEPS)
+    )
+
+
+def fmpy_seconds(path_a: Path, path_b: Path) -> float:
+    """getReal, setReal, doStep through FMPy's methods; the same signals recorded."""
+    import fmpy
+
+    slaves: list[Any] = []
+    for path in (path_a, path_b):
+        description = fmpy.read_model_description(str(path))
+        slave = fmpy.instantiate_fmu(fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent)), description)
+        slave.setupExperiment(startTime=0.0, stopTime=STEPS * H)
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        slaves.append(slave)
+    a, b = slaves
+    a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
+    table = np.zeros((STEPS + 1, 34))
+    values_b = b.getReal(b_out)
+    began = time.perf_counter()
+    for k in range(STEPS):
+        t = k * H
+        a.setReal(a_in, values_b)
+        a.doStep(t, H)
+        values_a = a.getReal(a_out)
+        b.setReal(b_in, values_a)
+        b.doStep(t, H)
+        old_b, values_b = values_b, b.getReal(b_out)
+        table[k + 1] = (*old_b, *values_a, *values_a, *values_b)
+    seconds = time.perf_counter() - began
+    for slave in slaves:
+        slave.terminate()
+        slave.freeInstance()
+    return seconds
+
+
+def dormant_over_base() -> float:
+    """A plant step with the whole catalogue dormant over one built without effects."""
+    command = (6.4, 6.38, 0.1, 0.05)
+
+    def seconds(craft: Hovercraft) -> float:
+        stepper = Stepper(craft)
+        moment = stepper.start()
+        began = time.perf_counter()
+        for _ in range(200):
+            moment = stepper.step(moment, command, H)
+        return time.perf_counter() - began
+
+    dormant = Hovercraft(effects=tuple(kind() for kind in Hovercraft.catalogue))
+    return ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=51)
+
+
+def startup_over_import(place: Path) -> float:
+    """A one-step run without report over the imports it cannot do without; gains and bytecode are cached before."""
+    run = [
+        sys.executable,
+        "-m",
+        "cosim.verbs.cli",
+        "run",
+        str(place / "one.yaml"),
+        "--no-report",
+        "--out",
+        str(place / "out"),
+    ]
+
+    # as installed: where this is set, each run would compile all that it imports of this package, and of no other
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+    def seconds(command: list[str]) -> float:
+        began = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, env=environment)
+        return time.perf_counter() - began
+
+    return ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
+
+
+def ten_times_the_steps(place: Path) -> float:
+    """Time of ten times the steps over the time of the steps."""
+    short, long = ScenarioFile(place / "loop.yaml"), ScenarioFile(place / "long.yaml")
+    return ratio(
+        lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=5
+    )
+
+
+def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
+    """Runs a second of a sweep on one core over those of a warm FMPy loop: the same noise, 15 outputs kept by both."""
+    system = build_system(ScenarioFile(place / "loop.yaml"))
+    kinds = kinds_of(system)
+    assert not isinstance(kinds, str), kinds
+    kept = [system.columns.index(f"plant.{q.name}") for q in Hovercraft.outputs]
+    batch = Batch(system, kinds, STEPS, H, compiled)
+    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
+    starts = [
+        {b.name: {**b.start_values, **({"mass": 0.7 + 1e-5 * k} if b.name == "plant" else {})} for b in blocks}
+        for k in range(RUNS)
+    ]
+
+    def ours() -> float:
+        began = time.perf_counter()
+        table = batch.run(starts, range(RUNS), kept)
+        assert np.isfinite(table).all()
+        return (time.perf_counter() - began) / RUNS
+
+    return 1.0 / ratio(ours, lambda: fmpy_craft_seconds(place), rounds=5)
+
+
+def fmpy_craft_seconds(place: Path) -> float:
+    """A run of plant and controller by FMPy's own methods, loaded before: 15 outputs read, 3 measured with noise."""
+    import fmpy
+
+    slaves: list[Any] = []
+    numbers: list[dict[str, int]] = []
+    given = ({"x_start": 1.0, "psi_start": 1.0}, {"x_hat_start": 1.0, "psi_hat_start": 1.0})
+    for name, start in zip(("plant.fmu", "controller.fmu"), given, strict=True):
+        description = fmpy.read_model_description(str(place / name))
+        numbers.append({v.name: v.valueReference for v in description.modelVariables})
+        slave = fmpy.instantiate_fmu(fmpy.extract(str(place / name), tempfile.mkdtemp(dir=place)), description)
+        slave.setupExperiment(startTime=0.0, stopTime=STEPS * H)
+        slave.setReal([numbers[-1][n] for n in start], list(start.values()))
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        slaves.append(slave)
+    plant, controller = slaves
+    outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
+    commands = [[of[q.name] for q in Hovercraft.inputs] for of in numbers]
+    measured = [numbers[1][name] for name in NOISE]
+    places = [[q.name for q in Hovercraft.outputs].index(name) for name in NOISE]
+    noise = [gaussian(stream(1, name), variance, 0.0, STEPS + 1) for name, variance in NOISE.items()]
+    table = np.zeros((STEPS + 1, len(outputs)))
+    command = controller.getReal(commands[1])
+    began = time.perf_counter()
+    for k in range(1, STEPS + 1):
+        t = (k - 1) * H
+        plant.setReal(commands[0], command)
+        plant.doStep(t, H)
+        y = plant.getReal(outputs)
+        controller.setReal(measured, [y[i] + samples[k] for i, samples in zip(places, noise, strict=True)])
+        controller.doStep(t, H)
+        command = controller.getReal(commands[1])
+        table[k] = y
+    seconds = time.perf_counter() - began
+    for slave in slaves:
+        slave.terminate()
+        slave.freeInstance()
+    return seconds
+
+
+def isolated_over_inprocess(place: Path) -> float:
+    """Time of steps in a worker that is watched over their time in this process: two FMUs of C, 20 variables."""
+    scenario = native_scenario(place)
+    file, table = ScenarioFile(scenario), place / "rows"
+    system = build_system(file)
+    columns = len(system.columns)
+    watch = Watch([s.component.name for s in system.stages], limits=Limits(step=60.0, memory=1e10), width=8 * columns)
+    allocate(table, 8 * (MANY + 1) * columns)
+    with Worker(__name__) as other:
+
+        def isolated() -> float:
+            seconds: float = other.call(worker_seconds, scenario, table, watch=watch)
+            return seconds
+
+        return ratio(isolated, lambda: loop_seconds(build_system(file), MANY), rounds=5)
+
+
+def worker_seconds(scenario: Path, table: Path) -> float:
+    """Called in the worker: seconds for the steps, rows and counters mapped as those of a run are."""
+    system = build_system(ScenarioFile(scenario))
+    mapped, progress = mapped_table(table, MANY + 1, len(system.columns)), worker.progress
+    rows = Rows(mapped, made=progress.made, doing=progress.doing)
+    return loop_seconds(system, MANY, rows)
+
+
+def native_scenario(place: Path) -> Path:
+    """Two FMUs of C, compiled now, each of whose outputs is an input of the other."""
+    library = place / "lags.so"
+    source = Path(__file__).with_name("bench_fmu.c")
+    flags = ["-O2", "-shared", "-fPIC"]
+    subprocess.run([*(compiler() or ()), *flags, "-o", str(library), str(source)], check=True, capture_output=True)
+    system = {"Linux": "linux64", "Darwin": "darwin64", "Windows": "win64"}[platform.system()]
+    suffix = {"Linux": ".so", "Darwin": ".dylib", "Windows": ".dll"}[platform.system()]
+    variables = [
+        f'<ScalarVariable name="{name}{k}" valueReference="{first + k}" causality="{causality}">'
+        f"<Real{start}/></ScalarVariable>"
+        for name, first, causality, start in (("u", 0, "input", ' start="0"'), ("y", 5, "output", ""))
+        for k in range(5)
+    ]
+    unknowns = "".join(f'<Unknown index="{k}" dependencies=""/>' for k in range(6, 11))
+    description = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="lags" guid="lags">'
+        '<CoSimulation modelIdentifier="lags" canHandleVariableCommunicationStepSize="true"/>'
+        f"<ModelVariables>{''.join(variables)}</ModelVariables>"
+        f"<ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure></fmiModelDescription>"
+    )
+    with zipfile.ZipFile(place / "lags.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        archive.write(library, f"binaries/{system}/lags{suffix}")
+    links = [f"  - {{from: {a}.y{k}, to: {b}.u{k}}}\n" for a, b in ("ab", "ba") for k in range(5)]
+    path = place / "lags.yaml"
+    path.write_text(
+        f"name: lags\nduration: {MANY * H}\nstep: {H}\ncomponents: {{a: {{fmu: lags.fmu}}, b: {{fmu: lags.fmu}}}}\n"
+        f"connections:\n{''.join(links)}"
+    )
+    return path

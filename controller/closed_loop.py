@@ -1,0 +1,110 @@
+"""The craft under its own controller: the rig that plays its experiments.
+
+A tilt of 1° askew, left alone, spins the hovercraft up within seconds. What is to be added to the tilts is put on the
+references, divided by the gain that leads from them to the tilts: in the very sample the controller commands it. It
+leaves the duties alone, so they are played.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from controller.gains import Settings
+from controller.loop import Loop
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, played_lines, trial_of, within
+from cosim.fmi.fmu_build import build
+from cosim.model import Model, Values
+from cosim.storage.table import write_columns
+from fmus.recipes import controller_recipe
+
+REFERENCE_BAND = (0.05, 0.5)  # [Hz]
+TURN = math.pi  # [rad] of heading asked of the loop, either way
+TRAVEL = 0.9  # of the allowed excursion that is asked of the loop
+DITHER = 0.5  # of the tilt limit; the loop needs the rest
+DUTY_DIFFERENCE = 0.3  # of the duty limit between right and left, the rest on both
+
+
+class ClosedLoop:
+    """The hovercraft under its own controller: references, dither on both tilts and between them, duties."""
+
+    usual = "the manoeuvre"
+    files: tuple[str, ...] = ("references.csv", "controller.fmu")
+    sensors = ("psi", "psi_dot", "ax")
+    commanded = ("tilt_right", "tilt_left")
+
+    def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
+        self.ranges = ranges
+        self.settings = Settings(tilt_max=min(self._tilts(limits)), sample_time=model.rate)
+        room, duty = min(limits["x_world"], limits["y_world"]), min(limits["duty_right"], limits["duty_left"])
+        band = min(SLOWEST / duration, FASTEST / model.rate), FASTEST / model.rate
+        dither = DITHER * self.settings.tilt_max
+        self.axes = (
+            Axis("x_ref", TRAVEL * room, *REFERENCE_BAND),
+            Axis("psi_ref", TURN, *REFERENCE_BAND),
+            Axis("tilt_common", dither, *band),
+            Axis("tilt_difference", dither, *band),
+            Axis("duty_common", (1.0 - DUTY_DIFFERENCE) * duty, *band),
+            Axis("duty_difference", DUTY_DIFFERENCE * duty, *band),
+        )
+
+    def _tilts(self, limits: Mapping[str, float]) -> Iterator[float]:
+        """How far each propeller may tilt, either way: the controller's limit is one for both ways."""
+        for name in self.commanded:
+            low, high = self.ranges.get(name, (-math.inf, math.inf))
+            if not low < 0.0 < high:
+                message = f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
+                raise InputError([Fault(Path("--range"), 0, 0, message)])
+            yield min(limits[name], -low, high)
+
+    def play(self, model: Model, signals: Signals) -> Trial:
+        """The loop as a co-simulation runs it, Gauss-Seidel, without noise."""
+        x_ref = signals["x_ref"] + signals["tilt_common"] / self.settings.k_1_1
+        psi_ref = signals["psi_ref"] + signals["tilt_difference"] / self.settings.k_1_3
+        rest = self.settings.duty_nominal
+        right = within(rest + signals["duty_common"] + signals["duty_difference"], "duty_right", self.ranges)
+        left = within(rest + signals["duty_common"] - signals["duty_difference"], "duty_left", self.ranges)
+        loop = Loop(self.settings, [0.0] * 5, float(x_ref[0]), float(psi_ref[0]))
+        names = [q.name for q in model.outputs]
+        sensors = [names.index(name) for name in self.sensors]
+
+        def command(k: int, y: Values) -> Values:
+            if k:
+                loop.step([y[j] for j in sensors], float(x_ref[k]), float(psi_ref[k]))
+            return float(right[k]), float(left[k]), *loop.command
+
+        return trial_of(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
+
+    def usual_signals(self, time: Array) -> Signals:
+        """The five commands of scenarios/manoeuvre.yaml, as far as the time goes."""
+        x = Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)])
+        right, about = Change(at=1, to=-math.pi / 2), Change(at=10, to=math.pi / 2, rate=math.pi / 4)
+        psi = Profile(changes=[right, about, Change(at=22, to=0.0)])
+        signals = {a.name: np.zeros(len(time)) for a in self.axes}
+        for name, profile in (("x_ref", x), ("psi_ref", psi)):
+            signals[name] = np.array([profile_function(profile)(t) for t in time.tolist()])
+        return signals
+
+    def write(self, folder: Path, trial: Trial) -> None:
+        """The references, dither included, and the controller that follows them."""
+        write_columns(folder / "references.csv", trial.time, trial.references, {"x_ref": "m", "psi_ref": "rad"})
+        build(controller_recipe(), folder / "controller.fmu")
+
+    def components(self) -> Iterator[str]:
+        """References and controller."""
+        yield "  references: {block: playback, file: references.csv} # the dither on the tilts is in them"
+        yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {self.settings.tilt_max:.9g}}}}}"
+
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
+        """The loop through the controller, and the duties played."""
+        for name in self.sensors:
+            yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance[name]:g}}}}}"
+        yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in trial.references)
+        yield from (f"  - {{from: controller.{name}, to: plant.{name}}}" for name in self.commanded)
+        yield from played_lines(q.name for q in model.inputs if q.name not in self.commanded)

@@ -1,0 +1,235 @@
+"""A first scenario of FMUs: what they are run for by their default experiments, connected by name and unit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.authoring.draft_text import BY, scenario_text
+from cosim.authoring.matching import Match, Matches, Port, matched, text
+from cosim.authoring.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.units import computed_in
+from cosim.blocks.component import Signal
+from cosim.blocks.description import no_library, platform_of
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.summary import experiment_of, platforms_of
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.files import check_writable
+from cosim.storage.folders import check_ours
+from cosim.storage.kinds import LOG, check_given
+from cosim.storage.table import read_columns
+from cosim.system.order import AlgebraicLoop, stages
+from cosim.system.system import System, build_system
+
+MOST_OF_ONE = 1_000_000  # steps of one FMU, which was asked for by its own times
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A first scenario that is written: where, of which FMUs, how they are connected, what is to be known of it."""
+
+    path: Path
+    parts: Sequence[Part]
+    matches: Matches
+    times: Times
+    algorithm: str
+    warnings: tuple[str, ...]
+
+
+def write_single(
+    folder: Path,
+    fmu: Path,
+    start: Mapping[str, Any],
+    recorded: Path | None = None,
+    *,
+    stop: float | None = None,
+    step: float | None = None,
+    record: Sequence[str] = (),
+    force: bool = False,
+) -> tuple[Path, tuple[str, ...]]:
+    """Write scenario.yaml into a folder, a run of one FMU; its path, and warnings.
+
+    recorded: a CSV whose columns are played to the inputs of their names
+    stop, step: [s], in place of those of its default experiment
+    Raises InputError where the FMU cannot be read or set so, no column is of an input, or the folder is another's.
+    """
+    (part,) = parts_of([fmu], start)
+    path = folder / "scenario.yaml"
+    check_ours(folder, part.name, force=force)
+    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(BY.format("simulate")):
+        cure = "is a scenario of yours and would be written over; give another folder as --out"
+        raise InputError([Fault(path, 0, 0, cure)])
+    played = _played(recorded, part) if recorded is not None else None
+    asked, notes = _asked(part, played, stop, step)
+    times = times_of([part], asked, most=MOST_OF_ONE)
+    check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
+    lines = scenario_text(
+        folder, [part], played.matches if played else Matches((), ()), times, "gauss-seidel", recorded, "simulate"
+    )
+    names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
+    lines += f"record: {json.dumps(names)}\n" if names else ""
+    with draft_of(path) as made:
+        made.write_text(lines, encoding="utf-8")
+        try:
+            build_system(ScenarioFile(made))
+        except InputError as error:
+            raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+    return path, (*notes, *times.notes)
+
+
+def _asked(part: Part, played: Played | None, stop: float | None, step: float | None) -> tuple[Asked, tuple[str, ...]]:
+    """Times of a run as they are asked for, of a recording from its first row to its last; what is to be known."""
+    declared = experiment_of(part.description).get("start")
+    start, source = declared, part.path
+    notes: tuple[str, ...] = ()
+    if played is not None:
+        source, notes = played.path, played.notes
+        start = played.start if declared is None else max(declared, played.start)
+        if start > played.start:
+            notes += (f"{source.name}: begins at {played.start:g} s, the run at {start:g} s as {part.name} says",)
+        elif start > (declared or 0.0):
+            notes += (f"the run begins at {start:g} s, where {source.name} does",)
+    end = stop if stop is not None or played is None else played.end
+    if end is not None and end <= (start or 0.0):
+        cure = f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop"
+        raise InputError([Fault(source, 0, 0, cure)])
+    if played is None:
+        return Asked(start, end, step), ()
+    if end is not None and end > played.end * (1 + SLACK):
+        notes += (f"{source.name}: ends at {played.end:g} s; its last row is held until {end:g} s",)
+    why_start = f"{source.name} begins" if start == played.start else ""
+    return Asked(
+        start, end, step, played.step, "given" if stop is not None else f"the end of {source.name}", why_start
+    ), notes
+
+
+@dataclass(frozen=True)
+class Played:
+    """A recording played to the inputs of an FMU: its start, end and step [s], what goes where, what goes nowhere."""
+
+    path: Path
+    start: float
+    end: float
+    step: float
+    matches: Matches
+    notes: tuple[str, ...]
+
+
+def _played(path: Path, part: Part) -> Played:
+    check_given(path, LOG)
+    inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
+    log = read_columns(path, inputs)
+    columns = [c for c in log.columns.values() if c.name != "time"]
+    fed = [c for c in columns if c.name in inputs]
+    if not fed:
+        names = f"its columns: {', '.join(c.name for c in columns) or 'none'}; "
+        names += f"inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names})")])
+    source = "recorded" if part.name != "recorded" else "played"
+    found = []
+    for c in fed:
+        unit, _ = computed_in(c.heading.unit)
+        found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
+    missed = [*(c.name for c in columns if c.name not in inputs), *sorted(log.spoiled)]
+    notes = (f"{path.name}: {part.name} has no inputs {', '.join(missed)}: they drive nothing",) if missed else ()
+    if twice := [c.name for c in fed if c.name in part.start]:
+        cure = f"{path.name} plays it; leave out --set, or the column"
+        raise InputError([Fault(part.path, 0, 0, f"--set {name}={part.start[name]}: {cure}") for name in twice])
+    time = log["time"]
+    between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS
+    return Played(path, float(time[0]), float(time[-1]), float(f"{between:.6g}"), Matches(tuple(found), ()), notes)
+
+
+def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
+    """Write a commented scenario of these FMUs, connected by name and unit, guesses marked; never over a file.
+
+    Raises InputError where FMUs cannot be read, none of their outputs fits an input of another, or `path` is there.
+    """
+    if path.is_dir():
+        raise InputError([Fault(path, 0, 0, "is a folder; name the file to write as --out")])
+    if path.exists():
+        cure = "it is never written over; give another name as --out, or move it away"
+        raise InputError([Fault(path, 0, 0, f"is there already; {cure}")])
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError([Fault(path, 0, 0, "a scenario is YAML; name a .yaml or .yml file as --out")])
+    if not path.parent.is_dir():
+        raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
+    parts = parts_of(fmus)
+    inputs, outputs = ([p for part in parts for p in part.ports[side]] for side in (0, 1))
+    sizes = {name: size for part in parts for name, size in part.sizes.items()}
+    matches = _without_loops(parts, matched(outputs, inputs, sizes))
+    if len(parts) > 1 and not matches.found and not any(candidates for _, candidates in matches.left):
+        raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs, sizes))])
+    times = times_of(parts)
+    with draft_of(path) as made:
+        algorithm, system = _that_runs(made, path.parent, parts, matches, times)
+    return Draft(path, parts, matches, times, algorithm, (*_elsewhere(parts), *times.notes, *system.warnings))
+
+
+def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
+    """A warning for each FMU that has no library for this machine."""
+    for part in parts:
+        here, there = platform_of(part.description), platforms_of(part.path)
+        if here not in there:
+            yield f"{part.name} does not run on this machine: {no_library(here, there)}"
+
+
+def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
+    """Leave out guesses that close a loop in which each needs the other's value of the same time."""
+    blocks = {part.name: part.block for part in parts}
+    sure = [m for m in matches.found if not m.guess]
+    if _loops(blocks, sure):
+        return matches
+    kept = list(sure)
+    for guess in (m for m in matches.found if m.guess):
+        kept += [] if _loops(blocks, [*kept, guess]) else [guess]
+    dropped = tuple((m.target, (text(m.source), *m.others)) for m in matches.found if m not in kept)
+    return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped), matches.choices)
+
+
+def _loops(blocks: Mapping[str, FmuBlock], matches: Sequence[Match]) -> bool:
+    edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
+    try:
+        stages(blocks, edges, None)
+    except AlgebraicLoop:
+        return True
+    return False
+
+
+def _that_runs(made: Path, folder: Path, parts: Sequence[Part], matches: Matches, times: Times) -> tuple[str, System]:
+    """The algorithm under which the scenario can be put together, the file written, and what it makes."""
+    for algorithm in ("gauss-seidel", "jacobi"):
+        made.write_text(scenario_text(folder, parts, matches, times, algorithm), encoding="utf-8")
+        try:
+            return algorithm, build_system(ScenarioFile(made))
+        except InputError as error:
+            if algorithm == "jacobi" or not any("algebraic loop" in f.message for f in error.faults):
+                raise InputError([Fault(parts[0].path, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+    raise AssertionError  # the second one returned or raised
+
+
+def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
+    names = " and ".join(p.name for p in fmus)
+    if not outputs or not inputs:
+        return f"{names} cannot be connected: they have no {'outputs' if not outputs else 'inputs'}"
+
+    def about(port: Port) -> str:
+        size = sizes.get(text(port))
+        return f"{text(port)} [{port[1].unit or port[1].kind}{f', {size} elements' if size else ''}]"
+
+    some = [", ".join(map(about, ports[:6])) for ports in (outputs, inputs)]
+    by = "type, unit and number of elements" if sizes else "type and unit"
+    element = next((port for port in (*inputs, *outputs) if text(port) in sizes), None)
+    cure = (
+        f"; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"
+        if element
+        else ""
+    )
+    return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}{cure}"

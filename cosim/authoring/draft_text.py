@@ -1,0 +1,156 @@
+"""The text of a first scenario: keys with a word on each, what was guessed, what may be uncommented."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.authoring.matching import Match, Matches, text
+from cosim.authoring.parts import Part, Times
+from cosim.base.text import counted
+from cosim.blocks.description import unit_of
+from cosim.scenario.start_values import settable
+
+BY = "# Written by `cosim {}`."
+PARAMETERS = 12  # shown of each FMU
+PLAIN = re.compile(r"[A-Za-z_][\w.]*")
+
+
+def scenario_text(
+    folder: Path,
+    parts: Sequence[Part],
+    matches: Matches,
+    times: Times,
+    algorithm: str,
+    played: Path | None = None,
+    verb: str = "init",
+) -> str:
+    """A scenario in `folder`; `played` is the recording behind its first connection, `verb` the command that writes."""
+    lines = [
+        BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
+        "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
+        *_guessed(sum(bool(m.guess) for m in matches.found)),
+        *_to_choose(len(matches.choices)),
+        f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
+        f"duration: {times.duration:.12g} # s: {times.why_duration}",
+        f"step: {_whole(times.step)} # s: {times.why_step}",
+    ]
+    lines += [f"start_time: {times.start:.12g} # s: {times.why_start}"] if times.start else []
+    if algorithm == "jacobi":
+        lines.append("algorithm: jacobi # each FMU needs another's output of the same time; or state `order: [...]`")
+    lines.append("components:")
+    for part in parts:
+        lines += _component(folder, part, times)
+    if played is not None:
+        lines += [
+            f"  {matches.found[0].source[0]}:",
+            "    block: playback",
+            f"    file: {scalar(relative(played, folder))}",
+        ]
+    lines += _connections(matches) + _more(parts)
+    return "\n".join(lines) + "\n"
+
+
+def _whole(value: float) -> str:
+    """A number with as many digits as make it."""
+    return short if float(short := f"{value:.12g}") == value else repr(float(value))
+
+
+def _guessed(count: int) -> list[str]:
+    what = f"{counted(count, 'connection')} below {'is a guess' if count == 1 else 'are guesses'}"
+    return [f"# {what}, marked so: look there first."] if count else []
+
+
+def _to_choose(count: int) -> list[str]:
+    what = f"{counted(count, 'input')} {'is' if count == 1 else 'are'} left open, which several outputs fit alike"
+    return [f"# {what}: uncomment the one that is meant."] if count else []
+
+
+def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
+    d = part.description
+    about = f"{d.modelName}, FMI {d.fmiVersion}" + (f", by {d.generationTool}" if d.generationTool else "")
+    yield f"  {part.name}: # {_comment(about)}"
+    yield f"    fmu: {scalar(relative(part.path, folder))}"
+    if part.name in times.own:
+        yield f"    step: {times.own[part.name]:.12g} # s: it takes no other"
+    given = [v for v in d.modelVariables if v.causality == "parameter" and settable(v) and not v.shape]
+    if part.start:
+        yield "    start:"
+        yield from (f"      {scalar(name)}: {scalar(value)}" for name, value in part.start.items())
+    elif given:
+        yield "    # start:"
+    for v in [v for v in given if v.name not in part.start][:PARAMETERS]:
+        about = ", ".join(filter(None, (unit_of(v), " ".join((v.description or "").split())[:80])))
+        value = scalar(
+            "" if v.start is None else v.start if v.type == "String" else str(v.start).strip(), v.type != "String"
+        )
+        yield f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
+    if len(given) > PARAMETERS:
+        yield f"    #   … and {len(given) - PARAMETERS} more: cosim info {_comment(part.path.name)}"
+
+
+def _connections(matches: Matches) -> list[str]:
+    listed = matches.found or any(candidates for _, candidates in matches.left)
+    lines = ["connections:" if listed else "connections: []"]
+    for m in matches.found:
+        lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
+    for port, candidates in matches.left:
+        start = f", {unit}" if (unit := port[1].unit) else ""
+        alike = len(matches.choices.get(text(port), ()))
+        what = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
+        lines.append(f"  # {_comment(text(port))}{start}: not connected, stays at its start value{what}")
+        lines += [f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates]
+    return lines
+
+
+def _why(m: Match) -> str:
+    a, b = m.source[1].unit, m.target[1].unit
+    parts = [f"guess: {m.guess}" if m.guess else "same name"]
+    if a and b:
+        parts.append(f"{a} to {b}, converted" if m.factor != (1.0, 0.0) else b)
+    elif a or b:
+        parts.append(f"{a or b} on one side, no unit on the other")
+    parts += [f"or from {', '.join(m.others)}"] if m.others else []
+    return _comment("; ".join(parts))
+
+
+def _more(parts: Sequence[Part]) -> list[str]:
+    first = next((text(o) for part in parts for o in part.ports[1] if o[1].kind in ("Real", "Float64")), None)
+    if first is None:
+        return []
+    return [
+        "# criteria: # what must hold; a missed one is told and exits 5",
+        f"#   peak: {{of: {scalar(first)}, max: 1}}",
+    ]
+
+
+def relative(path: Path, folder: Path) -> str:
+    """A file as a scenario in `folder` names it: from there where it is near, else whole."""
+    named = os.path.relpath(path.resolve(), folder.resolve())
+    return Path(named).as_posix() if named.count("..") < 4 else path.resolve().as_posix()
+
+
+def scalar(value: Any, literal: bool = False) -> str:
+    """A value as YAML in flow style; text in quotes where it needs them, but not what is `literal`."""
+    if not isinstance(value, str):
+        return json.dumps(value)
+    plain = PLAIN.fullmatch(value) and value.lower() not in {
+        "true",
+        "false",
+        "yes",
+        "no",
+        "on",
+        "off",
+        "null",
+        "y",
+        "n",
+    }
+    return value if plain or (literal and value) else json.dumps(value, ensure_ascii=False)
+
+
+def _comment(value: str) -> str:
+    return " ".join(value.split())

@@ -1,0 +1,61 @@
+"""A scenario as a picture, before it is run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.scratch import temporary_folder
+from cosim.loading.file import without_execution
+from cosim.scenario.controller_design import designed_values
+from cosim.scenario.scenario import resolved
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.report.system_diagram import Graph, graph_from
+from cosim.system.system import build_system
+
+HEAD = 4096  # characters, which hold what a picture is of
+MERMAID = "flowchart LR\n  n1["
+DRAWN = re.compile(
+    r'<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
+)
+
+
+def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
+    """The picture of a scenario, of a manifest's or an SSP's; InputError and FmuError as a run raises them."""
+    if not is_ssp(path):
+        return _graph(ScenarioFile(path, overrides))
+    with temporary_folder("graph") as made:
+        return _graph(lay_out(path, made, overrides)[0])
+
+
+def check_picture(path: Path, graph: Graph) -> None:
+    """InputError where a file is there that is no earlier picture of this scenario."""
+    if not path.exists():
+        return
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        head = stream.read(HEAD)
+    if path.suffix.lower() == ".mmd":
+        ours = head.startswith(MERMAID)
+    else:
+        found, drawn = (DRAWN.match(text) for text in (head, graph.svg()))
+        ours = found is not None and drawn is not None and found[1] == drawn[1]
+    if not ours:
+        cure = "name another file as --out, or write over it by --force"
+        raise InputError([Fault(path, 0, 0, f"is there, and no picture of {graph.name}; {cure}")])
+
+
+def _graph(file: ScenarioFile) -> Graph:
+    with without_execution():
+        try:
+            designed = designed_values(file)
+        except NotExecuted:  # the picture shows no values
+            designed = {}
+    system = build_system(file, designed)
+    units = {name: signal.unit for name, signal in system.signals.items()}
+    arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
+    held = {transfer.name for transfer in system.held}
+    order = [stage.component.name for stage in system.stages]
+    return graph_from(resolved(file.scenario), order, held, {**arrays, **units})

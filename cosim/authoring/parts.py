@@ -1,0 +1,199 @@
+"""FMUs of a scenario that is not written yet: their names there, and when and how finely they run."""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.authoring.matching import Port
+from cosim.base.errors import Fault, InputError
+from cosim.blocks.component import Signal
+from cosim.blocks.description import takes_any_step
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.summary import experiment_of, read_fmus
+from cosim.fmi.sampled import sampled_by
+
+STOP, STEPS = 1.0, 500  # [s] where no FMU says how long; steps where none says how fine
+LONGEST = 24  # characters of a component's name, which is read in every signal
+SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"})
+MOST_STEPS = 20_000  # of a first run, which is to answer soon
+SLACK = 1e-9  # relative, by which a duration may miss a whole number of steps
+
+
+@dataclass(frozen=True)
+class Part:
+    """An FMU of a first scenario: its name there, how it is described, what it is given."""
+
+    name: str
+    path: Path
+    description: Any
+    start: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def block(self) -> FmuBlock:
+        """It, unconnected and not loaded."""
+        return FmuBlock(self.name, self.path, self.description, {}, frozenset())
+
+    @property
+    def ports(self) -> tuple[list[Port], list[Port]]:
+        """Its inputs and outputs, of an array the first element alone."""
+        block = self.block
+        both = (*block.inputs, *block.exact_inputs), (*block.outputs, *block.exact_outputs)
+        order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
+        inputs, outputs = (sorted(_whole(side), key=lambda s: order.get(s.array or s.name, 0)) for side in both)
+        return [(self.name, s) for s in inputs], [(self.name, s) for s in outputs]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Its arrays, `component.variable` → number of elements."""
+        block = self.block
+        every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
+        return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
+
+
+def _whole(signals: Sequence[Signal]) -> list[Signal]:
+    firsts: dict[str, Signal] = {}
+    for signal in signals:
+        if not signal.local:
+            firsts.setdefault(signal.array or signal.name, signal)
+    return list(firsts.values())
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Times [s] in place of those of the FMUs, None where theirs hold, and why; `because` says of whose end it is.
+
+    usual_step: where neither an FMU nor `step` says
+    """
+
+    start: float | None = None
+    stop: float | None = None
+    step: float | None = None
+    usual_step: float | None = None
+    because: str = "given"
+    why_start: str = ""
+
+
+@dataclass(frozen=True)
+class Times:
+    """When a run begins, how long it lasts and its step [s]; steps of components that need others, and why all that.
+
+    notes: where that is not what was asked for
+    """
+
+    start: float
+    duration: float
+    step: float
+    own: Mapping[str, float]
+    why_duration: str
+    why_step: str
+    why_start: str = "of the default experiments"
+    notes: tuple[str, ...] = ()
+
+
+def component_name(stem: str, model: str = "") -> str:
+    """What an FMU is called: its file's name; where that is long, the last part of its model's name, shortened."""
+    name = _identifier(stem)
+    if len(name) > LONGEST:
+        name = _identifier(model.rpartition(".")[2]) or name
+    if len(name) > LONGEST:
+        whole = name.rfind("_", LONGEST // 2, LONGEST + 1)  # between words
+        name = name[: whole if whole > 0 else LONGEST]
+    return (f"fmu_{name}" if name[:1].isdigit() else name) or "fmu"
+
+
+def _identifier(text: str) -> str:
+    """Letters of ASCII, digits and underscores: accents are left off, ä is ae."""
+    plain = unicodedata.normalize("NFKD", text.translate(SPELT))
+    return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
+
+
+def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
+    """FMUs with names that a scenario takes, each its own; InputError with what is wrong with every one."""
+    found: list[Part] = []
+    for path, description in zip(paths, read_fmus(paths), strict=True):
+        stem = component_name(path.stem, description.modelName or "")
+        taken = {p.name for p in found}
+        name = next(n for n in (stem, *(f"{stem}_{k}" for k in range(2, 10_000))) if n not in taken)
+        found.append(Part(name, path, description, start or {}))
+    return found
+
+
+def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = MOST_STEPS) -> Times:
+    """Start, duration and step of a run, at most `most` steps where no stop is asked for; a guess where nothing says.
+
+    A step that is asked for, or that an FMU insists on, is kept, and the end moves to a whole number of them; else the
+    end is kept, and the step is the whole part of it at or below. Raises InputError where a step exceeds the run.
+    """
+    asked = asked or Asked()
+    experiments = {p.name: experiment_of(p.description) for p in parts}
+    start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
+    start = start if asked.start is None else asked.start
+    ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
+    longest = max(ends, key=lambda n: ends[n]) if ends else ""
+    why_duration = f"the default experiment of {longest}" if longest else "no FMU says how long; a guess"
+    duration = ends[longest] - start if longest else STOP
+    duration, why_duration = (duration, why_duration) if asked.stop is None else (asked.stop - start, asked.because)
+    duration = float(f"{duration:.12g}")
+    needed = {p.name: own for p in parts if (own := _own_step(p)) > 0}
+    h, why_step = _step(asked, experiments, needed, duration)
+    if asked.step is not None and h > duration * (1 + SLACK):
+        cure = f"is longer than the run, {duration:g} s ({why_duration}); give a shorter one, or a later --stop"
+        raise InputError([Fault(parts[0].path, 0, 0, f"--step {h:g}: {cure}")])
+    steps = max(1, math.ceil(duration / h - SLACK))
+    notes: list[str] = []
+    if asked.stop is None and steps > most:
+        why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
+        steps, duration = most, most * h
+    if asked.stop is not None and asked.step is None and not needed:  # the end is what was asked for
+        whole = duration / steps
+        if abs(whole - h) > SLACK * h:
+            notes += [f"the step is {whole:g} s, not {h:g} s ({why_step}), to end at {start + duration:g} s"]
+            why_step = f"{steps} to the end; not {h:g} s, {why_step}"
+        h = whole
+    else:
+        whole = float(f"{steps * h:.12g}")
+        if abs(whole - duration) > SLACK * duration:
+            last = f"the run ends at {start + whole:g} s, not at {start + duration:g} s ({why_duration})"
+            notes += [f"{last}: in whole steps of {h:g} s ({why_step})"]
+            why_duration = f"whole steps; {why_duration} is {duration:g} s"
+        duration = whole
+    coarser = {n: own for n, own in needed.items() if own > h * (1 + SLACK)}
+    why_start = asked.why_start or Times.why_start
+    return Times(start, duration, h, coarser, why_duration, why_step, why_start, tuple(notes))
+
+
+def _step(
+    asked: Asked, experiments: Mapping[str, Mapping[str, float]], needed: Mapping[str, float], duration: float
+) -> tuple[float, str]:
+    """The step that is wished for [s], and why; whether it goes into the run is not looked at."""
+    if asked.step is not None:
+        return asked.step, "given"
+    wished = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **needed}
+    if wished:
+        finest = min(wished, key=lambda n: wished[n])
+        return float(f"{wished[finest]:.12g}"), f"the step of {finest}"
+    if asked.usual_step is not None:
+        return min(asked.usual_step, duration), "the usual one of its rows"
+    return _round(duration / STEPS), "no FMU says how fine; a guess"
+
+
+def _own_step(part: Part) -> float:
+    """The communication step that an FMU insists on [s], 0 where it takes any."""
+    parameter = sampled_by(part.path)
+    if parameter is not None:
+        declared = next((v.start for v in part.description.modelVariables if v.name == parameter), None)
+        return float(part.start.get(parameter, declared) or 0.0)
+    return 0.0 if takes_any_step(part.description) else experiment_of(part.description).get("step", 0.0)
+
+
+def _round(step: float) -> float:
+    """The round number at or below: 1, 2 or 5 × 10^n."""
+    power = 10.0 ** math.floor(math.log10(step) + 1e-9)
+    return float(f"{max(m * power for m in (1, 2, 5) if m * power <= step * (1 + 1e-9)):.12g}")

@@ -1,0 +1,83 @@
+"""One FMU run without a file of its own: scenario.yaml written for it, and run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.authoring.draft import write_single
+from cosim.authoring.parts import parts_of
+from cosim.base.errors import Fault, InputError
+from cosim.blocks.summary import read_fmus
+from cosim.simulation.workflow import Outcome, run
+from cosim.storage.files import FilePath, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import folder_named
+from cosim.storage.yaml_file import short
+from cosim.storage.yaml_nodes import Document, NotYaml
+
+
+@folder_locks()
+def simulate(
+    fmu: FilePath,
+    folder: FilePath | None = None,
+    *,
+    start: Mapping[str, Any] | Sequence[str] = (),
+    recorded: FilePath | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    record: Sequence[str] = (),
+    report: bool = True,
+    force: bool = True,
+    in_process: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Outcome, tuple[str, ...]]:
+    """Run one FMU over its default experiment; scenario.yaml, results.csv, manifest.json, report.html in `folder`.
+
+    start:      start values of parameters and inputs, a mapping or NAME=VALUE each
+    recorded:   a CSV whose columns are played to the inputs of their names
+    stop, step: [s], in place of those of the FMU
+    record:     locals and parameters to record beside inputs and outputs
+    Raises InputError, FmuError; and SimulationError after the rows so far are written. What is to be known is told too.
+    """
+    path = Path(fmu)
+    _check_times(path, stop, step)
+    (description,) = read_fmus([path])
+    given = start if isinstance(start, Mapping) else start_pairs(path, start, description)
+    place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
+    csv = None if recorded is None else Path(recorded)
+    scenario, notes = write_single(place, path, given, csv, stop=stop, step=step, record=record, force=force)
+    return run(scenario, place, report=report, force=True, in_process=in_process, progress=progress), notes
+
+
+def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
+    faults = [
+        Fault(fmu, 0, 0, f"--{name} {value:g}: give a number of seconds{' above 0' if name == 'step' else ''}")
+        for name, value in (("stop", stop), ("step", step))
+        if value is not None and not (math.isfinite(value) and (value > 0 or name == "stop"))
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
+    """NAME=VALUE of start values; a value of text stays as it is written."""
+    words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
+    found: dict[str, Any] = {}
+    faults = []
+    for text in texts:
+        name, sign, value = (part.strip() for part in text.partition("="))
+        if not sign or not name:
+            faults.append(Fault(fmu, 0, 0, f'--set "{short(text)}" is not NAME=VALUE; for example --set mass=2'))
+        elif name in words:
+            found[name] = value
+        else:
+            try:
+                found[name] = Document(value).data
+            except NotYaml:
+                found[name] = value
+    if faults:
+        raise InputError(faults)
+    return found

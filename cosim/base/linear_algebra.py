@@ -1,0 +1,62 @@
+"""Linear algebra for estimates: an answer for every matrix, never an error of LAPACK.
+
+LAPACK does not check its arguments. Given NaN or infinity it writes to stdout, raises LinAlgError or does not return.
+A matrix that is not finite comes from a model that has run away. It supports no estimate, so the answer is zero: no
+step, no gain, no correction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.base.arrays import Array
+
+
+def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
+    """Return the least-squares solution of least norm; zeros if the equations are not finite."""
+    if _finite(matrix, side):
+        try:
+            return np.asarray(np.linalg.lstsq(matrix, side, rcond=rcond)[0])
+        except np.linalg.LinAlgError:  # the iteration did not converge
+            pass
+    return np.zeros((matrix.shape[1], *side.shape[1:]))
+
+
+def pseudo_inverse(matrix: Array) -> Array:
+    """Return the pseudo-inverse; zeros if the matrix is not finite."""
+    if _finite(matrix):
+        try:
+            return np.asarray(np.linalg.pinv(matrix))
+        except np.linalg.LinAlgError:
+            pass
+    return np.zeros(matrix.shape[::-1])
+
+
+def solution(matrix: Array, side: Array) -> Array:
+    """Return the solution of square equations; the least-squares solution if they are singular."""
+    if _finite(matrix, side):
+        try:
+            return np.asarray(np.linalg.solve(matrix, side))
+        except np.linalg.LinAlgError:
+            pass
+    return least_squares(matrix, side)
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis of the columns; a column that is not finite counts as zero."""
+    finite = np.isfinite(columns).all(axis=0)
+    return np.asarray(np.linalg.qr(columns if finite.all() else np.where(finite, columns, 0.0))[0])
+
+
+def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    """Return the eigenvalues of a square matrix; none if it is not finite."""
+    if matrix.size and _finite(matrix):
+        try:
+            return np.linalg.eigvals(matrix).astype(np.complex128)
+        except np.linalg.LinAlgError:
+            pass
+    return np.zeros(0, np.complex128)
+
+
+def _finite(*arrays: Array) -> bool:
+    return all(bool(np.isfinite(a).all()) for a in arrays)

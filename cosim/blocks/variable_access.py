@@ -1,0 +1,104 @@
+"""Which variables of an FMU are moved, in which calls, and where they stand in the row and beside it."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from cosim.blocks.component import Signal
+from cosim.blocks.description import is_difference, unit_definition, unit_of
+from cosim.blocks.fmi_types import Exchange, element_names, kinds_of
+
+
+class Ports:
+    """Inputs, outputs and what is recorded beside them.
+
+    fed, unfed: inputs that are connected, and the others
+    read:       outputs, before what is recorded
+    inward:     all inputs; of optional ones those that are connected
+
+    optional: inputs that are left out where nothing feeds them
+    """
+
+    def __init__(
+        self,
+        description: Any,
+        connected: frozenset[str],
+        recorded: frozenset[str],
+        optional: frozenset[str] = frozenset(),
+    ) -> None:
+        self.description = description
+        self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
+        supported = [v for v in description.modelVariables if v.type in self.kinds]
+        inputs = [v for v in supported if v.causality == "input" and v.name not in optional - connected]
+        meant = [not connected.isdisjoint({v.name, *element_names(v)}) for v in inputs]
+        fed, unfed = ([v for v, is_fed in zip(inputs, meant, strict=True) if is_fed is way] for way in (True, False))
+        outputs = [v for v in supported if v.causality == "output"]
+        others = [v for v in supported if v.name in recorded and v.causality not in {"input", "output"}]
+        self._outputs = frozenset(name for v in outputs for name in element_names(v))
+        self.fed = self._exchanges(fed)
+        self.unfed = self._exchanges(unfed)
+        self.read = self._exchanges([*outputs, *others])
+        self.inward = (*self.fed, *self.unfed)
+        self.inputs = self._signals(e for e in self.inward if not e.kind.beside)
+        self.exact_inputs = self._signals(e for e in self.inward if e.kind.beside)
+        self.outputs = self._signals(e for e in self.read if not e.kind.beside)
+        self.exact_outputs = self._signals(e for e in self.read if e.kind.beside)
+
+    def place(self, first: int, first_beside: int) -> None:
+        """Give every exchange its places, inputs first."""
+        place = {False: first, True: first_beside}
+        for exchange in (*self.inward, *self.read):
+            here = place[exchange.kind.beside]
+            exchange.places = slice(here, here + exchange.count)
+            place[exchange.kind.beside] += exchange.count
+
+    def split(self, exchanges: Sequence[Exchange], address: int) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
+        """What FMI's functions take for the doubles that go straight to the row at `address`; and all other types."""
+        doubles = _doubles(exchanges)
+        straight = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
+        return straight, tuple(e for e in exchanges if e is not doubles)
+
+    def straight(self, arguments: Any) -> tuple[Any, ...]:
+        """These arguments as C has them, so that no call makes them again."""
+        references, count, where, *scalars = arguments
+        first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(where)
+        return *first, *(ctypes.c_size_t(n) for n in scalars)
+
+    def real_outputs(self) -> tuple[slice, tuple[str, ...]]:
+        """Places and names of the outputs that must be finite: what is recorded beside them need not be."""
+        doubles = _doubles(self.read)
+        if doubles is None:
+            return slice(0, 0), ()
+        names = self.outputs_of(doubles)
+        return slice(doubles.places.start, doubles.places.start + len(names)), names
+
+    def outputs_of(self, exchange: Exchange) -> tuple[str, ...]:
+        """Those among its scalars that are outputs, which come first."""
+        return tuple(name for name in exchange.names if name in self._outputs)
+
+    def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
+        """One for each type, that of the row's doubles first."""
+        groups: dict[Any, list[Any]] = {}
+        for variable in variables:
+            groups.setdefault(self.kinds[variable.type], []).append(variable)
+        kinds = sorted(groups, key=lambda kind: kind.ctype is not ctypes.c_double)
+        return tuple(Exchange(kind, groups[kind]) for kind in kinds)
+
+    def _signals(self, exchanges: Iterable[Exchange]) -> tuple[Signal, ...]:
+        return tuple(self._signal(v, name) for e in exchanges for v in e.variables for name in element_names(v))
+
+    def _signal(self, variable: Any, name: str) -> Signal:
+        unit, declared = unit_of(variable), variable.declaredType
+        items = {i.name: int(i.value) for i in declared.items} if variable.type == "Enumeration" and declared else None
+        relative = is_difference(variable)
+        local = variable.causality not in {"input", "output"}
+        array = variable.name if variable.shape else ""
+        meaning = unit_definition(self.description, unit)
+        type_name = declared.name if items is not None else ""
+        return Signal(name, unit, meaning, variable.type, items, array, local, relative, type_name)
+
+
+def _doubles(exchanges: Iterable[Exchange]) -> Exchange | None:
+    return next((e for e in exchanges if e.kind.ctype is ctypes.c_double), None)

@@ -1,0 +1,18 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+
+ARTEFACTS = (
+    Artefact(
+        "an answer of `cosim compare`",
+        "scripts read it; `cosim compare A B` makes one",
+        keys=(frozenset({"schema_version", "differences"}),),
+        verb="cosim compare",
+        marks=("comparison.json",),
+        folder="the folder of a comparison",
+        folder_step="its report.html opens in a browser, scripts read comparison.json",
+        sources=("a", "b"),
+    ),
+)

@@ -1,0 +1,50 @@
+"""What a run, a replay or another tool left: a folder, or a CSV whose first column is time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import Fault, InputError
+from cosim.storage.folders import left_by_replay, manifest_in
+from cosim.storage.kinds import LOG, check_given, refuse_folder
+from cosim.storage.results import Results, read_results
+
+WANTED = "the folder of a run or a CSV"
+
+
+@dataclass(frozen=True)
+class Ran:
+    """Results read back: where from, as it is called, the manifest where there is one."""
+
+    path: Path
+    name: str
+    results: Results
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def criteria(self) -> list[dict[str, Any]]:
+        """Criteria as they came out."""
+        found = self.manifest.get("criteria")
+        return [c for c in found if isinstance(c, dict)] if isinstance(found, list) else []
+
+
+def read_ran(path: Path) -> Ran:
+    """Results in a folder or a CSV; InputError where there are none."""
+    if not path.exists():
+        raise InputError([Fault(path, 0, 0, "no such folder or file; give the folder that a run left, or a CSV")])
+    if not path.is_dir():
+        check_given(path, LOG)
+        return Ran(path, path.stem, read_results(path))
+    csv = path / "results.csv"
+    if not csv.is_file():
+        refuse_folder(path, WANTED)
+        cure = "give the folder that a run left, or a CSV"
+        raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
+    manifest = manifest_in(path)
+    units = manifest.get("units") or left_by_replay(path).get("units")
+    text = manifest.get("beside")
+    results = read_results(csv, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
+    return Ran(path, path.resolve().name, results, manifest)

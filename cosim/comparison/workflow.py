@@ -1,0 +1,117 @@
+"""The page about two runs: how far apart each signal is, both drawn over each other, criteria side by side."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cosim.base.arrays import far_beyond
+from cosim.base.errors import Fault, InputError
+from cosim.base.text import amount, written
+from cosim.base.version import __version__
+from cosim.comparison.differences import Compared, compared, criteria_of, sentence
+from cosim.comparison.run_files import Ran
+from cosim.comparison.signal_panels import panels_of
+from cosim.comparison.signals import Difference, shared, sized
+from cosim.report.chart_data import to_json
+from cosim.report.drawing import Drawing
+from cosim.report.template import render
+from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left, folder_named
+
+TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
+DRAWN = 24  # signals, the most different first
+MADE = ("comparison.json", "report.html")
+
+
+@folder_locks()
+@far_beyond
+def compare(
+    a: Ran,
+    b: Ran,
+    folder: FilePath | None = None,
+    *,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    report: bool = True,
+    write: bool = True,
+    force: bool = False,
+) -> tuple[Compared, Path]:
+    """Hold run b against run a; leaves comparison.json and report.html in the folder returned.
+
+    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    write:     without, nothing is left; force: also over what another command left there
+    Raises InputError where they share no signal or no time.
+    """
+    for name, value in (("--tol", tolerance), ("--abs", absolute)):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise InputError([Fault(a.path, 0, 0, f"{name} {value:g}: give a number that is not negative")])
+    made = compared(a, b, tolerance, absolute)
+    place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
+    if not write:
+        return made, place
+    read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
+    check_left(place, "cosim compare", str(a.path), str(b.path), force=force)
+    check_writable(place, MADE, read)
+    with atomic_write(place / "comparison.json") as stream:
+        json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
+        stream.write("\n")
+    (place / "report.html").unlink(missing_ok=True)
+    if report:
+        with atomic_write(place / "report.html") as stream:
+            stream.write(render(TEMPLATE, context(made)))
+    return made, place
+
+
+def context(c: Compared) -> Mapping[str, Any]:
+    """Everything the template names."""
+    ranked = sorted(c.differences, key=lambda d: -d.share)
+    drawn = [d for d in ranked if d.name in c.values][:DRAWN]
+    drawing = Drawing(c.time, 3 * len(drawn))
+    panels = [panel for d in drawn for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
+    plots = drawing.plots(panels)
+    return {
+        "a": c.a, "b": c.b, "outcome": sentence(c),
+        "tone": "plain" if not c.judged else "good" if c.same else "bad",
+        "judged": c.judged, "tolerance": _tolerance(c), "aligned": c.aligned,
+        "rows": [_row(d) for d in ranked],
+        "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
+        "plots": plots, "undrawn": len(ranked) - len(drawn), "only_a": c.only_a, "only_b": c.only_b,
+        "data": to_json(drawing.series),
+        "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
+        "version": __version__,
+    }  # fmt: skip
+
+
+def _options(c: Compared) -> list[str]:
+    found = ["--tol", f"{c.tolerance:g}"] if c.tolerance is not None else []
+    return found + (["--abs", f"{c.absolute:g}"] if c.absolute else [])
+
+
+def _tolerance(c: Compared) -> str:
+    if c.tolerance is None:
+        return ""
+    parts = [f"{c.tolerance:g} of each signal's range in a"] + ([f"{c.absolute:g} in its unit"] if c.absolute else [])
+    return " and ".join(parts)
+
+
+def _row(d: Difference) -> dict[str, Any]:
+    return {
+        "name": d.name, "unit": written(d.unit), "largest": sized(d, d.largest), "at": f"{d.at:.6g}\u00a0s",
+        "rms": sized(d, d.rms), "share": shared(d), "beyond": d.beyond, "note": d.note,
+    }  # fmt: skip
+
+
+def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:
+    if entry is None:
+        return "not asked", ""
+    value = entry.get("value")
+    shown = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
+    return f"{shown} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
+        "good" if entry.get("met") else "bad"
+    )

@@ -1,0 +1,78 @@
+"""The page of estimators: a verdict each, and how normalised errors and innovations went over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.text import counted, percent, plain
+from cosim.base.version import __version__
+from cosim.estimators.consistency import CONSISTENT, Judged, Row, by_case, headline
+from cosim.report.drawing import Charts
+from cosim.report.html_tables import Badge
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import Plot
+from cosim.report.template import render
+
+TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
+
+
+def page(rows: Sequence[Row], steps: int, seed: int) -> str:
+    """One self-contained page."""
+    charts, runs, judged = Charts(), rows[0].result.runs, by_case(rows)
+    kinds = list(dict.fromkeys(row.of for row in rows))
+    return render(
+        TEMPLATE,
+        {
+            "badges": [
+                Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"),
+                Badge(f"seed {seed}"),
+            ],
+            "headline": headline(rows),
+            "flights": list({row.flight: row.motion for row in rows}.items()),
+            "kinds": kinds,
+            "judged": [_summary(of, kinds) for of in judged],
+            "rows": [_cells(row) for row in rows],
+            "cases": [
+                (f"{of.rows[0].case}; {of.rows[0].flight}", [_plot(row, charts) for row in of.rows]) for of in judged
+            ],
+            "data": charts.data(),
+            "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
+            "version": __version__,
+        },
+    )
+
+
+def _summary(of: Judged, kinds: Sequence[str]) -> Mapping[str, Any]:
+    """Return a case on a flight as one row: each mean over its degrees of freedom, and the verdict."""
+    factors = {row.of: plain(row.result.factor, 3) for row in of.rows}
+    return {
+        "case": of.rows[0].case, "flight": of.rows[0].flight, "factors": [factors.get(kind, "–") for kind in kinds],
+        "verdict": of.verdict, "good": of.consistent,
+    }  # fmt: skip
+
+
+def _cells(row: Row) -> Mapping[str, Any]:
+    r = row.result
+    verdict, _, more = r.sentence.partition(": ")
+    return {
+        "case": row.case, "flight": row.flight, "of": row.of, "degrees": str(r.degrees), "mean": plain(r.mean, 4),
+        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}", "above": percent(r.above),
+        "below": percent(r.below), "most": percent(r.most), "verdict": verdict, "more": more,
+        "good": verdict == CONSISTENT,
+    }  # fmt: skip
+
+
+def _plot(row: Row, charts: Charts) -> Plot:
+    """The mean over the runs at each time, and where a consistent estimator has it in 95 of 100."""
+    r = row.result
+    low, high = (np.full(row.at.size, edge) for edge in r.at_time)
+    panel = Panel(
+        row.of, "1", (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),),
+        Band("95 % of a consistent one", low, high), (float(r.degrees),), "its mean",
+    )  # fmt: skip
+    (plot,) = charts.over(row.at, 1).plots([panel])
+    return plot

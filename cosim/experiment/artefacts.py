@@ -1,0 +1,16 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+
+ARTEFACTS = (
+    Artefact(
+        "an input of `cosim excite`",
+        "`cosim run` plays the excitation.yaml beside it",
+        verb="cosim excite",
+        marks=("excitation.csv", "excitation.yaml"),
+        folder="the folder of an excitation",
+        folder_step="`cosim run {file}/excitation.yaml` plays it",
+    ),
+)

@@ -1,0 +1,66 @@
+"""The FMU's own documentation: one HTML page of what it is, its equations and its variables, and the licence."""
+
+from __future__ import annotations
+
+import inspect
+from html import escape
+from pathlib import Path
+
+from cosim.fmi.model_description import LICENCE, Description
+from cosim.fmi.ports import Port
+from cosim.fmi.sampled import AUTHOR
+from cosim.model.model import Model
+
+GUID_PLACEHOLDER = "{guid}"
+STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
+pre { background: #f4f6f8; padding: 1rem; overflow-x: auto; }
+table { border-collapse: collapse; width: 100%; font-size: .9rem; }
+th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #d8dee6; vertical-align: top; }
+td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
+"""
+
+NEEDS = "<p>Integration: RK4 in equal substeps of at most {substep:g} ms, inputs held.</p>"
+SWITCHES = """<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their
+start value an effect is dormant and costs nothing.</p>"""
+
+
+def documented(*owners: object) -> str:
+    """Docstrings as HTML: the words of each as a paragraph, its equations as they stand."""
+    return "".join(f"<pre>{escape(inspect.getdoc(owner) or '')}</pre>" for owner in owners)
+
+
+def model_text(model: Model) -> str:
+    """What a model is, by its own docstrings: equations, effects, integration."""
+    effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
+    listed = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
+    return documented(type(model), model.equations) + NEEDS.format(substep=1000 * model.substep) + listed
+
+
+def write_documentation(
+    folder: Path, about: Description, text: str, version: str, licence: Path, way: str = "FMI 2.0 co-simulation"
+) -> None:
+    """Write `index.html` and the licence."""
+    folder.mkdir(parents=True, exist_ok=True)
+    title = escape(about.description)
+    groups = (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter"))
+    tables = "".join(f"<h2>{head}</h2>{_table([p for p in about.ports if p.causality == c])}" for head, c in groups)
+    page = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+        f"<h1>{title}</h1><p>Version {escape(version)} · {way} · communication step {about.step} s<br>"
+        f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{GUID_PLACEHOLDER}</code></p>'
+        f"{text}{tables}</html>\n"
+    )
+    (folder / "index.html").write_text(page, encoding="utf-8")
+    if licence.exists():
+        (folder / "license.txt").write_bytes(licence.read_bytes())
+
+
+def _table(ports: list[Port]) -> str:
+    rows = "".join(
+        f"<tr><td><code>{escape(p.name)}</code></td><td class=number>{'' if p.causality == 'output' else p.start}</td>"
+        f"<td>{escape(p.unit)}</td><td>{escape(p.doc)}</td></tr>"
+        for p in ports
+    )
+    return f"<table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"

@@ -1,0 +1,253 @@
+"""Building the FMUs: sources under a name no other FMU has, packed by pythonfmu, completed, byte-reproducible.
+
+All Python FMUs of a process share `sys.modules`. Each of ours therefore carries its sources in one
+package named by their content: two FMUs never see each other's modules, nor the host's.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+
+from cosim.base.drafts import draft_of
+from cosim.base.scratch import temporary_folder
+from cosim.base.version import __version__
+from cosim.fmi.documentation import GUID_PLACEHOLDER, model_text, write_documentation
+from cosim.fmi.model_description import Description, complete
+from cosim.model.model import Model
+from cosim.model.traits import Traits
+
+FRAMEWORK = "cosim"
+CARRIED = ("cosim.model", "cosim.fmi")  # rooms of the framework that need nothing but the standard library
+NOT_CARRIED = "cosim.model.symbolic"  # imported by a model's namespace of symbols only, at build time
+START = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script that pythonfmu runs
+OWN = "own_model"  # what the file of a model of one's own is called within its FMU
+EPOCH = (1980, 1, 1, 0, 0, 0)
+ASSETS = Path(__file__).resolve().parent / "assets"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that one FMU is made of.
+
+    slave:    module and class of the FMI slave
+    packages: top-level packages whose modules the FMU carries, as far as its slave imports them
+    about:    content of the model description
+    text:     documentation in HTML: what the FMU is and how to use it
+    values:   parameter defaults that differ from the declared ones
+    own:      file and class of a user's model
+    printed:  modules generated at build time: dotted name, source code
+    """
+
+    slave: tuple[str, str]
+    packages: tuple[str, ...]
+    about: Description
+    text: str
+    values: tuple[tuple[str, float | bool], ...] = ()
+    own: tuple[Path, str] | None = None
+    printed: tuple[tuple[str, str], ...] = ()
+    substep: float | None = None
+
+
+def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
+    """Return the recipe of a user's model, whose class stands in `file`, with other defaults where `values` has them.
+
+    The FMU carries the file. Packages that the file imports besides `cosim.model` and the standard library must be
+    installed where the FMU runs.
+    """
+    own = (file, type(model).__name__)
+    about = about_model(model.with_values(values or {}), model.title)
+    slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
+    return Recipe(slave, (), about, text, ordered(values), own, substep=model.chosen_substep)
+
+
+def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
+    """Parameter values in an order that does not hang on how they were written."""
+    return tuple(sorted((values or {}).items()))
+
+
+def about_model(model: Model, text: str) -> Description:
+    """What the description of a model's FMU says."""
+    from cosim.fmi.ports import model_ports
+    from cosim.model.symbolic.dependencies import direct_dependencies, initial_dependencies
+
+    return Description(
+        text,
+        model_ports(model),
+        direct_dependencies(model),
+        initial_dependencies(model),
+        step=model.rate,
+        stop=10.0,
+        variable_step=True,
+        traits=Traits.of(model),
+    )
+
+
+def build(recipe: Recipe, path: Path) -> Path:
+    """Write one FMU to `path`, whole or not at all; the same sources give the same bytes."""
+    with temporary_folder("build") as folder:
+        draft = _pack(recipe, folder)
+        members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
+        xml = members.pop("modelDescription.xml")
+        # the page names the GUID, which is made of everything else: a placeholder stands there until it is known
+        guid = f"{{{digest(members, xml_of(recipe, xml, ''))[:32]}}}"
+        page = "documentation/index.html"
+        members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
+        members["modelDescription.xml"] = xml_of(recipe, xml, guid)
+    with draft_of(path) as target:
+        write_zip(target, members)
+    return path
+
+
+def xml_of(recipe: Recipe, xml: bytes, guid: str) -> bytes:
+    """The completed model description."""
+    return complete(xml, recipe.about, __version__, guid)
+
+
+def _pack(recipe: Recipe, folder: Path) -> Path:
+    """Sources under their content's name, packed by pythonfmu."""
+    from pythonfmu.builder import FmuBuilder
+
+    sources = dict(_sources(recipe))
+    _, class_name = recipe.slave
+    identity: tuple[object, ...] = (recipe.slave, recipe.values)
+    if recipe.own:
+        class_name = f"{recipe.own[1]}Plant"
+        identity += (class_name,)
+    if recipe.substep is not None:
+        identity += (recipe.substep,)
+    tag = digest(sources, repr(identity).encode())[:12]
+    package = f"{_snake(class_name)}_{tag}"
+    for name, text in sources.items():
+        file = folder / package / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(_renamed(text.decode(), (FRAMEWORK, *recipe.packages), package).encode())
+    script = folder / f"{package}_slave.py"
+    script.write_text(_script(recipe, package, class_name), encoding="utf-8")
+    documentation = folder / "documentation"
+    write_documentation(documentation, recipe.about, recipe.text, __version__, ASSETS / "license.txt")
+    path, modules = list(sys.path), set(sys.modules)
+    try:
+        draft = folder / "draft.fmu"
+        FmuBuilder.build_FMU(script, draft, [folder / package], documentation)
+        return draft
+    finally:
+        sys.path[:] = path
+        for name in set(sys.modules) - modules:
+            if name.startswith(package):
+                del sys.modules[name]
+
+
+def _renamed(source: str, carried: Sequence[str], package: str) -> str:
+    """Return a module's source with imports of carried packages directed into the FMU's own package."""
+    names = "|".join(carried)
+    source = re.sub(rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3",
+                    source, flags=re.MULTILINE)  # fmt: skip
+    return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
+
+
+def _script(recipe: Recipe, package: str, class_name: str) -> str:
+    """Return the file that pythonfmu loads: the slave class, with other defaults where the recipe has them."""
+    module, base = recipe.slave
+    lines = [
+        f"from {package}.cosim.fmi.lifetime import keep",
+        f"from {package}.{module} import {base} as Base",
+    ]
+    if recipe.values or recipe.own or recipe.substep is not None:
+        lines.append(f"from {package}.cosim.fmi.ports import model_ports")
+    if recipe.own:
+        lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
+    lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
+    if recipe.values or recipe.own or recipe.substep is not None:
+        model = "Own()" if recipe.own else "Base.model"
+        changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
+        changed += f".with_substep({recipe.substep!r})" if recipe.substep is not None else ""
+        lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
+    return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
+
+
+def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
+    """Yield path within the FMU's package and content of each module that the slave imports, directly or not."""
+    printed = dict(recipe.printed)
+    if recipe.own:
+        yield f"{OWN}.py", recipe.own[0].read_bytes()
+    waiting = [recipe.slave[0], *START, *(_imports(recipe.own[0].read_bytes()) if recipe.own else ())]
+    modules: dict[str, tuple[str, bytes]] = {}
+    while waiting:
+        name = waiting.pop()
+        if name in modules or not _is_carried(name, recipe.packages):
+            continue
+        if name in printed:
+            modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
+        elif (spec := _spec(name)) is not None and spec.origin is not None:
+            path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
+            # the framework's own __init__ is the whole command line, of which an FMU needs nothing
+            modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
+            waiting += [*_imports(modules[name][1]), name.rpartition(".")[0]]
+    yield "__init__.py", b""
+    yield from modules.values()
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """Return where a module is, None for a name within a module."""
+    try:
+        return find_spec(name)
+    except ModuleNotFoundError:
+        return None
+
+
+def _is_carried(module: str, packages: Sequence[str]) -> bool:
+    """Return whether a module goes into the FMU: of the recipe's packages, or a part of the framework for run time."""
+    if module == NOT_CARRIED or module.startswith(f"{NOT_CARRIED}."):
+        return False
+    inside = (*CARRIED, *packages)
+    return module == FRAMEWORK or any(module == name or module.startswith(f"{name}.") for name in inside)
+
+
+def _imports(source: bytes) -> Iterator[str]:
+    """Yield the names that a module imports, each as a module and as what stands in one."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
+    with zipfile.ZipFile(archive) as packed:
+        for name in sorted(packed.namelist()):
+            yield name, packed.read(name)
+    if (icon := ASSETS / "model.png").exists():
+        yield "model.png", icon.read_bytes()
+
+
+def write_zip(path: Path, members: dict[str, bytes]) -> None:
+    """An archive whose bytes hang on nothing but its members."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, EPOCH)
+            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            packed.writestr(info, members[name])
+
+
+def digest(members: dict[str, bytes], more: bytes) -> str:
+    """SHA-256 over names and contents."""
+    sha = hashlib.sha256()
+    for name in sorted(members):
+        sha.update(f"{name}\0{len(members[name])}\0".encode())
+        sha.update(members[name])
+    sha.update(more)
+    return sha.hexdigest()
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

@@ -1,0 +1,123 @@
+"""What pythonfmu leaves out of a model description: units, limits, dependencies, initial unknowns."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+
+from cosim.base.units import DISPLAY, unit_definitions
+from cosim.fmi.annotation import annotation
+from cosim.fmi.ports import Port
+from cosim.fmi.sampled import AUTHOR, sampled
+from cosim.model.traits import Traits
+
+LICENCE = "MIT"
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a model description says beside the variables' names and start values.
+
+    sampled: parameter that states the only communication step it takes [s], "" of one that takes any
+    law:     the control law that start values are designed for, "" for the designer's first; of what is sampled
+    """
+
+    description: str
+    ports: Sequence[Port]
+    dependencies: Mapping[str, Sequence[str]]
+    initial_dependencies: Mapping[str, Sequence[str]]
+    step: float
+    stop: float
+    variable_step: bool
+    traits: Traits | None = None
+    sampled: str = ""
+    law: str = ""
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Inputs that may stay unconnected."""
+        return tuple(port.name for port in self.ports if port.optional)
+
+
+# FMI's structured names, those in quotes apart: names joined by dots, perhaps with indices, or the derivative of one
+_PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
+STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
+
+
+def naming_convention(names: Iterable[str]) -> str:
+    """FMI's convention that every name keeps: `structured`, or `flat`, which takes any text."""
+    return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
+
+
+def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
+    """Model description with everything an engineer expects to find, from the one pythonfmu wrote."""
+    root = fromstring(xml)
+    root.attrib.pop("generationDateAndTime", None)  # two builds of one source are the same bytes
+    root.attrib |= {
+        "guid": guid,
+        "description": about.description,
+        "author": AUTHOR,
+        "version": version,
+        "license": LICENCE,
+        "copyright": AUTHOR,
+        "variableNamingConvention": naming_convention(port.name for port in about.ports),
+    }
+    capabilities = _child(root, "CoSimulation")
+    capabilities.attrib |= {
+        "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
+    experiment = Element(
+        "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
+    )
+    more = [] if about.traits is None else [annotation(about.traits)]
+    more += [sampled(about.sampled, about.optional, about.law)] if about.sampled else []
+    for element in (experiment, *more):
+        root.insert(list(root).index(_child(root, "ModelVariables")), element)
+    for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):
+        _complete_variable(variable, port)
+    root.remove(_child(root, "ModelStructure"))
+    root.append(_structure(about))
+    indent(root)
+    text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _complete_variable(variable: Element, port: Port) -> None:
+    """Unit, display unit and limits; start values with every digit (pythonfmu prints 16 of 17)."""
+    node = variable[0]
+    if port.kind != "Real":
+        return
+    if port.unit:
+        node.set("unit", port.unit)
+        if display := DISPLAY.get(port.unit):
+            node.set("displayUnit", display[0])
+    for name, limit in zip(("min", "max"), port.bounds, strict=True):
+        if math.isfinite(limit):
+            node.set(name, repr(float(limit)))
+    if "start" in node.attrib:
+        node.set("start", repr(float(port.start)))
+
+
+def _structure(about: Description) -> Element:
+    """ModelStructure: outputs and initial unknowns, each with what it really depends on."""
+    index = {port.name: str(k + 1) for k, port in enumerate(about.ports)}
+    structure = Element("ModelStructure")
+    for tag, dependencies in (("Outputs", about.dependencies), ("InitialUnknowns", about.initial_dependencies)):
+        group = SubElement(structure, tag)
+        for port in about.ports:
+            if port.causality == "output":
+                known = sorted((index[name] for name in dependencies[port.name]), key=int)
+                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(known))
+    return structure
+
+
+def _child(root: Element, tag: str) -> Element:
+    node = root.find(tag)
+    assert node is not None
+    return node

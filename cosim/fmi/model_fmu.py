@@ -1,0 +1,60 @@
+"""Any model as an FMI slave. Needs Python's standard library and pythonfmu's own module, nothing else."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pythonfmu.enums import Fmi2Status
+
+from cosim.fmi.ports import Value
+from cosim.fmi.slave import Slave, tuples
+from cosim.model.integrate import Moment, Stepper
+from cosim.model.model import Model
+
+
+class ModelSlave(Slave):
+    """Any `cosim.model.model.Model` as a slave. Dormant effects are left out when the parameters are fixed."""
+
+    model: ClassVar[Model]
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Build the model from what was set; what was not set follows from it, or from its defaults."""
+        starts = {name.removesuffix("_start"): v for name, v in given.items() if name.endswith("_start")}
+        signals = {q.name for q in self.model.inputs}
+        model = self.model.with_values(
+            {name: v for name, v in given.items() if not name.endswith("_start") and name not in signals}
+        )
+        self.stepper = Stepper(model)
+        self.warned = False
+        self.moment = self.stepper.start(self.start_time, starts)
+        for vr, (q, start) in enumerate(zip(model.inputs, model.start_command(), strict=True)):
+            if q.name not in given:
+                self.values[vr] = start
+        self._publish()
+
+    def advance(self, t: float, h: float) -> None:
+        """Integrate over the step; the host keeps the time."""
+        if not self.warned and (warning := self.stepper.model.warning(self.inputs)):
+            self.warned = True
+            self.log(f"at t = {t:g} s: {warning}", Fmi2Status.warning)
+        moment = Moment(t, self.moment.state, self.moment.memory)
+        try:
+            self.moment = self.stepper.step(moment, self.inputs, h)
+        except (ArithmeticError, ValueError) as error:  # math.sin of infinity, a float too large
+            model = self.stepper.model
+            values = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
+            largest, value = max(((q.name, v) for q, v in values), key=lambda pair: abs(pair[1]))
+            message = f"the state is not finite any more; largest before the step: {largest} = {value:g}"
+            raise ArithmeticError(message) from error
+        self._publish()
+
+    def snapshot(self) -> Any:
+        """Time, continuous state, memory."""
+        return [self.moment.t, self.moment.state, self.moment.memory]
+
+    def restore(self, snapshot: Any) -> None:
+        """Bit for bit."""
+        self.moment = Moment(*tuples(snapshot))
+
+    def _publish(self) -> None:
+        self.set_outputs(self.stepper.output(self.moment.t, self.moment.state, self.inputs))

@@ -1,0 +1,287 @@
+"""Whether what is printed of a model says what its Python says, at seeded random points: asked before it is compiled.
+
+A model may decide something while its equations are written down that it would decide otherwise where the numbers are
+known (a look-up of a parameter in a dictionary, a question which effects are there). No rule finds all such lines; two
+evaluations do.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+from cosim.fmi.native.printing import Printer, Unprintable
+from cosim.model.integrate import Stepper
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.namespaces import SCALAR
+from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.symbolic.blocks import function, places_of
+from cosim.model.symbolic.languages import Python
+from cosim.model.symbolic.trace import Trace
+
+TOLERANCE = 1e-9  # of max(1, |value|)
+POINTS, TRIES = 6, 18  # of each case; a point at which Python gives no number is drawn again
+Values = dict[str, float]
+DECIDED = (
+    "something is decided before the numbers are known (a look-up in a dictionary, int() or a Python branch on a "
+    "number): choose by m.where"
+)
+NOT_NEUTRAL = (
+    "its lines are not neutral at its neutral value, or the equations ask which effects there are: in C a dormant "
+    "effect is its lines at the neutral value"
+)
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where both are evaluated: every state, input and memory there can be, and parameters by FMI name."""
+
+    t: float
+    h: float
+    state: Sequence[float]
+    command: Sequence[float]
+    memory: Sequence[float]
+    values: Mapping[str, float | bool]
+
+
+class _Math:
+    """Functions of `math` that give nan or inf as C does, where Python's raise."""
+
+    def __getattr__(self, name: str) -> Any:
+        import numpy as np
+
+        return getattr(np, name, None) or getattr(math, name)
+
+
+class Printed:
+    """The blocks of one trace as functions of Python."""
+
+    def __init__(self, trace: Trace) -> None:
+        self.names = list(trace.s.parameters)
+        self.flags = [e.name for e in trace.effects]
+        places = places_of(trace, {name: f"p[{k}]" for k, name in enumerate(self.names)})
+        shaped = [*trace.shaped, *trace.remembered]
+        listed = (
+            ("derivatives", "t x u p", trace.blocks, trace.derivative),
+            ("outputs", "t x u p", trace.blocks, trace.outputs),
+            ("shape", "t h u memory p", trace.shaping, shaped),
+            ("remember", "t memory p", (), trace.started),
+        )
+        self._functions: dict[str, Any] = {"math": _Math()}
+        self._sizes = {name: len(results) for name, _, _, results in listed}
+        for name, arguments, blocks, results in listed:
+            exec(function(Python(), name, arguments, blocks, results, places), self._functions)
+
+    def values(self, name: str, at: Point, awake: set[str]) -> list[float]:
+        """What one of them gives with these effects awake."""
+        import numpy as np
+
+        given: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
+        given["p"] = [at.values[n] for n in self.names]
+        numbers = {k: np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for k, v in given.items()}
+        order = {"shape": "t h u memory p", "remember": "t memory p"}.get(name, "t x u p")
+        out = [math.nan] * self._sizes[name]
+        with np.errstate(all="ignore"):
+            self._functions[name](*(numbers[a] for a in order.split()), [n in awake for n in self.flags], out)
+        return [float(v) for v in out]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Which effects are awake, and how the switches are."""
+
+    awake: tuple[Any, ...]
+    switches: Mapping[str, bool]
+
+    @property
+    def words(self) -> str:
+        """The case in words."""
+        effects = f"{', '.join(e.name for e in self.awake)} awake" if self.awake else "every effect dormant"
+        return ", ".join([effects, *(f"{name} {str(on).lower()}" for name, on in self.switches.items())])
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where the two part: what of the model, its value in Python and as printed."""
+
+    case: Case
+    what: str
+    hook: str
+    python: float
+    printed: float
+
+
+class Check:
+    """A model, and what is printed of it."""
+
+    def __init__(self, model: Model, printer: Printer) -> None:
+        self.model, self.printer = model, printer
+        self.random = random.Random(0)
+
+    @cached_property
+    def printed(self) -> list[Printed]:
+        """One for each position of the switches, in the order of the printer."""
+        return [Printed(trace) for trace in self.printer.variants]
+
+    def run(self) -> None:
+        """Compare in every case; Unprintable with the first difference and its likely cure."""
+        kinds = self.model.catalogue
+        flags = list(product((False, True), repeat=len(self.printer.switches)))
+        awake = dict.fromkeys([(), *((kind,) for kind in kinds), kinds])
+        for some in awake:
+            for k, position in enumerate(flags):
+                case = Case(some, dict(zip(self.printer.switches, position, strict=True)))
+                if found := self.first(case, self.printed[k]):
+                    raise self.refusal(found, self.printed[k])
+
+    def first(self, case: Case, printed: Printed) -> Difference | None:
+        """The first difference in a case."""
+        done = 0
+        for k in range(TRIES):
+            at = self.point(case, k)
+            try:
+                both = [(w, hook, float(a), b) for w, hook, a, b in self.compared(case, at, printed)]
+            except (ArithmeticError, ValueError, TypeError):  # no point of the model's: no number, or a complex one
+                continue
+            for what, hook, python, other in both:
+                if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
+                    return Difference(case, what, hook, python, other)
+            done += 1
+            if done == POINTS:
+                break
+        return None
+
+    def compared(self, case: Case, at: Point, printed: Printed) -> Iterator[tuple[str, str, float, float]]:
+        """What is compared, the hook it comes from, its value in Python and as printed."""
+        names = {e.name for e in case.awake}
+        base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
+        stepper = Stepper(replace(self.model, effects=()).with_values(base))
+        listed = [q.name for q in self.printer.states]
+        acting = [q.name for q in stepper.model.states]
+        state = tuple(at.state[listed.index(name)] for name in acting)
+        command = tuple(at.command)
+        rates = dict.fromkeys(listed, 0.0)
+        rates |= zip(acting, stepper.derivative(at.t, state, command), strict=True)
+        ours = printed.values("derivatives", at, names)
+        for (name, rate), other in zip(rates.items(), ours, strict=True):
+            yield f"der({name})", "equations", rate, other
+        outputs = stepper.output(at.t, state, command)
+        for q, value, other in zip(self.model.outputs, outputs, printed.values("outputs", at, names), strict=True):
+            yield q.name, "equations", value, other
+        yield from self.shaped(stepper.model, at, names, printed)
+
+    def shaped(
+        self, model: Model, at: Point, names: set[str], printed: Printed
+    ) -> Iterator[tuple[str, str, float, float]]:
+        """The commands that act, what is remembered after that, and at the start; a delay is C of its own."""
+        command, place = tuple(at.command), 0
+        ours, begun = printed.values("shape", at, names), printed.values("remember", at, names)
+        awake = {e.name: e for e in model.awake}
+        for effect in overrides(self.printer.trace.effects, "shape", Effect):
+            if effect.delay:
+                continue
+            own = tuple(at.memory[place : place + len(effect.memory)])
+            if effect.name in awake:
+                start = awake[effect.name].remember(at.t, own)
+                command, after = awake[effect.name].shape(SCALAR, at.t, at.h, command, own)
+                for j, q in enumerate(effect.memory):
+                    told = f"{effect.name}.{q.name}, remembered"
+                    yield told, "shape", after[j], ours[len(command) + place + j]
+                    yield f"{told} at the start", "remember", start[j], begun[place + j]
+            place += len(effect.memory)
+        for q, value, other in zip(model.inputs, command, ours, strict=False):
+            yield f"{q.name}, as it acts", "shape", value, other
+
+    # -- points -------------------------------------------------------------------------------------
+
+    def point(self, case: Case, k: int) -> Point:
+        """A random point, at first with the parameters as they are; later ones lie nearer to the start."""
+        size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
+        around: Callable[[float], float] = lambda v: v + size * self.random.uniform(-1, 1) * max(1.0, abs(v))  # noqa: E731
+        values = {name: self.drawn(p, getattr(self.model, name), k) for name, p in self.own.items()}
+        for kind in self.model.catalogue:
+            awake = kind in case.awake
+            values |= {f"{kind.name}.{p.name}": self.of_effect(p, awake, k) for p in parameters_of(kind)}
+            for name, least in kind.at_least.items() if awake else ():
+                key = f"{kind.name}.{name}"
+                values[key] = max(values[key], values[f"{kind.name}.{least}"])
+        values |= case.switches
+        memory = [around(q.start) for _, q in self.printer.remembering]
+        state = [around(float(v)) for v in self.starts]
+        command = [around(float(v)) for v in self.model.start_command()]
+        substep = self.model.substep * self.random.uniform(0.1, 1.0)
+        return Point(self.random.uniform(0.0, 10.0), substep, state, command, memory, values)
+
+    @cached_property
+    def own(self) -> dict[str, Parameter]:
+        """Parameters of the model itself."""
+        return {p.name: p for p in self.model.parameters}
+
+    @cached_property
+    def starts(self) -> list[float]:
+        """Start value of every state there can be."""
+        given = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
+        return [given.get(q.name, q.start) for q in self.printer.states]
+
+    def drawn(self, p: Parameter, value: Any, k: int) -> Any:
+        """A value of a parameter of the model: as it is; within a tenth of that; a whole number within its bounds."""
+        low, high = p.bounds
+        if isinstance(value, bool) or k % POINTS == 0:
+            return value
+        if (
+            k in (POINTS - 2, POINTS - 1)
+            and math.isfinite(low)
+            and math.isfinite(high)
+            and math.ceil(low) <= math.floor(high)
+        ):
+            return float(self.random.randint(math.ceil(low), min(math.floor(high), math.ceil(low) + 3)))
+        return min(high, max(low, value * self.random.uniform(0.9, 1.1)))
+
+    def of_effect(self, p: Parameter, awake: bool, k: int) -> Any:
+        """A value of an effect's parameter."""
+        if isinstance(p.default, bool):
+            return p.default
+        if p.neutral is not None and not awake:
+            return p.neutral
+        low, high = p.bounds
+        around = p.default if p.neutral is None else p.typical if p.typical is not None else _apart(p)
+        return min(high, max(low, around * (1.0 if k == 0 else self.random.uniform(0.7, 1.3))))
+
+    # -- what to say --------------------------------------------------------------------------------
+
+    def refusal(self, found: Difference, printed: Printed) -> Unprintable:
+        """The difference in words, at the class that it seems to come from, with the likely cure."""
+        kinds, case = self.model.catalogue, found.case
+        text = f"{found.what} is {found.python:.9g} in Python and {found.printed:.9g} as printed, with {case.words}"
+        owner: type = type(self.model)
+        hook, cure = "equations", DECIDED
+        if len(case.awake) == 1:
+            (owner,), hook = case.awake, found.hook if found.hook != "equations" else ""
+        elif not case.awake and kinds and not self.first(Case(kinds, case.switches), printed):
+            cure = NOT_NEUTRAL
+            guilty = [kind for kind in kinds if self.parts(kind, case, printed)]
+            if len(guilty) == 1:
+                (owner,), hook = guilty, ""
+        return Unprintable(text, owner, hook, cure)
+
+    def parts(self, kind: type[Any], case: Case, printed: Printed) -> bool:
+        """Whether they differ while this effect alone is dormant."""
+        others = tuple(k for k in self.model.catalogue if k is not kind)
+        return self.first(Case(others, case.switches), printed) is not None
+
+
+def _apart(p: Parameter) -> float:
+    """A value that is not the neutral one."""
+    neutral = p.neutral or 0.0
+    high = p.bounds[1] if math.isfinite(p.bounds[1]) else neutral + 1.0
+    return neutral + 0.5 * (high - neutral) if high > neutral else neutral - 1.0
+
+
+def check(model: Model, printer: Printer) -> None:
+    """Compare what is printed of a model with its Python; Unprintable where they differ."""
+    Check(model, printer).run()

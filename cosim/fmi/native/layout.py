@@ -1,0 +1,95 @@
+"""The variables of a native FMU by value reference, and what depends on what: of it both descriptions are made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from cosim.fmi.model_description import Description
+from cosim.fmi.native.printing import Printer
+from cosim.fmi.ports import Port, model_ports
+from cosim.model.quantities import Quantity
+
+Role = Literal["port", "state", "derivative", "memory", "indicator"]
+
+
+@dataclass(frozen=True)
+class Local:
+    """A variable that only a native FMU has; state: place of the state that a derivative is of."""
+
+    name: str
+    role: Role
+    unit: str
+    doc: str
+    state: int = -1
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A port, and then a local variable, has its place as value reference.
+
+    dependencies: output or derivative → inputs and states it depends on, by name
+    """
+
+    about: Description
+    locals: tuple[Local, ...] = ()
+    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    indicators: int = 0
+
+    @property
+    def ports(self) -> Sequence[Port]:
+        """The variables that the FMU in Python has too, with the same value references."""
+        return self.about.ports
+
+    def of(self, role: Role) -> list[tuple[int, Local]]:
+        """Local variables of a role with their value references."""
+        return [(len(self.ports) + k, v) for k, v in enumerate(self.locals) if v.role == role]
+
+
+def per_second(unit: str) -> str:
+    """The unit of a derivative."""
+    return f"{unit}2" if unit.endswith("/s") else f"{unit if unit != '1' else ''}/s" if unit not in ("", "1") else "1/s"
+
+
+def model_layout(printer: Printer, about: Description, indicators: int) -> Layout:
+    """Of a model of equations: states, derivatives, what effects remember, and after them the event indicators."""
+    if list(about.ports) != list(model_ports(printer.model)):
+        raise ValueError("the description is of another model")
+    names = [q.name for q in printer.states]
+    states = [Local(f"{q.name}_state", "state", q.unit, f"state: {q.doc}", k) for k, q in enumerate(printer.states)]
+    rates = [_rate(q, k) for k, q in enumerate(printer.states)]
+    memory = [
+        Local(f"{e.name}.{q.name}_memory", "memory", q.unit, f"remembered: {q.doc}") for e, q in printer.remembering
+    ]
+    kinks = [
+        Local(f"event_indicator_{k + 1}", "indicator", "", "passes through zero at a kink") for k in range(indicators)
+    ]
+    return Layout(about, (*states, *rates, *memory, *kinks), _dependencies(printer, names), indicators)
+
+
+def _rate(q: Quantity, k: int) -> Local:
+    return Local(f"der({q.name}_state)", "derivative", per_second(q.unit), f"derivative: {q.doc}", k)
+
+
+def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]]:
+    """Inputs and states that each output and derivative depends on, whatever is awake and however the switches are."""
+    found: dict[str, set[str]] = {}
+    for trace in printer.variants:
+        known: dict[Any, str] = {s: f"{n}_state" for s, n in zip(trace.s.state, names, strict=True)}
+        known |= {s: q.name for s, q in zip(trace.s.command, printer.model.inputs, strict=True)}
+        reach: dict[Any, set[str]] = {s: {n} for s, n in known.items()}
+        for block in (*trace.shaping, *trace.blocks):
+            for values in (block.values, block.dormant):
+                for symbol, e in values.items():
+                    reach.setdefault(symbol, set()).update(*(reach.get(s, set()) for s in e.free_symbols))
+        acting = {q.name: s for q, s in zip(printer.model.inputs, trace.shaped, strict=True)}
+        outputs = {q.name: e for q, e in zip(printer.model.outputs, trace.outputs, strict=True)}
+        rates = {f"der({n}_state)": e for n, e in zip(names, trace.derivative, strict=True)}
+        for name, e in {**outputs, **rates}.items():
+            direct = set().union(*(reach.get(s, set()) for s in e.free_symbols))
+            if name in rates:  # the command that acts on them is shaped
+                shaped = {n for n in direct if n in acting}
+                direct |= set().union(*(reach.get(acting[n], set()) for n in shaped))
+            found.setdefault(name, set()).update(direct)
+    return {name: sorted(direct) for name, direct in found.items()}

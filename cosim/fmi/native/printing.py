@@ -1,0 +1,330 @@
+"""A model as C: its body by the one generator, and the tables that equations.c goes by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+from cosim.fmi.ports import Port
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.quantities import parameters_of
+from cosim.model.symbolic.blocks import function, kinks, nearby, places_of, tangent
+from cosim.model.symbolic.languages import C
+from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
+from cosim.model.symbolic.tracing_guard import guarded
+from cosim.storage.cache import fingerprint, kept
+
+MOST_SWITCHES = 4  # each doubles what is printed
+LANGUAGE = C()
+Printed = tuple[str, str, str]  # name, arguments, text
+
+
+class Unprintable(ValueError):
+    """A model that cannot be C, and why.
+
+    owner, hook: the class at fault and what of it, where that is known; cure: what to do about it
+    """
+
+    def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
+        super().__init__(text)
+        self.owner, self.hook, self.cure = owner, hook, cure
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is printed of a model: `model.c`, and the definitions of `config.h`."""
+
+    body: str
+    sizes: Mapping[str, object]
+
+
+def quoted(text: str) -> str:
+    """A string of C; what is not ASCII in octal."""
+    escaped = "".join(c if c.isascii() and c.isprintable() and c not in '"\\?' else _octal(c) for c in text)
+    return f'"{escaped}"'
+
+
+def _octal(character: str) -> str:
+    return "".join(f"\\{byte:03o}" for byte in character.encode())
+
+
+def number(value: float) -> str:
+    """A double of C, to the last bit."""
+    text = repr(float(value))
+    return {"inf": "INFINITY", "-inf": "-INFINITY"}.get(text, text)
+
+
+def table(kind: str, name: str, rows: Iterable[str]) -> str:
+    """A constant table, never empty: C has no arrays of nothing."""
+    listed = list(rows)
+    inner = "".join(f"    {row},\n" for row in listed) or "    0,\n"
+    return f"static const {kind} {name}[] = {{\n{inner}}};\n"
+
+
+def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
+    """The tables `variables` and `texts`, and how many texts there are."""
+    rows: list[str] = []
+    texts: list[str] = []
+    for port in ports:
+        start = number(port.start) if not isinstance(port.start, str) else f"{len(texts)}.0"
+        if isinstance(port.start, str):
+            texts.append(quoted(port.start))
+        low, high = map(number, port.bounds)
+        kind, causality = port.kind.upper(), port.causality.upper()
+        rows.append(f"{{{quoted(port.name)}, {quoted(port.unit)}, {kind}, {causality}, {start}, {low}, {high}}}")
+    filled = [*rows, '{"", "", REAL, PARAMETER, 0.0, 0.0, 0.0}'], [*texts, '""']
+    return (
+        table("Variable", "variables", filled[0]).replace("[]", "[VARIABLES + 1]", 1)
+        + table("char *const", "texts", filled[1]).replace("[]", "[TEXTS + 1]", 1),
+        len(texts),
+    )
+
+
+class Printer:
+    """One model, printed: for each position of its switches a body of its own, chosen at run time."""
+
+    def __init__(self, model: Model, ports: Sequence[Port]) -> None:
+        self.model, self.ports = model, ports
+        self.place = {port.name: k for k, port in enumerate(ports)}
+        self.switches = switches(model)
+        if len(self.switches) > MOST_SWITCHES:
+            named, most = ", ".join(self.switches), MOST_SWITCHES
+            text = f"{len(self.switches)} parameters are true or false ({named}); {most} are printed at most"
+            cure = "make the rest numbers that m.where looks at, or constants of the class"
+            raise Unprintable(text, type(model), self.switches[most].rpartition(".")[2], cure)
+        positions = product((False, True), repeat=len(self.switches))
+        try:
+            self.variants = [Trace.of(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
+        except Untraceable as error:
+            raise Unprintable(str(error), error.owner, error.hook, error.cure) from error
+        self.trace = self.variants[0]
+
+    # -- sizes and places -----------------------------------------------------------------------
+
+    @property
+    def states(self) -> tuple[Any, ...]:
+        """Every state there can be: those of the model, then those of its whole catalogue."""
+        states: tuple[Any, ...] = self.trace.s.model.states
+        return states
+
+    @cached_property
+    def delay(self) -> Any:
+        """The effect by which the command is late, or None."""
+        return next((e for e in overrides(self.trace.effects, "shape", Effect) if e.delay), None)
+
+    @cached_property
+    def remembering(self) -> list[tuple[Any, Any]]:
+        """(effect, quantity) of what effects remember, a delay apart."""
+        shaping = overrides(self.trace.effects, "shape", Effect)
+        return [(e, q) for e in shaping if not e.delay for q in e.memory]
+
+    def vr(self, name: str) -> int:
+        """Value reference of a variable."""
+        return self.place[name]
+
+    def sources(self) -> Sources:
+        """All that is printed."""
+        tables, texts = variable_tables(self.ports)
+        functions, body_kinks, kinks_in_all, calls = kept(self._said(), self._functions)
+        parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._kinds_of_effects()]
+        delay = self.trace.effects.index(self.delay) if self.delay else -1
+        sizes = {
+            "VARIABLES": len(self.ports),
+            "TEXTS": texts,
+            "INPUTS": len(self.model.inputs),
+            "OUTPUTS": len(self.model.outputs),
+            "STATES": len(self.states),
+            "MEMORIES": len(self.remembering),
+            "OWN": len(self.states) + len(self.remembering) + 2 * len(self.model.inputs),
+            "EFFECTS": len(self.trace.effects),
+            "RANGES": len(self.model.valid),
+            "BODY_KINKS": body_kinks,
+            "KINKS": kinks_in_all,
+            "NEAR": calls,
+            "DELAY": delay,
+            "DELAY_TIME": self.vr(f"{self.delay.name}.{self.delay.delay}") if self.delay else 0,
+            "DELAY_LONGEST": number(_longest(self.delay)) if self.delay else "0.0",
+            "SHAPING": int(bool(overrides(self.trace.effects, "shape", Effect))),
+            "SUBSTEP": number(self.model.substep),
+            "EXCHANGE": 1,
+        }
+        return Sources("\n".join(parts), sizes)
+
+    # -- functions ------------------------------------------------------------------------------
+
+    def _said(self) -> str:
+        """All that the functions are made of, expressions to the last bit."""
+        from sympy import srepr
+
+        def blocks(listed: Sequence[Block]) -> list[Any]:
+            return [(srepr(list(b.values.items())), srepr(list(b.dormant.items())), b.effect, b.title) for b in listed]
+
+        made: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
+        for trace in self.variants:
+            ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory)
+            symbols = (trace.s.time, trace.step, *trace.s.state, *trace.s.command)
+            places = [(name, self.vr(name), srepr(s)) for name, s in trace.s.parameters.items()]
+            remembering = [bool(e.memory) for e in trace.effects]
+            made.append([blocks(trace.blocks), blocks(trace.shaping), *map(srepr, (*ends, list(symbols)))])
+            made.append([places, remembering])
+        return repr((made, [self.vr(name) for name in self.switches]))
+
+    def _functions(self) -> tuple[list[str], int, int, int]:
+        """Return the body, its kinks and slopes; the numbers of the body's kinks, of all kinks, and of calls nearby."""
+        gaps = [self._kinks(trace) for trace in self.variants]
+        sizes = [max(len(found[k][1]) for found in gaps) for k in (0, 1)]
+        calls = [nearby(trace.blocks, trace.derivative) for trace in self.variants]
+        printed = [self._variant(*of, sizes) for of in zip(self.variants, gaps, calls, strict=True)]
+        merged = [self._merged([variant[k] for variant in printed]) for k in range(len(printed[0]))]
+        return merged, sizes[0], sum(sizes), max(len(listed) for _, _, listed in calls)
+
+    @staticmethod
+    def _kinks(trace: Trace) -> tuple[tuple[list[Any], list[Any]], tuple[list[Any], list[Any]]]:
+        """Of the body, and of what acts on a command at once: what remembers moves at events alone."""
+        moving = {*trace.s.state, *trace.s.command, trace.s.time}
+        at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
+        seen = {*moving, *(s for b in trace.shaping for s in b.values)}
+        return kinks(trace.blocks, [*trace.derivative, *trace.outputs], moving), kinks(at_once, [], seen)
+
+    def _variant(self, trace: Trace, gaps: Any, near: Any, sizes: Sequence[int]) -> list[Printed]:
+        import sympy
+
+        s = trace.s
+        direction = {symbol: sympy.Symbol(f"slope:{symbol}", real=True) for symbol in (*s.state, *s.command)}
+        values = {name: f"p[{self.vr(name)}]" for name in s.parameters}
+        places = places_of(trace, values)
+        places |= {d: f"d{places[symbol]}" for symbol, d in direction.items()}
+        slope_blocks, slopes = tangent(trace.blocks, [*trace.derivative, *trace.outputs], direction)
+        shape_blocks, shape_slopes = tangent(trace.shaping, trace.shaped, {u: direction[u] for u in s.command})
+        (body_kinks, body_gaps), (shape_kinks, shape_gaps) = gaps
+        filled = [[*g, *[sympy.Integer(1)] * (n - len(g))] for g, n in zip((body_gaps, shape_gaps), sizes, strict=True)]
+        body, shaping, n = trace.blocks, trace.shaping, len(trace.derivative)
+        listed: list[tuple[str, str, list[Any], list[Any]]] = [
+            ("outputs", "t x u p", body, trace.outputs),
+            ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered]),
+            ("remember", "t memory p", [], trace.started),
+            ("indicators", "t x u p", [*body, *body_kinks], filled[0]),
+            ("shape_indicators", "t h u memory p", [*shaping, *shape_kinks], filled[1]),
+            ("derivative_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[:n]),
+            ("output_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[n:]),
+            ("shape_slopes", "t h u memory p dx du", [*shaping, *shape_blocks], shape_slopes),
+        ]
+        try:
+            name, arguments = "derivatives", "t x u p near"
+            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, near[2])
+            rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
+            return [derivatives, *rest]
+        except ValueError as error:
+            raise Unprintable(str(error)) from error
+
+    def _merged(self, variants: Sequence[Printed]) -> str:
+        """One function, which takes the variant that the switches say."""
+        name, arguments, text = variants[0]
+        if all(other == text for _, _, other in variants):
+            return text
+        head, call = text.partition("\n")[0], ", ".join([*arguments.split(), "awake", "out"])
+        own = [t.replace(f"static void {name}(", f"static void {name}_{k}(", 1) for k, (_, _, t) in enumerate(variants)]
+        # the order of `product`: the last switch counts least
+        places = [self.vr(switch) for switch in self.switches]
+        bits = " | ".join(f"(p[{vr}] != 0.0) << {k}" for k, vr in enumerate(reversed(places)))
+        cases = "".join(f"    case {k}: {name}_{k}({call}); break;\n" for k in range(len(variants)))
+        return "\n".join(own) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
+
+    def _starts(self) -> str:
+        """Start values that follow from parameters, unless the host has set them."""
+        import sympy
+
+        m, own = SymbolNamespace(), self.trace.s.model
+        with guarded():
+            state, inputs = own.start_state(m), own.start_input()
+        if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
+            raise Unprintable("start values that a switch decides")
+        printer = LANGUAGE.printer(places_of(self.trace, {n: f"p[{self.vr(n)}]" for n in self.trace.s.parameters}))
+
+        def line(target: str, value: Any) -> str:
+            return f"    {target} = {printer.doprint(sympy.sympify(value))};\n"
+
+        starting = {q.name: inputs.get(q.name, q.start) for q in own.inputs}
+        base = {q.name for q in own.base_states}
+        text = "".join(
+            line(f"x[{k}]", state.get(q.name, q.start) if q.name in base else q.start)
+            for k, q in enumerate(self.states)
+        )
+        text += "".join(
+            line(f"memory[{k}]", starting.get(q.name, q.start)) for k, (_, q) in enumerate(self.remembering)
+        )
+        text += "".join(line(f"u[{k}]", value) for k, value in enumerate(starting.values()))
+        if self.delay:
+            text += "".join(line(f"late[{k}]", starting.get(q.name, q.start)) for k, q in enumerate(self.delay.memory))
+        unused = "(void)p, (void)x, (void)memory, (void)u, (void)late;"
+        head = "static void starts(const double *p, double *x, double *memory, double *u, double *late)"
+        return f"{head}\n{{\n    {unused}\n{text}}}\n"
+
+    def _wake(self) -> str:
+        """Which effects act: those with a parameter that is not neutral."""
+        lines = []
+        for k, effect in enumerate(self.trace.effects):
+            known = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
+            tests = [f"p[{vr}] != {number(neutral)}" for vr, neutral in known if neutral is not None]
+            lines.append(f"    awake[{k}] = {' || '.join(tests) or '0'}; /* {effect.name} */\n")
+        head = "static void wake(const double *p, unsigned char *awake)"
+        return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
+
+    def _kinds_of_effects(self) -> str:
+        """Whether one that remembers is awake; the name of one awake that goes by the length of substeps."""
+        remembering = {e.name for e, _ in self.remembering}
+        uses: dict[int, set[Any]] = {
+            block.effect: {s for e in block.values.values() for s in e.free_symbols}
+            for block in self.trace.shaping
+            if block.effect is not None
+        }
+        clock = {self.trace.step, self.trace.s.time}
+        counting = [
+            (k, self.trace.effects[k].name)
+            for k, symbols in uses.items()
+            if self.trace.step in symbols or (self.trace.effects[k].name in remembering and clock & symbols)
+        ]
+        places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
+        return (
+            "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
+            f"    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
+            "static const char *counting(const unsigned char *awake)\n{\n    (void)awake;\n"
+            + "".join(f"    if (awake[{k}]) return {quoted(name)};\n" for k, name in counting)
+            + "    return NULL;\n}\n"
+        )
+
+    # -- tables ---------------------------------------------------------------------------------
+
+    def _tables(self) -> str:
+        places: Callable[[Iterable[str]], list[str]] = lambda names: [str(self.vr(n)) for n in names]  # noqa: E731
+        delayed = [f"{self.delay.name}.{q.name}_start" for q in self.delay.memory] if self.delay else []
+        if self.delay and len(delayed) != len(self.model.inputs):
+            raise Unprintable(
+                f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}"
+            )
+        inputs = {q.name: k for k, q in enumerate(self.model.inputs)}
+        listed = [str(inputs[name]) for v in self.model.valid for name in v.inputs]
+        ranges, first = [], 0
+        for v in self.model.valid:
+            limits = f"{number(v.low)}, {number(v.high)}"
+            ranges.append(f"{{{quoted(v.quantity)}, {first}, {len(v.inputs)}, {limits}, {quoted(v.beyond)}}}")
+            first += len(v.inputs)
+        return "".join(
+            (
+                table("char *const", "STATE_NAME", [quoted(q.name) for q in self.states]),
+                table("int", "STATE_START", places(f"{q.name}_start" for q in self.states)),
+                table("int", "MEMORY_START", places(f"{e.name}.{q.name}_start" for e, q in self.remembering)),
+                table("int", "DELAY_START", places(delayed)),
+                table("int", "RANGE_INPUT", listed) + table("Range", "RANGE", ranges) if ranges else "",
+            )
+        )
+
+
+def _longest(delay: Any) -> float:
+    """The longest delay there can be [s]."""
+    declared = next(p for p in parameters_of(delay) if p.name == delay.delay)
+    return float(getattr(delay, "longest", declared.bounds[1]))

@@ -1,0 +1,77 @@
+"""FMI variables as data: what a slave registers at run time and the model description prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from cosim.model.model import Model
+from cosim.model.quantities import INFINITY, Parameter, Quantity, parameters_of
+
+Value = float | bool | str
+Kind = Literal["Real", "Boolean", "String"]
+Causality = Literal["input", "output", "parameter"]
+
+
+@dataclass(frozen=True)
+class Port:
+    """One FMI variable. Its place in the tuple of ports is its value reference.
+
+    optional: an input that may stay unconnected; where it does, it is neither recorded nor told
+    """
+
+    name: str
+    causality: Causality
+    start: Value
+    unit: str = ""
+    doc: str = ""
+    bounds: tuple[float, float] = (-INFINITY, INFINITY)
+    optional: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """FMI type, by the type of the start value."""
+        return "Boolean" if isinstance(self.start, bool) else "String" if isinstance(self.start, str) else "Real"
+
+
+def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
+    """Port of a declared parameter."""
+    return Port(prefix + p.name, "parameter", start, p.unit, p.doc, p.bounds)
+
+
+def quantity_port(q: Quantity, causality: Causality, start: float | None = None, name: str | None = None) -> Port:
+    """Port of an input, an output or, as a parameter, of a start value."""
+    return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc)
+
+
+def model_ports(model: Model) -> tuple[Port, ...]:
+    """All variables of a model: inputs first, then outputs, parameters, effects and start values."""
+    return (*_signals(model), *_parameters(model), *_starts(model))
+
+
+def _signals(model: Model) -> Iterator[Port]:
+    for q, start in zip(model.inputs, model.start_command(), strict=True):
+        yield quantity_port(q, "input", start)
+    for q in model.outputs:
+        yield quantity_port(q, "output")
+
+
+def _parameters(model: Model) -> Iterator[Port]:
+    for p in model.parameters:
+        yield parameter_port(p, getattr(model, p.name))
+    present: dict[type, Any] = {type(e): e for e in model.effects}
+    for kind in model.catalogue:
+        effect = present.get(kind) or kind()
+        for p in parameters_of(kind):
+            yield parameter_port(p, getattr(effect, p.name), f"{kind.name}.")
+
+
+def _starts(model: Model) -> Iterator[Port]:
+    own, command = model.start_state(), dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
+    for q in model.base_states:
+        yield Port(f"{q.name}_start", "parameter", own.get(q.name, q.start), q.unit, f"start value: {q.doc}")
+    for kind in model.catalogue:
+        for q in (*kind.states, *kind.memory):
+            start = command.get(q.name, q.start) if q in kind.memory else q.start
+            yield Port(f"{kind.name}.{q.name}_start", "parameter", start, q.unit, f"start value: {q.doc}")

@@ -1,0 +1,219 @@
+"""The part of an FMI slave that is the same for every FMU of ours: variables, phases, guards, state.
+
+pythonfmu turns an exception into fmi2Fatal with its text in the log, and anything softer into a
+Discard that most hosts swallow. A guard therefore raises.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from pythonfmu import Boolean, Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real, String
+
+from cosim.fmi.ports import Kind, Port, Value
+from cosim.fmi.state import to_bytes
+
+INSTANTIATED, INITIALIZATION, STEP = "instantiated", "initialization", "step"
+TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
+
+
+def tuples(value: Any) -> Any:
+    """Lists, at any depth, as tuples: JSON knows no tuples and the integrator no lists."""
+    return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
+
+
+def loggable(error: Exception) -> Exception:
+    """The error with its text fit for FMI's logger, which takes a message for a format of C's printf."""
+    return RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%"))
+
+
+class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
+    """Values by value reference. A subclass gives `ports`, `initialize`, `advance`, `snapshot`, `restore`."""
+
+    ports: ClassVar[tuple[Port, ...]]
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.modelName = type(self).__name__
+        # the module bears the content's name, so a state of another build is recognised
+        self.identity = f"{type(self).__module__}.{self.modelName}"
+        self.values: list[Value] = [p.start for p in self.ports]
+        self.given: set[int] = set()
+        self.phase = INSTANTIATED
+        self.current = False
+        self.start_time = 0.0
+        self.input_count = sum(p.causality == "input" for p in self.ports)
+        self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
+        for port in self.ports:
+            self.register_variable(self._variable(port))
+
+    # -- what a subclass says -----------------------------------------------------------------
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Set up from what the host has set, by name, and write `outputs`; called whenever a value changed."""
+        raise NotImplementedError
+
+    def advance(self, t: float, h: float) -> None:
+        """Step from `t` to `t + h` [s] with the inputs held, and write `outputs`."""
+        raise NotImplementedError
+
+    def snapshot(self) -> Any:
+        """What decides the future beside the variables' values, as JSON knows it."""
+        raise NotImplementedError
+
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a snapshot."""
+        raise NotImplementedError
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """Inputs in order."""
+        return tuple(self.values[: self.input_count])
+
+    def set_outputs(self, outputs: tuple[float, ...] | list[float]) -> None:
+        """Publish the outputs; a value that is not finite ends the run."""
+        if not math.isfinite(sum(outputs)):
+            for port, value in zip(self.ports[self.output_slice], outputs, strict=True):
+                if not math.isfinite(value):
+                    raise ArithmeticError(f"{port.name} is {value}")
+        self.values[self.output_slice] = outputs
+
+    # -- FMI ----------------------------------------------------------------------------------
+
+    def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
+        self.start_time = start_time
+
+    def enter_initialization_mode(self) -> None:
+        self.phase, self.current = INITIALIZATION, False
+
+    def exit_initialization_mode(self) -> None:
+        self._refresh()
+        self.phase = STEP
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        if self.phase is not STEP:
+            raise RuntimeError(f"a step while {self.phase}; end initialization first")
+        if not (0.0 < step_size < math.inf and math.isfinite(current_time)):
+            raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
+        try:
+            self.advance(current_time, step_size)
+        except Exception as error:
+            # pythonfmu loses the exception's text where messages still wait to be handed over
+            self.log_queue.clear()
+            raise loggable(error) from error
+        return True
+
+    def log(self, msg: str, *arguments: Any, **options: Any) -> None:
+        super().log(msg.replace("%", "%%"), *arguments, **options)
+
+    def get_real(self, vrs: list[int]) -> list[Any]:
+        if self.phase is INITIALIZATION:
+            self._refresh()
+        if max(vrs, default=0) >= self.output_slice.stop:
+            self._check_kind(vrs, "Real")
+        values = self.values
+        return [values[vr] for vr in vrs]
+
+    def get_boolean(self, vrs: list[int]) -> list[Any]:
+        self._check_kind(vrs, "Boolean")
+        return [self.values[vr] for vr in vrs]
+
+    def get_string(self, vrs: list[int]) -> list[Any]:
+        self._check_kind(vrs, "String")
+        return [self.values[vr] for vr in vrs]
+
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        for vr, value in zip(vrs, values):  # noqa: B905 - hot loop
+            if value - value != 0.0:
+                raise ValueError(f"{self.ports[vr].name} is set to {value}; it is a finite number")
+            if vr >= self.input_count:
+                self._check_settable(vr, "Real")
+            self.values[vr] = value
+        if self.phase is not STEP:
+            self._mark(vrs)
+
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        self._set_parameters(vrs, values, "Boolean")
+
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        self._set_parameters(vrs, values, "String")
+
+    def _get_fmu_state(self) -> dict[str, Any]:
+        return {
+            "model": self.identity,
+            "phase": self.phase,
+            "start_time": self.start_time,
+            "values": list(self.values),
+            "given": sorted(self.given),
+            "current": self.current,
+            "own": self.snapshot() if self.phase is STEP else None,
+        }
+
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        if state.get("model") != self.identity:
+            raise ValueError("this FMU state is of another FMU")
+        # the phase by identity, as the guards compare it
+        self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
+        self.start_time, self.given = state["start_time"], set(state["given"])
+        self.current = state["current"] and self.phase is STEP
+        if self.phase is STEP:
+            self.values = list(state["values"])
+            self.initialize(self._given())
+            self.restore(state["own"])
+        self.values = list(state["values"])
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
+        return to_bytes(state)
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _given(self) -> dict[str, Value]:
+        return {self.ports[vr].name: self.values[vr] for vr in self.given}
+
+    def _refresh(self) -> None:
+        if not self.current:
+            try:
+                self.initialize(self._given())
+            except Exception as error:
+                raise loggable(error) from error
+            self.current = True
+
+    def _mark(self, vrs: list[int]) -> None:
+        self.given.update(vrs)
+        self.current = False
+
+    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
+        for vr, value in zip(vrs, values, strict=True):
+            self._check_settable(vr, kind)
+            self.values[vr] = value
+        self._mark(vrs)
+
+    def _check_kind(self, vrs: list[int], kind: Kind) -> None:
+        for vr in vrs:
+            if self.ports[vr].kind != kind:
+                raise TypeError(f"{self.ports[vr].name} is {self.ports[vr].kind}, not {kind}")
+
+    def _check_settable(self, vr: int, kind: Kind) -> None:
+        self._check_kind([vr], kind)
+        port = self.ports[vr]
+        if port.causality == "output":
+            raise ValueError(f"{port.name} is an output")
+        if self.phase is STEP and port.causality == "parameter":
+            raise ValueError(f"{port.name} is a fixed parameter; set it before the end of initialization")
+
+    def _variable(self, port: Port) -> Any:
+        vr = len(self.vars)
+        fixed = Fmi2Variability.fixed if port.causality == "parameter" else None
+        discrete = Fmi2Variability.discrete if port.kind != "Real" and fixed is None else None
+        initial = {"output": Fmi2Initial.calculated, "parameter": Fmi2Initial.exact}.get(port.causality)
+        return TYPES[port.kind](
+            port.name,
+            causality=Fmi2Causality[port.causality],
+            variability=fixed or discrete or Fmi2Variability.continuous,
+            initial=initial,
+            description=port.doc,
+            getter=lambda: self.values[vr],
+        )

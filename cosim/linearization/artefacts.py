@@ -1,0 +1,18 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+
+ARTEFACTS = (
+    Artefact(
+        "an answer of `cosim linearize`",
+        "the linear.py beside it loads it in Python; `cosim linearize MODEL` makes one",
+        keys=(frozenset({"schema_version", "states", "models"}),),
+        verb="cosim linearize",
+        marks=("linear.json",),
+        folder="the folder of a linearisation",
+        folder_step="its report.html opens in a browser, its linear.py loads it in Python",
+        sources=("model",),
+    ),
+)

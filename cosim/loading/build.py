@@ -1,0 +1,47 @@
+"""The FMUs of a model: what `cosim build` makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.settings import ModelName
+from cosim.loading.file import meant_model
+from cosim.loading.substep import with_substep
+from cosim.storage.files import FilePath, check_folder, named_path
+from cosim.storage.folder_lock import folder_locks
+
+
+@folder_locks()
+def build(
+    folder: FilePath,
+    model: ModelName | None = None,
+    *,
+    nearest: bool = False,
+    native: bool = False,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+) -> list[Path]:
+    """Build in `folder` the FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, all there are.
+
+    nearest: of the model that came nearest in the refine that is named
+    native:  compiled, of a version of FMI, for platforms (without one, this machine's). Raises InputError.
+    """
+    from cosim.fmi.fmu_build import build as build_fmu
+
+    folder = named_path(folder)
+    check_folder(folder)
+    if native:
+        from cosim.loading.build_native import build_native
+
+        return [fmu.path for fmu in build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms)]
+
+    if model is None and not nearest:
+        recipes = {name: resolve(recipe)() for name, recipe in model_entry().built.items()}
+    else:
+        loaded, _ = with_substep(meant_model(model, nearest=nearest))
+        recipes = {"plant.fmu": loaded.recipe()}
+        if is_model(loaded.source):
+            recipes |= {name: resolve(recipe)() for name, recipe in model_entry(loaded.source).beside.items()}
+    return [build_fmu(recipe, folder / name) for name, recipe in recipes.items()]

@@ -1,0 +1,162 @@
+"""The native FMUs of a model: what `cosim build --native` makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.scratch import temporary_folder
+from cosim.loading.file import LoadedModel, meant_model
+from cosim.loading.source import Source
+from cosim.loading.substep import with_substep
+from cosim.model.model import Model
+from cosim.storage.files import FilePath, check_folder, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.yaml_file import did_you_mean
+
+if TYPE_CHECKING:
+    from cosim.fmi.native.package import Built, Native
+
+SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
+
+
+@dataclass(frozen=True)
+class NativeFmu:
+    """An archive that was built, and by platform the oldest glibc it runs on, "" where there is none."""
+
+    path: Path
+    floors: Mapping[str, str]
+
+    @property
+    def sentence(self) -> str:
+        """What was built, and where it runs."""
+        places = (f"{name} (glibc {floor} or later)" if floor else name for name, floor in self.floors.items())
+        return f"built {self.path} for {', '.join(places)}"
+
+
+@folder_locks()
+def build_native(
+    folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
+) -> list[NativeFmu]:
+    """Build in `folder` the native FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, of base.
+
+    fmi: 2 or 3; platforms: names, without one this machine's. Raises InputError, and then nothing is written.
+    """
+    from cosim.fmi.native.package import build_native as build_fmu
+
+    folder = named_path(folder)
+    check_folder(folder)
+    _check_platforms(platforms)
+    if fmi not in SUFFIX:
+        raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
+    _check_compiler(platforms)
+    loaded, _ = with_substep(meant_model(model, nearest=nearest))
+    made = dict(_natives(loaded))
+
+    def make(name: str, draft: Path) -> Built:
+        return build_fmu(made[name], draft, fmi, platforms)
+
+    return _all_or_none(folder, {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
+
+
+def class_fmu(loaded: LoadedModel, path: Path) -> Path:
+    """The native FMU of the class of a model: its declared defaults and the substep, whatever the model's values are.
+
+    So its library is the same for every value, and compiled once. InputError says why there is none.
+    """
+    from cosim.fmi.native.compiler import CompilerFailed
+    from cosim.fmi.native.package import build_native as build_fmu
+
+    _check_compiler(())
+    kept, substep = _of_class.setdefault(type(loaded.model), {}), loaded.model.chosen_substep
+    key = loaded.source, substep
+    if key not in kept:
+        bare = type(loaded.model)().with_substep(substep)
+        _, kept[key] = next(_natives(LoadedModel(bare, loaded.source)))
+    native = kept[key]
+    try:
+        return build_fmu(native, path).path
+    except CompilerFailed as error:
+        raise InputError([_failed(error)]) from None
+
+
+# printed and compared with its Python once in a process, by class, source and substep
+_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None], Native]] = WeakKeyDictionary()
+
+
+def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
+    """The plant, and what is built with any model of a known name."""
+    from cosim.fmi.native.package import native_model
+    from cosim.fmi.native.printing import Unprintable
+
+    kind = type(loaded.model).__name__
+    try:
+        yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
+    except (Unprintable, TypeError, AttributeError) as error:
+        raise InputError([_unprintable(loaded, error)]) from error
+    for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
+        yield name, resolve(recipe)()
+
+
+def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
+    """What of the model C cannot say, at its line."""
+    from cosim.fmi.native.printing import Unprintable
+
+    file = loaded.source.rpartition(":")[0]
+    cure = "let its equations take functions and branches from m, or build it without --native"
+    if not file:
+        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+    source = Source(Path(file))
+    if isinstance(error, Unprintable):
+        owner = error.owner or type(loaded.model)
+        hook = error.hook if error.owner else "equations"
+        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
+    return source.raised(error, "cannot be printed as C")
+
+
+def _failed(error: Exception) -> Fault:
+    return Fault(Path("--native"), 0, 0, f"the compiler {error}; mend the compiler, or say another in CC")
+
+
+def _check_platforms(platforms: Sequence[str]) -> None:
+    from cosim.fmi.native.platforms import PLATFORMS
+
+    wrong = [name for name in platforms if name not in PLATFORMS]
+    known = ", ".join(PLATFORMS)
+    faults = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} (known: {known})' for name in wrong]
+    if faults:
+        raise InputError([Fault(Path("--platforms"), 0, 0, fault) for fault in faults])
+
+
+def _check_compiler(platforms: Sequence[str]) -> None:
+    """That there is one, before anything is printed."""
+    from cosim.fmi.native.platforms import NoCompiler, commands
+
+    try:
+        commands(tuple(platforms))
+    except NoCompiler as error:
+        raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
+
+
+def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
+    """Every archive, or none where one fails."""
+    from cosim.fmi.native.compiler import CompilerFailed
+
+    with temporary_folder("build") as drafts:
+        try:
+            built = {file: make(name, drafts / file) for name, file in files.items()}
+        except CompilerFailed as error:
+            raise InputError([_failed(error)]) from None
+        return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]
+
+
+def _moved(built: Path, path: Path, floors: Mapping[str, str]) -> NativeFmu:
+    with draft_of(path) as draft:
+        draft.write_bytes(built.read_bytes())
+    return NativeFmu(path, floors)

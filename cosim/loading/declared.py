@@ -1,0 +1,300 @@
+"""Whether a model of one's own declares what a refine needs of it: names, bounds, units, sensors, delays.
+
+Everything wrong is reported at once, each with its line and its cure, before any log is read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.units import parse
+from cosim.loading.equations import effect_faults, equation_faults
+from cosim.loading.names import Found, named, unique, variables
+from cosim.loading.source import Source
+from cosim.model.delay import Delay
+from cosim.model.gain import Gain
+from cosim.model.model import Effect, Model, Validity, overrides
+from cosim.model.quantities import Parameter, Quantity, parameters_of
+from cosim.model.sensors import Drift, LeverArm, SensorError
+from cosim.storage.yaml_file import did_you_mean
+
+WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
+DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
+
+
+def checked(kind: type[Model], source: Source) -> Model:
+    """The model with its default parameters; InputError with every fault of its class."""
+    _refuse(source, _shape(kind))
+    declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_gains(kind), *_timeless(kind)]
+    names = [*unique(kind), *named(kind), *_numbers(kind), *_limits(kind), *_units(kind)]
+    values = [fault for owner in (kind, *kind.catalogue, *kind.sensors) for fault in _values(owner)]
+    faults = [source.fault(*found) for found in (*declared, *names, *values)]
+    if not values:
+        faults += equation_faults(kind, source)
+    if not declared and not values and not faults:
+        faults += effect_faults(kind, source)
+    if faults:
+        raise InputError(faults)
+    model = kind()
+    _refuse(source, variables(model))
+    return model
+
+
+def _refuse(source: Source, found: Found) -> None:
+    if faults := [source.fault(*one) for one in found]:
+        raise InputError(faults)
+
+
+def _shape(kind: type[Model]) -> Found:
+    """What is missing or of another kind than it must be, so that nothing else can be checked."""
+    if kind.equations is Model.equations:
+        yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
+    for name in ("base_states", "inputs", "outputs"):
+        given = getattr(kind, name, None)
+        if given is None:
+            yield kind, "", f'{kind.__name__} has no {name}; add {name} = (Quantity("name", "unit", "meaning"),)'
+        elif not _all(given, Quantity):
+            yield kind, name, f"{name} is a tuple of quantities, with a comma even after a single one"
+    for name, base in (("catalogue", Effect), ("sensors", SensorError)):
+        given = getattr(kind, name)
+        if not isinstance(given, tuple) or not all(isinstance(k, type) and issubclass(k, base) for k in given):
+            yield (
+                kind,
+                name,
+                f"{name} is a tuple of subclasses of {base.__name__}, with a comma even after a single one",
+            )
+            continue
+        for owner in given:
+            yield from _labelled(owner)
+    for name in ("forced", "calibrated", "measured"):
+        if not _all(getattr(kind, name), str):
+            yield kind, name, f'{name} is a tuple of names, with a comma even after a single one: ("name",)'
+    if not (isinstance(kind.valid, tuple) and _all(kind.valid, Validity)):
+        yield kind, "valid", 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'
+    for name, key, value in _MAPPINGS:
+        given = getattr(kind, name)
+        if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):
+            yield kind, name, f"{name} is a dictionary: {_WRITTEN[name]}"
+    yield from _undecorated((kind, *_classes(kind)))
+
+
+_MAPPINGS: tuple[tuple[str, type, Any], ...] = (
+    ("suspect", str, tuple),
+    ("drawn_against", str, tuple),
+    ("sensor_variance", str, (int, float)),
+    ("start_variance", str, (int, float)),
+    ("excursion", str, (int, float)),
+    ("told_apart_by", frozenset, str),
+)
+_WRITTEN = {
+    "suspect": '{"parameter": ("input",)}',
+    "drawn_against": '{"effect": ("signal",)}',
+    "sensor_variance": '{"output": variance}',
+    "start_variance": '{"state": variance}',
+    "excursion": '{"input or output": how far from its start}',
+    "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
+}
+
+
+def _all(given: Any, kind: Any) -> bool:
+    return isinstance(given, tuple) and all(isinstance(one, kind) for one in given)
+
+
+def _classes(kind: type[Model]) -> list[type]:
+    """Effects and sensor errors, those that are classes at all."""
+    given = [g for g in (kind.catalogue, kind.sensors) if isinstance(g, (tuple, list))]
+    return [k for group in given for k in group if isinstance(k, type)]
+
+
+def _labelled(owner: type) -> Found:
+    """An effect has a name without a dot and an equation in words; its states and memory are quantities."""
+    for name in ("name", "equation"):
+        if not isinstance(getattr(owner, name, None), str):
+            yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
+    if "." in str(getattr(owner, "name", "")):
+        yield owner, "name", f'the name "{getattr(owner, "name", "")}" has a dot, which parts effect and parameter'
+    for name in ("states", "memory"):
+        if not _all(getattr(owner, name), Quantity):
+            yield owner, name, f"{name} is a tuple of quantities, with a comma even after a single one"
+
+
+def _undecorated(owners: Sequence[type]) -> Found:
+    """A class whose parameters are no fields, for want of the decorator."""
+    for owner in owners:
+        left = [n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)]
+        if left:
+            yield owner, left[0], f"{owner.__name__}.{left[0]} is no field: {DATACLASS}"
+
+
+def _values(owner: Any) -> Found:
+    """Defaults, neutral values and typical sizes out of bounds."""
+    prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
+    for p in parameters_of(owner):
+        if not isinstance(p.default, bool) and not p.bounds[0] < p.bounds[1]:
+            yield owner, p.name, f"{prefix}{p.name} has bounds {p.bounds}; write the lower one first"
+            continue
+        one_sided = p.neutral == p.bounds[0]  # its fit starts at the typical size; other fits only step by it
+        for word, value in (
+            ("default", p.default),
+            ("neutral", p.neutral),
+            ("typical", p.typical if one_sided else None),
+        ):
+            if (word == "default" or value is not None) and (fault := p.fault(value)):
+                yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
+        share: Any = p.tolerance
+        if share is not None and not (isinstance(share, (int, float)) and 0.0 < share <= WIDEST):
+            text = f"the tolerance of {prefix}{p.name} is {p.tolerance!r}; it is a share of the value, as 0.1 for 10 %"
+            yield owner, p.name, text
+        if p.typical is not None and not 0.0 < p.typical < math.inf:
+            yield owner, p.name, f"the typical of {prefix}{p.name} is {p.typical!r}; it is a size above 0"
+
+
+def _numbers(kind: type[Model]) -> Found:
+    """Times and variances that are positive."""
+    for name, most in (("rate", math.inf), ("substep", math.inf), ("horizon", math.nan)):
+        value = getattr(kind, name)
+        if not isinstance(value, (int, float)) or not value > 0.0 or value == most:
+            yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
+    for attribute in ("sensor_variance", "start_variance", "excursion"):
+        for name, value in getattr(kind, attribute).items():
+            if not (math.isfinite(value) and value > 0.0):
+                yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
+
+
+def _limits(kind: type[Model]) -> Found:
+    """Limits of inputs and outputs in order, about the start value."""
+    for name in ("base_states", "inputs", "outputs"):
+        for q in getattr(kind, name):
+            low, high = q.bounds
+            if not low < high:
+                yield kind, name, f"{q.name} has bounds {q.bounds}; write the lower one first"
+            elif not low <= q.start <= high:
+                yield kind, name, f"{q.name} starts at {q.start:g}, beyond its bounds {q.bounds}"
+
+
+def _effects(kind: type[Model]) -> Found:
+    """An effect is dormant at the neutral value of its parameters, which are their defaults."""
+    for owner in (*kind.catalogue, *kind.sensors):
+        switches = [p for p in parameters_of(owner) if p.neutral is not None]
+        if not switches:
+            yield (
+                owner,
+                "",
+                f"{owner.name} has no parameter with a neutral value, so that it can never be awake; add one",
+            )
+        for p in switches:
+            if p.default != p.neutral:
+                text = f"the default of {owner.name}.{p.name} is {p.default!r}, its neutral value {p.neutral!r}"
+                yield owner, p.name, f"{text}; let them be the same"
+        names = [p.name for p in parameters_of(owner)]
+        for name in dict.fromkeys(n for start in owner.starts for n in start if n not in names):
+            yield owner, "starts", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+        for name in dict.fromkeys(n for pair in owner.at_least.items() for n in pair if n not in names):
+            yield owner, "at_least", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+
+
+def _sensors(kind: type[Model]) -> Found:
+    """A sensor error has one parameter, `value`, and is of outputs of the model."""
+    outputs = [q.name for q in kind.outputs]
+    for owner in kind.sensors:
+        names = [p.name for p in parameters_of(owner)]
+        if names != ["value"]:
+            has = " and ".join(names) or "none"
+            cure = "let another class hold what is more" if "value" in names else "call it so"
+            text = f'a sensor error has one parameter, called "value"; {owner.name} has {has}'
+            yield owner, (names or [""])[0], f"{text}; {cure}"
+        own = "outputs" if owner.outputs else "output"
+        if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
+            text = f"{owner.name}: `read` is of one output; name it in `output`, or give `readings` a body"
+            yield owner, "outputs", text
+        for attribute in (own, "others") if issubclass(owner, LeverArm) else (own,):
+            given = getattr(owner, attribute, ())
+            if attribute != "output" and isinstance(given, str):
+                text = f'{attribute} is a tuple of names, with a comma even after a single one: ("{given}",)'
+                yield owner, attribute, f"{owner.name}: {text}"
+                continue
+            for name in (given,) if isinstance(given, str) else given or ("",):
+                if name not in outputs:
+                    told = f'no output "{name}"{did_you_mean(str(name), outputs)}' if name else "no output is named"
+                    text = f"{told} in `others`" if attribute == "others" else told
+                    yield owner, attribute, f"{owner.name}: {text} (outputs: {', '.join(outputs)})"
+
+
+def _delays(kind: type[Model]) -> Found:
+    """One effect at most delays the command; it comes before all that shape it and remembers every input."""
+    shaping = overrides(tuple(_bare(k) for k in kind.catalogue), "shape", Effect)
+    order = [type(e) for e in shaping]
+    late = [k for k in kind.catalogue if k.delay is not None]
+    for owner in late:
+        names = [p.name for p in parameters_of(owner)]
+        if owner.delay not in names:
+            text = f'{owner.name} has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), names)}'
+            yield owner, "delay", f"{text}; `delay` names the one by which the command is late"
+        most = max((p.bounds[1] for p in parameters_of(owner) if p.name == owner.delay), default=0.0)
+        if issubclass(owner, Delay) and most > owner.longest:
+            text = f"{owner.name} is up to {most:g} s late and remembers {owner.longest:g} s"
+            yield owner, str(owner.delay), f"{text}; set longest = {most:g}"
+        if owner not in order:
+            yield owner, "delay", f"{owner.name} delays the command but has no `shape`; give it one"
+        elif owner is not order[0] and owner is late[0]:
+            yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
+        if len(owner.memory) != len(kind.inputs):
+            text = f"{owner.name} delays {len(kind.inputs)} inputs and has {len(owner.memory)} quantities of memory"
+            yield owner, "memory", f"{text}; give it one for each input, in their order"
+    for owner in late[1:]:
+        yield owner, "delay", f"{owner.name} and {late[0].name} both delay the command; let one of them do it"
+
+
+def _gains(kind: type[Model]) -> Found:
+    """A gain is of an input of the model."""
+    inputs = [q.name for q in kind.inputs]
+    for owner in kind.catalogue:
+        if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
+            text = f'no input "{name}"{did_you_mean(str(name), inputs)}' if name else "no input is named"
+            yield owner, "input", f"{owner.name}: {text} (inputs: {', '.join(inputs)})"
+
+
+def _timeless(kind: type[Model]) -> Found:
+    """A model without states knows no time: nothing in its catalogue may keep or measure any."""
+    if kind.base_states:
+        return
+    why = f"{kind.__name__} has no states, so each row of its tables stands for itself"
+    cure = "leave it out, or give the model a state"
+    for owner in kind.catalogue:
+        if owner.states or owner.memory or owner.delay:
+            yield owner, "", f"{why}; {owner.name} keeps what was before: {cure}"
+        elif owner.shape is not Effect.shape:
+            text = "an output takes a command as it was given; let it act in the output, by a hook of your own"
+            yield owner, "", f"{kind.__name__} has no states, and {owner.name} shapes what acts on states: {text}"
+    for sensor in kind.sensors:
+        if sensor.late or issubclass(sensor, Drift):
+            yield sensor, "", f"{why}; {sensor.name} goes with time: {cure}"
+
+
+def _bare(kind: type) -> Any:
+    """An instance without values, of which nothing but the class is asked."""
+    return object.__new__(kind)
+
+
+def _units(kind: type[Model]) -> Found:
+    """Units that are none."""
+    for owner in (kind, *kind.catalogue, *kind.sensors):
+        for attribute, declared in _declared_units(owner):
+            if declared.unit and parse(declared.unit) is None:
+                text = f'unknown unit "{declared.unit}" of {declared.name}'
+                yield (
+                    owner,
+                    attribute,
+                    f"{text}; write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1",
+                )
+
+
+def _declared_units(owner: Any) -> Iterator[tuple[str, Quantity | Parameter]]:
+    groups = ("states", "memory") if issubclass(owner, Effect) else ("base_states", "inputs", "outputs")
+    for group in groups:
+        yield from ((group, q) for q in getattr(owner, group))
+    yield from ((p.name, p) for p in parameters_of(owner))

@@ -1,0 +1,385 @@
+"""Model files: which model, with which parameters and sensor errors. A refine writes one, a study names one."""
+
+from __future__ import annotations
+
+import importlib.util
+import os.path
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+
+from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.registry import BASE, is_model, model_entry, resolve
+from cosim.base.registry import MODELS as MODEL_GROUP
+from cosim.base.registry import names as registered_names
+from cosim.loading.declared import checked
+from cosim.loading.refined import NoNearest, names_refine, refined_file
+from cosim.loading.source import Source
+from cosim.model.model import Model
+from cosim.storage.files import atomic_write
+from cosim.storage.kinds import CODE, MODEL, check_form, kind_by_keys, refuse_other
+from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
+
+if TYPE_CHECKING:
+    from cosim.fmi.fmu_build import Recipe
+
+SUBCLASS = "a model is a subclass of cosim.model.Model"
+GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+
+
+def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+    """Return a number or a switch; one message if a value is neither, in place of one for each."""
+    try:
+        return inner(value)
+    except ValidationError:
+        raise ValueError(
+            "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        ) from None
+
+
+Value = Annotated[
+    Annotated[float, Field(allow_inf_nan=False)] | bool,
+    WrapValidator(_number_or_switch),
+    UNIT_OF_KEY,
+]
+
+
+class Identified(BaseModel):
+    """How well a parameter is known.
+
+    ci95:   its 95 % interval
+    unit:   of the interval
+    origin: the test that says so
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ci95: tuple[float, float]
+    unit: str = ""
+    origin: str = ""
+
+
+class ModelFile(BaseModel):
+    """The name of a model, its parameters by FMI name, sensor errors apart.
+
+    schema_version:  of this file
+    model:           a name that is known, or `file.py:Class` of one's own
+    parameters_from: another model file, or a refine's folder: what it says of parameters that this model has too
+    parameters:      name → value, in the unit of the parameter or text such as `400 g`; over those of another file
+    sensors:         sensor error → value
+    substep:         longest substep of the integration [s], where the class of the model states none
+    identified:      parameter → how well it is known, where `cosim identify` wrote the file
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    model: str = BASE
+    parameters_from: str = ""
+    parameters: dict[str, Value] = {}
+    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False), UNIT_OF_KEY]] = {}
+    substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
+    identified: dict[str, Identified] = {}
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model with its effects, what its sensors are known to do wrong, and what the file said."""
+
+    model: Model
+    source: str
+    parameters: Mapping[str, float | bool] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Sensor parameters by name, those without error included."""
+        clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
+        return {**clean, **self.sensors}
+
+    def recipe(self) -> Recipe:
+        """What makes its FMU."""
+        from cosim.fmi.fmu_build import model_recipe
+
+        if is_model(self.source):
+            made: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
+            return replace(made, substep=self.model.chosen_substep)
+        return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
+
+
+def named_model(name: str) -> Model:
+    """A model of the registry, with its default parameters."""
+    model: Model = resolve(model_entry(name).model)()
+    return model
+
+
+def _allowed() -> str:
+    """Return what may be named as a model."""
+    registered = [name for name in registered_names(MODEL_GROUP) if name != BASE]
+    return f"a model is {', '.join([*registered, 'or FILE.py:Class of a model of your own'])}"
+
+
+def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
+    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault.
+
+    A file that is not there is a fault of the key `model` of the study that names it.
+    """
+    if text == BASE:
+        try:
+            return LoadedModel(named_model(BASE), model_entry(BASE).name)
+        except InputError as error:
+            raise (_at_key(named_in, error) if named_in else error) from None
+    file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
+    path = folder / file
+    if named_in and not path.is_file():
+        raise InputError([named_in.fault(("model",), f"no such model: {text}; {GIVEN}")])
+    if own:
+        return LoadedModel(own_model(text, folder), _absolute(text, folder))
+    if path.suffix == ".py":
+        message = f"names no class: write {text}:{(Source(path).classes or ['Class'])[-1]}; {GIVEN}"
+        raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
+    if not path.exists():
+        raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
+    return read_model(path)
+
+
+def _at_key(study: YamlFile, error: InputError) -> InputError:
+    """Return the faults of a named model at the key of the study that names it."""
+    return InputError([study.fault(("model",), fault.message) for fault in error.faults])
+
+
+def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
+    """Read a model.yaml; unknown names and values out of bounds are faults with their place.
+
+    read: files on the way here, by `parameters_from`
+    """
+    check_form(path, MODEL, CODE)
+    yaml = YamlFile(path)
+    _refuse_study(yaml)
+    refuse_other(path, kind_by_keys(yaml.root), MODEL)
+    content, faults = yaml.partly(ModelFile, "model")
+    if content is None:
+        raise InputError(faults)
+    try:
+        model = _named_model(yaml, content)
+    except InputError as error:
+        raise InputError([*faults, *error.faults]) from None
+    except NotExecuted:
+        if faults:
+            raise InputError(faults) from None
+        raise
+    content, of_units = _in_units(yaml, content, model)
+    faults += [*of_units, *_value_faults(yaml, content, model)]
+    taken: dict[str, float | bool] = {}
+    if content.parameters_from:
+        try:
+            taken = _taken(yaml, content.parameters_from, model, (*read, path.resolve()))
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    values = {**taken, **content.parameters}
+    source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
+    return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
+
+
+def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
+    """Parameters that another model's file holds and this model has: what was refined on a rig goes into the whole."""
+    path = yaml.path.parent / name
+    path = refined_file(path) if names_refine(path) else path
+    at = ("parameters_from",)
+    if not path.is_file():
+        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
+    if path.resolve() in read:
+        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
+    other = read_model(path, read)
+    taken = {n: v for n, v in other.parameters.items() if n in model.declared}
+    faults = [yaml.fault(at, f"{name}: {f}") for n, v in taken.items() if (f := model.declared[n].fault(v))]
+    if not taken:
+        faults = [yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")]
+    if faults:
+        raise InputError(faults)
+    return taken
+
+
+def _refuse_study(yaml: YamlFile) -> None:
+    """A study where a model is asked for: which model it names."""
+    if "logs" in yaml.root:
+        named = str(yaml.root.get("model", BASE))
+        model = named if named == BASE else yaml.path.parent / named
+        cure = f"give its model, {model}, or, to `cosim excite`, the folder that `cosim refine` left"
+        raise InputError([yaml.fault(("logs",), f"this is a study, not a model: {cure}", key=True)])
+
+
+def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
+    """The model that a model.yaml names, with its default parameters."""
+    folder = yaml.path.parent
+    if not is_model(content.model) and not re.fullmatch(r".+\.py:\w+", content.model):
+        similar = did_you_mean(content.model, registered_names(MODEL_GROUP))
+        message = f'no model "{content.model}"{similar}; {_allowed()}'
+        raise InputError([yaml.fault(("model",), message)])
+    file = folder / content.model.rpartition(":")[0]
+    if not is_model(content.model) and not file.is_file():
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {_allowed()}")])
+    return named_model(content.model) if is_model(content.model) else own_model(content.model, folder)
+
+
+def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
+    """Return the file with numbers in the units of the model, and the faults; sensor errors are differences."""
+    units = {n: p.unit for n, p in model.declared.items()}
+    parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
+    units = {n: p.unit for n, p in model.sensor_parameters.items()}
+    sensors, more = yaml.in_units(("sensors",), content.sensors, units, difference=True)
+    return content.model_copy(update={"parameters": parameters, "sensors": sensors}), [*faults, *more]
+
+
+def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
+    """Unknown names, and values out of bounds."""
+    sections = (
+        ("parameters", model.declared, content.parameters),
+        ("sensors", model.sensor_parameters, content.sensors),
+    )
+    for section, names, given in sections:
+        for name, value in given.items():
+            if name not in names:
+                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
+                yield yaml.fault((section, name), message, key=True)
+            elif fault := names[name].fault(value):
+                yield yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip("."))
+
+
+def _absolute(text: str, folder: Path) -> str:
+    """`file.py:Class` with the whole path of the file, so that a model file written elsewhere finds it."""
+    file, _, name = text.rpartition(":")
+    return f"{(folder / file).resolve()}:{name}"
+
+
+def _relative(source: str, folder: Path) -> str:
+    """The same from a folder at or below that of the file: the two may move together."""
+    file, _, name = source.rpartition(":")
+    if not file or not folder.is_relative_to(Path(file).parent):
+        return source
+    return f"{Path(os.path.relpath(file, folder)).as_posix()}:{name}"
+
+
+def own_model(text: str, folder: Path) -> Model:
+    """The model `Class` of `file.py`, with its default parameters; InputError with every fault of its class."""
+    file, _, name = text.rpartition(":")
+    path = (folder / file).resolve()
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path)
+    module = _module(path, source)
+    kind: Any = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        models = _models(vars(module))
+        known = f" (models here: {', '.join(models)})" if models else ""
+        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
+        raise InputError([Fault(path, 0, 0, f"{what}; {SUBCLASS}")])
+    return checked(kind, source)
+
+
+def only_model(path: Path) -> Model:
+    """The one model that `file.py` defines; InputError with every fault, and where there is none or a choice."""
+    if not path.is_file():
+        raise InputError([Fault(path, 0, 0, "no such model file")])
+    source = Source(path.resolve())
+    module = _module(source.path, source)
+    names = vars(module)
+    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # the others are imported
+    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class under two names is one
+    if not own:
+        raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
+    if len(own) > 1:
+        choice = " or ".join(f"{path}:{name}" for name in own)
+        raise InputError([Fault(path, 0, 0, f"has {len(own)} models; write {choice}")])
+    return checked(names[own[0]], source)
+
+
+class _AsItIs(SourceFileLoader):
+    """Compiles a file each time: bytecode that is kept is taken for its own where it was changed within a second."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
+_skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
+
+
+@contextmanager
+def without_execution() -> Iterator[list[Path]]:
+    """Execute no Python that a file names: a model in such a file raises NotExecuted. Yields the files so far."""
+    skipped: list[Path] = []
+    before = _skipped.set(skipped)
+    try:
+        yield skipped
+    finally:
+        _skipped.reset(before)
+
+
+def _module(path: Path, source: Source) -> ModuleType:
+    """Execute a file and return its module; InputError if it raises. The only place where a model's Python is executed.
+
+    Raises NotExecuted within `without_execution`, unless the file is no Python at all.
+    """
+    if (skipped := _skipped.get()) is not None:
+        try:
+            compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise InputError([source.raised(error, "does not load")]) from None
+        skipped.append(path)
+        raise NotExecuted(path)
+    source.check_imports()
+    name = f"own_model_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look up what an annotation of theirs means
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # whatever the user's file does
+        raise InputError([source.raised(error, "does not load")]) from error
+    return module
+
+
+def _models(names: Mapping[str, Any]) -> list[str]:
+    """Names of the models among the names of a module."""
+    return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
+
+
+def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
+    """Write a model.yaml that `read_model` reads back, in `folder` if it is to move there."""
+    lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
+    if loaded.model.chosen_substep is not None:
+        lines.append(f"substep: {loaded.model.chosen_substep!r}")
+    for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
+        lines.append(f"{section}:" if values else f"{section}: {{}}")
+        lines += [
+            f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
+        ]
+    with atomic_write(path) as stream:
+        stream.write("\n".join(lines) + "\n")
+
+
+def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
+    """The model that is named, base without a name; of a refine the refined one, or the one that came nearest."""
+    if model is None and nearest:
+        cure = "name the folder of a refine as --model, or leave it out"
+        raise InputError([Fault(Path("--nearest"), 0, 0, f"says nothing without a model; {cure}")])
+    if model is None:
+        return load_model(BASE, Path())
+    try:
+        file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
+    except NoNearest as error:
+        raise InputError([Fault(Path(model), 0, 0, str(error))]) from None
+    return load_model(str(file), Path())

@@ -1,0 +1,82 @@
+"""The names of a model of one's own: each stands for one thing, and each that is referred to is there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from cosim.fmi.ports import model_ports
+from cosim.model.model import Model
+from cosim.model.planar import PlanarFrame
+from cosim.model.quantities import parameters_of
+from cosim.storage.yaml_file import did_you_mean
+
+Found = Iterator[tuple[type, str, str]]  # class, what it declares, message
+
+
+def unique(kind: type[Model]) -> Found:
+    """Names that stand for two things."""
+    for name in ("base_states", "inputs", "outputs"):
+        yield from _twice(kind, name, [q.name for q in getattr(kind, name)])
+    if any(q.name == "time" for q in (*kind.inputs, *kind.outputs)):
+        yield kind, "", 'an input or output is called "time", which is the first column of a log; give it another name'
+    base = {p.name for p in parameters_of(kind)}
+    for owner, count in Counter(k.name for k in (*kind.catalogue, *kind.sensors)).items():
+        same = next(k for k in (*reversed(kind.sensors), *reversed(kind.catalogue)) if k.name == owner)
+        if count > 1:
+            yield same, "name", f'{count} effects or sensor errors are called "{owner}"; give each its own name'
+        if owner in base:
+            yield same, "name", f'"{owner}" is a parameter of the model too; give the effect another name'
+
+
+def _twice(owner: type, attribute: str, names: Sequence[str]) -> Found:
+    for name, count in Counter(names).items():
+        if count > 1:
+            yield owner, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
+
+
+def variables(model: Model) -> Found:
+    """Two variables of the FMU with one name, an input and an output for instance."""
+    for name, count in Counter(port.name for port in model_ports(model)).items():
+        if count > 1:
+            text = f'{count} of its inputs, outputs, parameters and start values ("state_start") are called "{name}"'
+            yield type(model), "", f"{text}; give each its own name"
+
+
+def named(kind: type[Model]) -> Found:
+    """Names that must be those of something else in the model."""
+    states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
+    numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
+    candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]
+    frame = kind.planar if isinstance(kind.planar, PlanarFrame) else None
+    if kind.planar is not None and frame is None:
+        fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
+        yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
+    if kind.base_states and not kind.forced:
+        text = "forced names no state; name those whose equations may lack something"
+        yield kind, "forced", f"{text}, the accelerations usually (states: {', '.join(states)})"
+    lists: list[tuple[str, str, list[str], list[str]]] = [
+        ("forced", "state", [*kind.forced], states),
+        ("calibrated", "parameter", [*kind.calibrated], numbers),
+        ("suspect", "parameter", [*kind.suspect], numbers),
+        ("suspect", "input", [n for names in kind.suspect.values() for n in names], inputs),
+        ("sensor_variance", "output", [*kind.sensor_variance], outputs),
+        ("start_variance", "state", [*kind.start_variance], states),
+        ("measured", "output", [*kind.measured], outputs),
+        ("excursion", "input or output", [*kind.excursion], [*inputs, *outputs]),
+        ("valid", "input", [n for v in kind.valid for n in v.inputs], inputs),
+        ("planar", "output", [*frame.names] if frame else [], outputs),
+        ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
+        ("drawn_against", "candidate", [*kind.drawn_against], candidates),
+    ]
+    for attribute, what, given, known in lists:
+        for name in dict.fromkeys(given):
+            if name not in known:
+                text = f'{attribute}: no {what} "{name}"{did_you_mean(str(name), known)}'
+                yield kind, attribute, f"{text} ({what.replace(' or', 's or')}s: {', '.join(known) or 'none'})"
+    for attribute in ("forced", "calibrated", "measured"):
+        yield from _twice(kind, attribute, getattr(kind, attribute))
+    for name in kind.suspect:
+        if name in kind.calibrated:
+            yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'

@@ -1,0 +1,191 @@
+"""The substep of the integration: stable and accurate for the fastest mode of the model, or refused.
+
+Kernel and FMU integrate by RK4 in equal substeps. A mode of eigenvalue λ decays by R(λh) in a substep of h,
+R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, in place of exp(λh): it grows where |R| > 1, though the model decays.
+A class that states its `substep` keeps it, unless it is unstable. So does a class on which the default is accurate.
+Otherwise the longest whole part of `rate` that is accurate is chosen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.linear_algebra import eigenvalues
+from cosim.base.registry import is_model
+from cosim.base.text import amount, plain
+from cosim.loading.file import LoadedModel
+from cosim.loading.own_run import Record, command_rows, moments
+from cosim.loading.source import Source
+from cosim.model.integrate import Stepper, substeps
+from cosim.model.model import Model, Values
+from cosim.model.symbolic.linearize import Linearizer
+
+MAX_DEFAULT = 1.0  # |λ|·h up to which the default substep is kept: R is within 2 % of exp(λh)
+MAX_CHOSEN = 0.5  # |λ|·h of a substep that is chosen: R is within 0.05 % of exp(λh), and fits may move λ
+MOST_SUBSTEPS = 100  # of one `rate`; a model that needs more is stiff
+GROWTH = 1e-9  # of |R| above 1, up to which a mode is not growing
+POINTS = 500  # of a log, at which the eigenvalues are computed
+MAX_ROWS = 20_000  # of a log, along which the model is run
+
+
+@dataclass(frozen=True)
+class Mode:
+    """An eigenvalue of the Jacobian [1/s], the state that takes most part in its mode, and where it was computed."""
+
+    eigenvalue: complex
+    state: str
+    place: str
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the eigenvalue [1/s]."""
+        return abs(self.eigenvalue)
+
+    def __str__(self) -> str:
+        value = self.eigenvalue
+        shown = f"{plain(value.real)}" + (
+            f" ± {plain(abs(value.imag))}i" if abs(value.imag) > 1e-9 * self.speed else ""
+        )
+        speed = f"time constant {_ms(1.0 / self.speed)}, eigenvalue {shown} 1/s"
+        return f"{self.state} has a fast mode ({speed}, {self.place})"
+
+
+def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[str]]:
+    """Return the model with a substep that suits its fastest mode, and a sentence if it is not the default.
+
+    The mode is that at the start of the model and along its run on each log. Models of the registry keep their substep.
+    Raises InputError if the stated substep is unstable, or if the model is too stiff for the default to be replaced.
+    """
+    model = loaded.model
+    if model.static or is_model(loaded.source):
+        return loaded, []
+    fastest = _Fastest(model)
+    modes = [(fastest.at_start(), _longest(model, model.rate))]
+    modes += [(fastest.along(log), _longest(model, log.step)) for log in logs]
+    if _is_stated(model):
+        modes.sort(key=lambda pair: -pair[0].speed * pair[1])
+        faults = [_unstable(loaded, mode, h) for mode, h in modes if _grows(mode.eigenvalue * h)]
+        if faults:
+            raise InputError(faults[:1])
+        return loaded, []
+    if all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
+        return loaded, []
+    mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
+    count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
+    if count > MOST_SUBSTEPS:
+        raise InputError([_stiff(loaded, mode)])
+    substep = model.rate / count
+    text = f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}"
+    return replace(loaded, model=model.with_substep(substep)), [text]
+
+
+def _longest(model: Model, step: float) -> float:
+    """Length of the substeps of a step [s]."""
+    return step / substeps(step, model.substep)
+
+
+def _is_stated(model: Model) -> bool:
+    """Whether the class or the model file states a substep."""
+    kinds = type(model).__mro__
+    return model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
+
+
+def _grows(z: complex) -> bool:
+    """Whether RK4 lets a mode that decays grow."""
+    if not z.real < 0.0:
+        return False
+    return abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))) > 1.0 + GROWTH
+
+
+class _Fastest:
+    """The fastest mode of a model at its start, and along its run on the commands of a log."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        try:
+            self.linearized: Linearizer | None = Linearizer(model)
+        except (NotImplementedError, ValueError):  # a function without a printed slope, such as `%`: the default stays
+            self.linearized = None
+
+    def at_start(self) -> Mode:
+        """Return the fastest mode at the start state and the start command."""
+        return self._at(self.model.start(), self.model.start_command(), 0.0, "at the start")
+
+    def along(self, log: Record) -> Mode:
+        """Return the fastest mode along a log."""
+        rows = min(len(log.time), MAX_ROWS)
+        commands, every = command_rows(self.model, log), max(1, rows // POINTS)
+        stepper, fastest = Stepper(self.model), self.at_start()
+        for k, _, moment in islice(moments(stepper, log), 0, rows):
+            if k % every:
+                continue
+            place = f"at t = {moment.t:.6g} s of {log.path.name}"
+            mode = self._at(moment.state, commands[k], moment.t, place)
+            if not mode.speed <= fastest.speed:
+                fastest = mode
+            if not self.model.rate * mode.speed <= MOST_SUBSTEPS:
+                break  # the run would take too many substeps
+            stepper.model = self.model.with_substep(_accurate(self.model, fastest))
+        return fastest
+
+    def _at(self, state: Values, command: Values, t: float, place: str) -> Mode:
+        if self.linearized is None:
+            return Mode(0.0, "", place)
+        try:
+            A = self.linearized(state, command, t).A
+        except (ArithmeticError, ValueError):  # no slope here
+            return Mode(0.0, "", place)
+        values = eigenvalues(A)
+        if not values.size:
+            return Mode(0.0, "", place)
+        value = complex(values[np.argmax(np.abs(values))])
+        return Mode(value, self._state(A, value), place)
+
+    def _state(self, A: Array, value: complex) -> str:
+        """Name of the state that takes most part in a mode: of left times right eigenvector, which no unit changes."""
+        from scipy.linalg import eig
+
+        found, left, right = eig(A, left=True, right=True)
+        k = int(np.argmin(np.abs(found - value)))
+        return self.model.states[int(np.argmax(np.abs(left[:, k] * right[:, k])))].name
+
+
+def _accurate(model: Model, mode: Mode) -> float:
+    """Substep for a run that looks for modes: no longer than the model's own."""
+    return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
+
+
+def _unstable(loaded: LoadedModel, mode: Mode, h: float) -> Fault:
+    """A stated substep with which a mode that decays would grow."""
+    text = f"substep is {_ms(loaded.model.substep)}, unstable for this model: {mode}, and RK4 in steps of {_ms(h)}"
+    cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
+    return _fault(loaded, "substep", f"{text} lets it grow; {cure}")
+
+
+def _stiff(loaded: LoadedModel, mode: Mode) -> Fault:
+    """A mode that is too fast for the rate of the model."""
+    name = type(loaded.model).__name__
+    if mode.eigenvalue.real > 0.0:
+        text = f"{name} runs away: {mode} that grows"
+        return _fault(loaded, "", f"{text}; check its parameters, start values and the units of the log")
+    text = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps"
+    settled = f"let {mode.state} follow the rest at once, as an algebraic equation"
+    cure = f"{settled}, or state a substep of at most {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
+    return _fault(loaded, "", f"{text} in a rate of {_ms(loaded.model.rate)}; {cure}")
+
+
+def _ms(seconds: float) -> str:
+    """A time as people write it."""
+    return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
+
+
+def _fault(loaded: LoadedModel, attribute: str, message: str) -> Fault:
+    return Source(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)

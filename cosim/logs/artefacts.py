@@ -1,0 +1,8 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+from cosim.storage.kinds import LOG
+
+ARTEFACTS = (Artefact(LOG, "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it"),)

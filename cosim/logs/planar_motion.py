@@ -1,0 +1,33 @@
+"""A motion in a plane against itself: a body goes mostly where it points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cosim.logs.finding import Finding
+from cosim.logs.log import Log
+from cosim.model.planar import PlanarFrame
+
+TURNED = 9.0  # times as far sideways as its mirror image, from which an axis is turned round
+LEAST = 20  # places
+SPACING = 0.2  # [s] from place to place
+
+
+def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
+    """An axis that is turned round: only the mirror image goes where it points."""
+    if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
+        return
+    x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
+    good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
+    if good.size < LEAST:
+        return
+    dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])
+    ways = {sign: float(np.sum((dx * np.sin(pointing) - sign * dy * np.cos(pointing)) ** 2)) for sign in (1.0, -1.0)}
+    if ways[1.0] > TURNED * ways[-1.0]:
+        yield Finding(
+            "warning", "mirrored", frame.y, f"the body moves sideways unless {frame.y}, or {frame.heading}, is turned "
+            f"round: world Y points left and {frame.heading} is positive to the left",
+            {"ratio": ways[1.0] / ways[-1.0]},
+        )  # fmt: skip

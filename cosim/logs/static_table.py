@@ -1,0 +1,82 @@
+"""What there is to say of a table, whose rows stand each for itself: no clock, no neighbours, no sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+
+import numpy as np
+
+from cosim.base.text import amount, counted, percent, plain
+from cosim.logs.finding import Finding
+from cosim.logs.frames import degrees_or
+from cosim.logs.log import Log
+from cosim.model.traits import Traits
+
+LEAST = 2  # rows, so that one can be left out
+FEW = 8  # rows, below which a table says little
+ALIKE = 0.98  # correlation of two inputs that cannot be separated
+STILL = 1e-9  # of its largest value, within which a column is constant
+
+
+def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
+    """Time that nobody asks for, few rows, constant columns, inputs that move together, angles in degrees."""
+    if "time" in log.written:
+        yield Finding("note", "time", "time", "time is not read: the model has no states, each row stands for itself")
+    measured = int(np.isfinite(np.column_stack(list(log.outputs.values()))).any(axis=1).sum())
+    if measured < LEAST:
+        text = f"something is measured in {counted(measured, 'row')}; it takes {LEAST}, and a dozen to be of use"
+        yield Finding("fault", "short", "", text, {"rows": float(measured)})
+    elif measured < FEW:
+        text = f"something is measured in {counted(measured, 'row')}; a dozen and more tell more"
+        yield Finding("warning", "short", "", text, {"rows": float(measured)})
+    yield from _inputs(log)
+    yield from _outputs(log)
+    yield from _angles(log, traits.bounds if traits else {})
+
+
+def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
+    """Angles beyond what the model declares: in degrees, most likely."""
+    columns = {**log.inputs, **log.outputs}
+    for name, (low, high) in bounds.items():
+        if name not in columns or log.units[name] != "rad":
+            continue
+        values = columns[name]
+        if np.nanmin(values) < low or np.nanmax(values) > high:
+            text = f"reaches {plain(float(np.nanmax(np.abs(values))))} rad, beyond what the model allows"
+            cure = degrees_or(log, name)
+            yield Finding("fault", "degrees", name, f"{text} ({plain(low)} to {plain(high)}); {cure}")
+
+
+def _inputs(log: Log) -> Iterator[Finding]:
+    moving = {}
+    for name, values in log.inputs.items():
+        if np.ptp(values) <= STILL * np.abs(values).max():
+            where = amount(float(values[0]), log.units[name])
+            text = f"stands at {where}: what acts through it alone cannot be identified"
+            yield Finding("note", "constant", name, text)
+        else:
+            moving[name] = values
+    if log.inputs and not moving:
+        text = "no input varies: such a table says next to nothing about a model"
+        yield Finding("warning", "no_excitation", "", text)
+    for one, other in combinations(moving, 2):
+        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
+        if abs(rho) > ALIKE:
+            yield Finding(
+                "note", "alike", one,
+                f"goes {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)}): "
+                "what one does cannot be separated from what the other does",
+                {"correlation": rho},
+            )  # fmt: skip
+
+
+def _outputs(log: Log) -> Iterator[Finding]:
+    for name, values in log.outputs.items():
+        seen = values[np.isfinite(values)]
+        if seen.size < values.size:
+            share = seen.size / values.size
+            yield Finding("note", "missing", name, f"measured in {percent(share)} of the rows", {"share": share})
+        if np.ptp(seen) <= STILL * np.abs(seen).max():
+            where = amount(float(seen[0]), log.units[name])
+            yield Finding("warning", "constant", name, f"stands at {where} throughout: is the sensor connected?")

@@ -1,0 +1,156 @@
+"""The steps of a run in C, where each of its components can be stepped by it; Python is asked in between.
+
+It is asked for events, for progress, for values of sources over the next points, for every status that is not OK, and
+once a second, for what signals ask of it. It does then what the loop in Python does: the rows are the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.blocks.faults import Linked
+from cosim.blocks.sources import Source
+from cosim.blocks.stepping import Loop, NotCompiled, Slot, Why, library
+from cosim.blocks.stepping import Transfer as Way
+from cosim.blocks.stepping import transfer as way
+from cosim.isolation.rows import CALLS, Rows
+from cosim.system.system import System
+from cosim.system.wiring import Transfer
+
+PREPARED = 1000  # points for which values of sources are made at a time
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the loop needs to know of a run whose first row is made.
+
+    links:     what becomes of the value of a transfer, in order
+    after:     called with each point that is asked for, before its row is kept
+    asked:     the next point from one on that is, or `NEVER`
+    """
+
+    system: System
+    components: Sequence[Any]
+    steps: int
+    h: float
+    row: Any
+    rows: Rows
+    links: Callable[[Transfer], Sequence[Linked]]
+    after: Sequence[Callable[[int], None]]
+    asked: Callable[[int], int]
+
+
+def compiled(run: Run) -> CompiledSteps:
+    """The steps in C. Raises NotCompiled with the reason why there are none."""
+    if run.system.beside:
+        raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
+    slots = []
+    for component in run.components:
+        slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
+        if isinstance(slot, str):
+            raise NotCompiled(slot)
+        slots.append(slot)
+    library()  # compiled only where it is used
+    return CompiledSteps(run, slots)
+
+
+def compile_beforehand(system: System) -> None:
+    """Compile the loop now where a run of the system may take it, so that no limit of its calls counts that time."""
+    fmus = (stage.component for stage in system.stages if not isinstance(stage.component, Source))
+    if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # of Python they are stepped by Python
+        with suppress(NotCompiled):
+            library()
+
+
+class CompiledSteps:
+    """All steps of a run after initialization."""
+
+    def __init__(self, run: Run, slots: Sequence[Slot]) -> None:
+        self.run, system = run, run.system
+        every = {stage.component.name: stage.every for stage in system.stages}
+        for k, (slot, stage) in enumerate(zip(slots, system.stages, strict=True)):
+            slot.every, slot.doing = stage.every, CALLS * k
+            slot.length = stage.every * run.h if stage.component.nominal_step else 0.0
+        self.loop = Loop(
+            [(slot, self._ways(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)],
+            self._ways(system.held, every),
+            run.row,
+            run.rows.table,
+            system.start,
+            run.h,
+            run.rows.made,
+            run.rows.doing,
+        )
+        self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
+        self._values: list[Array] = []
+
+    def steps(self) -> None:
+        """Make them. Raises what the loop in Python raises; `Rows.made` tells how many there are."""
+        run, chunk = self.run, PREPARED if self.sources else self.run.steps
+        for first in range(1, run.steps + 1, max(1, chunk)):
+            last = min(first + chunk - 1, run.steps)
+            self._prepare(first, last)
+            self._until(last)
+
+    def _until(self, last: int) -> None:
+        loop, run = self.loop, self.run
+        pause = run.asked(loop.plan.next)
+        while True:
+            try:
+                why = loop.run(last, pause)
+            finally:
+                for component, slot in zip(run.components, loop.slots, strict=True):
+                    component.came_to(slot.time)
+            if why == Why.FINISHED:
+                return
+            if why == Why.PAUSED:
+                for call in run.after:
+                    call(pause)
+                pause = run.asked(pause + 1)
+            elif why == Why.NO_ITEM:
+                self._no_item()
+            elif why != Why.LATER:
+                run.components[loop.plan.place].tell(why, loop.plan, loop.slots[loop.plan.place])
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] | None = None) -> list[Way]:
+        """Transfers for C; those that are held are made when their target steps."""
+        return [
+            way(
+                self.run.row,
+                t.source,
+                t.target,
+                [linked.link() for linked in self.run.links(t)],
+                1 if every is None else every[t.name.partition(".")[0]],
+            )
+            for t in transfers
+        ]
+
+    def _prepare(self, first: int, last: int) -> None:
+        """What sources give at these points: at the end of a step that is theirs, as they compute it."""
+        if not self.sources:
+            return
+        begin, h = self.run.system.start, self.run.h
+        points = np.arange(first, last + 1, dtype=np.float64)
+        self._values = []
+        for k, source in self.sources.items():
+            every = self.run.system.stages[k].every
+            times = (begin + (points - every) * h) + every * h
+            self._values.append(source.over(times))
+            self.loop.prepare(k, self._values[-1], first)
+
+    def _no_item(self) -> None:
+        """SimulationError that tells which value is none."""
+        system, plan = self.run.system, self.loop.plan
+        stages = system.stages
+        transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held
+        for transfer in transfers:
+            transfer.check_item(self.run.row[transfer.target], system.start + plan.next * self.run.h)
+        raise AssertionError("C met a value that is no item, and there is none")

@@ -1,0 +1,83 @@
+"""Values copied from place to place of a row, and beside it: transfers made ready, once, for every step of a run."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from cosim.blocks.faults import Added, Linked
+from cosim.system.system import System
+from cosim.system.wiring import Transfer, through
+
+Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # stretches of the row, target first
+Noisy = tuple[tuple[int, int, Sequence[float]], ...]
+# from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
+Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
+Copies = tuple[Plain, Noisy, Through]
+
+
+class Copying:
+    """The transfers of a run over `steps` steps of `h` [s]: each is made ready once, with its noise and faults.
+
+    links: of each transfer made ready, by its name, what becomes of a value on its way
+    """
+
+    def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
+        self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
+        self.links: dict[str, Sequence[Linked]] = {}
+        self._view = doubles(row)
+        self._made: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → which of the three, and its entry
+
+    def of(self, transfers: Iterable[Transfer]) -> Copies:
+        """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
+        kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+        for transfer in transfers:
+            if transfer.name not in self._made:
+                self._made[transfer.name] = self._ready(transfer)
+            kind, entry = self._made[transfer.name]
+            kinds[kind].append(entry)
+        plain, noisy, others = kinds
+        return self._stretches(plain), tuple(noisy), tuple(others)
+
+    def by_component(self) -> Mapping[str, Copies]:
+        """Component → what is copied right before it steps."""
+        return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
+
+    def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
+        """Places that follow one another, from and to, as one."""
+        found: list[list[int]] = []
+        for source, target in places:
+            if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
+                found[-1][2] += 1
+            else:
+                found.append([source, target, 1])
+        return tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in found)
+
+    def _ready(self, transfer: Transfer) -> tuple[int, tuple[Any, ...]]:
+        chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
+        self.links[transfer.name] = chain
+        if not transfer.plain:
+            origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
+            return 2, (origin, transfer.source, goal, transfer.target, through(chain))
+        for added in chain:
+            if isinstance(added, Added):
+                return 1, (transfer.source, transfer.target, added.samples)
+        return 0, (transfer.source, transfer.target)
+
+
+def copy_values(row: Any, copies: Copies, k: int) -> None:
+    """Copy, at communication point k."""
+    plain, noisy, others = copies
+    for target_places, places in plain:
+        target_places[:] = places
+    for source, target, samples in noisy:
+        row[target] = row[source] + samples[k]
+    for origin, source, goal, target, function in others:
+        goal[target] = function(k, origin[source])
+
+
+def doubles(buffer: Any) -> memoryview[float]:
+    """A buffer of doubles as one flat sequence of them."""
+    flat = memoryview(buffer)
+    return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))

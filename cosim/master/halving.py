@@ -1,0 +1,93 @@
+"""Every communication step made once whole and once in halves, from one state: what the exchange of values costs.
+
+    e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
+where FMUs give that state away and take it back. The run goes on from the whole step, as it would have without.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.base.errors import SimulationError
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.sources import Source
+from cosim.isolation.rows import CALLS, GET, OTHER
+from cosim.master.copying import copy_values
+from cosim.master.initialization import settled
+from cosim.master.master import Master
+from cosim.system.system import System
+
+
+def why_not(system: System) -> str:
+    """Why the steps of a system cannot be taken back; empty where they can."""
+    if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
+        return "values beside numbers, events, several rates or processes are not taken back"
+    for stage in system.stages:
+        component = stage.component
+        if isinstance(component, FmuBlock):
+            if not component.instance.rolls_back:
+                return f"{component.name} gives no state away, or takes no step of another length"
+        elif not isinstance(component, Source):
+            return f"{component.name} cannot be taken back"
+    return ""
+
+
+class Halved(Master):
+    """A run whose rows are the differences of its steps from the same in halves; the first row has none."""
+
+    def _step_on(self) -> None:
+        self.table[0] = 0.0
+        parts = [c for c in self.components if isinstance(c, FmuBlock)]
+        begin = self.system.start
+        ((active, *held), *_) = self._cycle()  # of one rate: every round is alike
+        calls, copies = [a[0] for a in active], [a[3:] for a in active]
+        try:
+            for k in range(1, self.steps + 1):
+                t, end = begin + (k - 1) * self.h, begin + k * self.h
+                before, row = self._saved(parts), bytes(self.row)
+                self._once(calls, copies, held, k, t, end)
+                whole, after, values = bytes(self.row), self._saved(parts), list(self.row)
+                self._back(parts, before)
+                ctypes.memmove(self.row, row, len(row))
+                self._check_back(parts, row, t)
+                for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
+                    self._once(calls, copies, held, k, since, until)
+                self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
+                self._back(parts, after)
+                ctypes.memmove(self.row, whole, len(whole))
+                self.done = self.made[0] = k + 1
+        finally:
+            self.doing[0] = 0
+
+    def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
+        """One exchange of values and the steps of all."""
+        for step, transfers in zip(calls, copies, strict=True):
+            copy_values(self.row, transfers, k)
+            step(t, end - t)
+        copy_values(self.row, held, k)
+
+    def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
+        """The state of each."""
+        states = []
+        for part in parts:
+            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            states.append(part.instance.saved())
+        return states
+
+    def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
+        """Give each FMU a state back, and free it."""
+        for part, state in zip(parts, states, strict=True):
+            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            part.instance.take_back(state)
+
+    def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
+        """Outputs are what they were: SimulationError of an FMU that only says that it takes its state back."""
+        for part in parts:
+            before = list(self.row)
+            self.doing[0] = CALLS * self.components.index(part) + GET
+            part.get()
+            if not settled(before, self.row):
+                raise SimulationError(part.name, t, "it does not come back to the state that it gave away")
+        ctypes.memmove(self.row, row, len(row))

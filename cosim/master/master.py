@@ -1,0 +1,303 @@
+"""The master: steps every component of a system over equal communication steps and records one row a step.
+
+Gauss-Seidel and Jacobi are the same loop. They differ in which transfers a stage makes right before it
+steps (`Stage.pulls`) and which wait for the end of the step (`System.held`); Jacobi makes none before.
+A component with a longer step of its own makes it at the end of that step; until then its outputs stand still.
+"""
+
+from __future__ import annotations
+
+import bisect
+import ctypes
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError, Terminated, stopped
+from cosim.blocks.component import EndedEarly
+from cosim.blocks.stepping import NEVER, NotCompiled
+from cosim.isolation.rows import CALLS, OTHER, Rows
+from cosim.master.c_loop import CompiledSteps, Run, compiled
+from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
+from cosim.master.initialization import Initialization
+from cosim.storage.files import hold_stops
+from cosim.storage.results import Results
+from cosim.system.schedule import Stage
+from cosim.system.system import System
+
+# what steps it; the number of steps that are one of its own, and the length of that, 0.0 of one from communication
+# point to communication point; and the transfers before it
+Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
+Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
+PROGRESS_EVERY = 50
+LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
+
+
+class StoppedRun(Exception):
+    """A run that ended early: the error, and the rows recorded so far."""
+
+    def __init__(self, error: SimulationError, results: Results) -> None:
+        super().__init__(str(error))
+        self.error, self.results = error, results
+
+
+def simulate(
+    system: System,
+    steps: int,
+    h: float,
+    progress: Callable[[int], None] | None = None,
+    rows: Rows | None = None,
+    *,
+    in_c: bool = True,
+) -> Results:
+    """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails.
+
+    Fewer rows, and a note, where an FMU ends the simulation.
+    rows: where they are written, shape (steps + 1, columns); in memory without
+    in_c: the loop is in C where it can be; `Results.loop` tells
+    """
+    room = rows or Rows.in_memory(steps + 1, len(system.columns))
+    return Master(system, steps, h, progress, room, in_c=in_c).results()
+
+
+class Master:
+    """One run, from opening to closing: its row of signals, what stands beside it, and the table of rows.
+
+    What makes its steps otherwise is a subclass that overrides `_step_on`.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        steps: int,
+        h: float,
+        progress: Callable[[int], None] | None,
+        rows: Rows,
+        *,
+        in_c: bool = True,
+    ) -> None:
+        self.system, self.steps, self.h = system, steps, h
+        self.components = [stage.component for stage in system.stages]
+        self.row = (ctypes.c_double * len(system.columns))()
+        self.view = doubles(self.row)
+        self.beside: list[Any] = [None] * len(system.beside)
+        self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
+        self.kept = rows.beside  # of what stands beside the row, one a row
+        self.table, self.made, self.doing = rows.table, rows.made, rows.doing
+        self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
+        self.done = 0
+        self.notes: list[str] = []
+        self.events = sorted(system.events)
+        self.after = self._after(progress)
+        self.copying = Copying(system, self.row, self.beside, steps, h)
+        self.pulls = self.copying.by_component()
+        self.held = self.copying.of(system.held)
+
+    def results(self) -> Results:
+        """Run from beginning to end."""
+        try:
+            self._open()
+            self._initialize()
+            self._record_first()
+            self._step_on()
+            hold_stops()  # there are rows to be kept
+        except EndedEarly as end:
+            if not self.done:
+                raise StoppedRun(end, self._so_far()) from None  # before it began
+            self._end(end)
+        except (SimulationError, KeyboardInterrupt, Terminated) as stop:
+            error = stopped(stop, float(self.time[max(0, self.done - 1)]))
+            raise StoppedRun(error, self._so_far()) from None
+        finally:
+            for k, component in enumerate(self.components):
+                self.doing[0] = CALLS * k + OTHER
+                component.close()
+        return self._so_far()
+
+    # -- in order -----------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        place = _first_places(self.system.columns)
+        place_beside = _first_places(self.system.beside)
+        for component in self.components:
+            name = component.name
+            component.bind(self.row, place.get(name, 0), self.beside, place_beside.get(name, 0))
+        for k, component in enumerate(self.components):
+            self.doing[0] = CALLS * k + OTHER
+            component.open(self.system.start, float(self.time[-1]))
+
+    def _initialize(self) -> None:
+        """Exchange values until none changes; then every component starts."""
+        known = self.components, self.row, self.beside, self.pulls, self.held
+        Initialization(*known, self.system.start, self.doing).run()
+
+    def _record_first(self) -> None:
+        for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.pulls)):
+            transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
+        for call in self.after:
+            call(0)
+        ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
+        self.done = self.made[0] = 1
+
+    def _step_on(self) -> None:
+        """All steps: in C where every component can be stepped by it, else here."""
+        try:
+            in_c = self._compiled()
+        except NotCompiled as reason:
+            self._tell_loop(f"Python: {reason}")
+            self._step_in_python()
+            return
+        self._tell_loop("C")
+        try:
+            in_c.steps()
+        finally:
+            self.done = self.made[0]
+
+    def _step_in_python(self) -> None:
+        """All steps. What is called in here decides the time that a run takes."""
+        row, h, begin, after = self.view, self.h, self.system.start, self.after
+        table, width = doubles(self.table), len(row)
+        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
+        made, asked = self.made, self._asked(1)
+        done, next_t = self.done, begin
+        try:
+            for k, (active, held, held_noisy, held_through) in zip(range(1, self.steps + 1), rounds, strict=False):
+                t, next_t = next_t, begin + k * h
+                for step, every, length, plain, noisy, through in active:
+                    for target_places, places in plain:
+                        target_places[:] = places
+                    for source, target, samples in noisy:
+                        row[target] = row[source] + samples[k]
+                    if through:
+                        for origin, source, goal, target, function in through:
+                            goal[target] = function(k, origin[source])
+                    if every == 1:
+                        step(t, length or next_t - t)
+                    else:
+                        step(since := begin + (k - every) * h, length or next_t - since)
+                for target_places, places in held:
+                    target_places[:] = places
+                for source, target, samples in held_noisy:
+                    row[target] = row[source] + samples[k]
+                if held_through:
+                    for origin, source, goal, target, function in held_through:
+                        goal[target] = function(k, origin[source])
+                if k == asked:
+                    for call in after:
+                        call(k)
+                    asked = self._asked(k + 1)
+                table[k * width : k * width + width] = row
+                done = made[0] = k + 1
+        finally:
+            self.done = done
+
+    def _end(self, end: EndedEarly) -> None:
+        """The run ends well where an FMU ends it: with a row for that time where nobody else has a state then."""
+        self.notes.append(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}")
+        alone = len(self.system.fmus) == 1
+        k = self.done
+        if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
+            return
+        for component in self.components:
+            component.get()
+        for call in self.after:
+            call(k)
+        self.time[k] = end.reached
+        self.table[k] = self.row[:]
+        self.done = self.made[0] = k + 1
+
+    # -- parts --------------------------------------------------------------------------------
+
+    def _compiled(self) -> CompiledSteps:
+        """The steps in C. Raises NotCompiled."""
+        if not self.in_c:
+            raise NotCompiled("asked for")
+        links = self.copying.links
+        known = self.system, self.components, self.steps, self.h, self.row, self.rows
+        return compiled(Run(*known, lambda t: links[t.name], self.after, self._asked))
+
+    def _tell_loop(self, loop: str) -> None:
+        self.loop = loop
+        self.rows.tell_loop(loop)
+
+    def _asked(self, k: int) -> int:
+        """The next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
+        if self.beside:
+            return k
+        found = [self.events[place]] if (place := bisect.bisect_left(self.events, k)) < len(self.events) else []
+        if self.progress is not None:
+            found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+        return min(found, default=NEVER)
+
+    def _after(self, progress: Callable[[int], None] | None) -> tuple[Callable[[int], None], ...]:
+        """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
+        calls: list[Callable[[int], None]] = []
+        if self.system.events:
+            calls.append(self._change)
+        if self.beside:
+            calls.append(lambda k: self.kept.append(tuple(self.beside)))
+        if progress is not None:
+            told = progress
+            calls.append(lambda k: told(k) if k and k % PROGRESS_EVERY == 0 else None)
+        return tuple(calls)
+
+    def _change(self, k: int) -> None:
+        changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
+        for component in self.components:
+            if component.name in changes:
+                component.change(changes[component.name])  # type: ignore[attr-defined]
+
+    def _cycle(self) -> Sequence[Round]:
+        """Who steps, and what is transferred, at each communication point of a cycle; all at each, without rates."""
+        stages, held = self.system.stages, self.system.held
+        period = math.lcm(*(stage.every for stage in stages), 1)
+        every = {stage.component.name: stage.every for stage in stages}
+        if period > LONGEST_CYCLE:
+            period = self.steps + 1
+        made: dict[tuple[str, ...], Round] = {}
+
+        def at(k: int) -> Round:
+            stepping = [stage for stage in stages if k % stage.every == 0]
+            key = tuple(stage.component.name for stage in stepping)
+            if key not in made:
+                made[key] = (
+                    tuple(self._active(stage) for stage in stepping),
+                    *self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0),
+                )
+            return made[key]
+
+        return [at(k) for k in range(period)]
+
+    def _active(self, stage: Stage) -> Active:
+        component = stage.component
+        length = stage.every * self.h if component.nominal_step else 0.0
+        step = component.stepping(self.doing, CALLS * self.components.index(component))
+        return step, stage.every, length, *self.pulls[component.name]
+
+    def _so_far(self) -> Results:
+        kept = self.kept if isinstance(self.kept, list) else []
+        time, table = self.time[: self.done], self.table[: self.done]
+        return results_of(self.system, time, table, kept, self.notes, self.loop)
+
+
+def results_of(
+    system: System,
+    time: Array,
+    table: Array,
+    kept: Sequence[tuple[Any, ...]],
+    notes: Sequence[str] = (),
+    loop: str = "",
+) -> Results:
+    """Results of a run, by its rows and what stands beside them."""
+    exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
+    whole = frozenset(c for c in system.columns if system.signals[c].whole)
+    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
+
+
+def _first_places(columns: Sequence[str]) -> dict[str, int]:
+    """Component → place of its first column."""
+    return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}

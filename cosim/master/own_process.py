@@ -1,0 +1,195 @@
+"""A component in a process of its own, beside the worker in which the others are stepped."""
+
+from __future__ import annotations
+
+import ctypes
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
+from dataclasses import replace
+from typing import Any
+
+from cosim.blocks.component import Component, Row, Signal, in_turn
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import ADVANCE, GET, OTHER
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.system.system import System
+
+Values = tuple[list[float], list[Any]]  # in the row, and beside it
+
+# -- in the process of the component ---------------------------------------------------------------
+
+
+class _Held:
+    """The component of this process, and its signals."""
+
+    def __init__(self, component: Component) -> None:
+        self.component: Any = component
+        self.row = (ctypes.c_double * (len(component.inputs) + len(component.outputs)))()
+        self.beside: list[Any] = [None] * (len(component.exact_inputs) + len(component.exact_outputs))
+        component.bind(self.row, 0, self.beside, 0)
+
+    def inputs(self) -> Values:
+        return self.row[: len(self.component.inputs)], self.beside[: len(self.component.exact_inputs)]
+
+    def outputs(self) -> Values:
+        return self.row[len(self.component.inputs) :], self.beside[len(self.component.exact_inputs) :]
+
+
+_held: dict[str, _Held] = {}
+
+
+def load(component: Component, start: float, stop: float) -> tuple[Values, Values]:
+    """Open a component; its inputs and outputs."""
+    held = _held[component.name] = _Held(component)
+    here.overheard(component)
+    component.open(start, stop)
+    return held.inputs(), held.outputs()
+
+
+def begin(name: str) -> None:
+    """End initialization."""
+    _held[name].component.start()
+
+
+def exchange(name: str, inputs: Values | None, step: tuple[float, float] | None) -> Values:
+    """Give it its inputs where there are some, step it where a time and a length are given [s]; its outputs."""
+    held = _held[name]
+    if inputs is not None:
+        held.row[: len(inputs[0])], held.beside[: len(inputs[1])] = [*inputs[0]], inputs[1]
+        held.component.put()
+    if step is not None:
+        held.component.advance(*step)
+    held.component.get()
+    return held.outputs()
+
+
+def change(name: str, values: dict[str, Any]) -> Values:
+    """Give it an event's values; its inputs."""
+    _held[name].component.change(values)
+    return _held[name].inputs()
+
+
+def close(name: str) -> list[str]:
+    """Free it; what it said."""
+    component = _held.pop(name).component
+    component.close()
+    return list(getattr(component, "log", ()))
+
+
+# -- beside the others ------------------------------------------------------------------------------
+
+
+class OwnProcess:
+    """Stands for a component that is loaded in another process; a crash there is an error that names it."""
+
+    def __init__(self, component: Component, limits: Limits) -> None:
+        self.name: str = component.name
+        self.inputs: tuple[Signal, ...] = component.inputs
+        self.outputs: tuple[Signal, ...] = component.outputs
+        self.exact_inputs: tuple[Signal, ...] = component.exact_inputs
+        self.exact_outputs: tuple[Signal, ...] = component.exact_outputs
+        self.nominal_step: bool = component.nominal_step
+        self.description = getattr(component, "description", None)
+        self.log: deque[str] = deque(getattr(component, "log", ()))
+        self._component, self._limits = component, limits
+        self._worker = Worker(__name__)
+        self._time = 0.0
+        self._loaded = False
+        self._given: Values | None = None  # inputs that go along with what is asked next
+        self._stepped: Values | None = None  # outputs that came back with a step
+
+    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
+        """As the component says."""
+        return self._component.depends_on(name, outputs)
+
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """Put, advance and get."""
+        return in_turn(self, doing, first)
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        """Tell where its signals stand."""
+        self._row, self._beside = row, [] if beside is None else beside
+        self._in, self._out = _behind_one_another(first, self.inputs, self.outputs)
+        self._in_beside, self._out_beside = _behind_one_another(first_beside, self.exact_inputs, self.exact_outputs)
+
+    def open(self, start: float, stop: float) -> None:
+        """Start the process and load the component in it."""
+        self._time = start
+        self._worker.start()
+        inputs, outputs = self._call(OTHER, load, self._component, start, stop)
+        self._show_inputs(inputs)
+        self._show_outputs(outputs)
+        self._loaded = True
+
+    def start(self) -> None:
+        """End initialization."""
+        self._call(OTHER, begin, self.name)
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """An event's values."""
+        self._show_inputs(self._call(OTHER, change, self.name, dict(values)))
+
+    def put(self) -> None:
+        """Take the inputs: they go along with what is asked next."""
+        self._given = self._row[self._in], self._beside[self._in_beside]
+
+    def advance(self, t: float, h: float) -> None:
+        """Step; the outputs come back with it."""
+        self._time = t
+        self._stepped = self._exchange(ADVANCE, (t, h))
+        self._time = t + h
+
+    def get(self) -> None:
+        """Write the outputs of the step just made, or those that follow from the inputs now."""
+        stepped, self._stepped = self._stepped, None
+        self._show_outputs(self._exchange(GET, None) if stepped is None else stepped)
+
+    def close(self) -> None:
+        """Free the component and end its process."""
+        try:
+            if self._loaded and self._worker.running:
+                self._loaded = False
+                self.log.extend(self._call(OTHER, close, self.name))
+        finally:
+            self._worker.end()
+
+    def _exchange(self, doing: int, step: tuple[float, float] | None) -> Values:
+        given, self._given = self._given, None
+        answer: Values = self._call(doing, exchange, self.name, given, step)
+        return answer
+
+    def _show_inputs(self, values: Values) -> None:
+        self._row[self._in], self._beside[self._in_beside] = [*values[0]], values[1]
+
+    def _show_outputs(self, values: Values) -> None:
+        self._row[self._out], self._beside[self._out_beside] = [*values[0]], values[1]
+
+    def _call(self, doing: int, function: Callable[..., Any], *arguments: Any) -> Any:
+        watch = Watch([self.name], [fmi_calls(self.description)], lambda made, doing: self._time, self._limits)
+        return self._worker.call(function, *arguments, watch=watch, doing=doing)
+
+
+def _behind_one_another(first: int, *groups: Sequence[Signal]) -> list[slice]:
+    places = []
+    for group in groups:
+        places.append(slice(first, first + len(group)))
+        first += len(group)
+    return places
+
+
+def in_own_processes(system: System, limits: Limits) -> System:
+    """The system, those components in a process of their own each that are to be, and FMUs that cannot share one."""
+    seen: set[Any] = set()
+    stages = []
+    for stage in system.stages:
+        about = getattr(getattr(stage.component, "description", None), "coSimulation", None)
+        single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
+        path = getattr(stage.component, "path", None)
+        if stage.component.name in system.apart or (single and path in seen):
+            stage = replace(stage, component=OwnProcess(stage.component, Limits(memory=limits.memory)))
+        elif single:
+            seen.add(path)
+        stages.append(stage)
+    return replace(system, stages=tuple(stages))

@@ -1,0 +1,193 @@
+"""The steps of a run in a worker process: what is asked of it there, and what its caller makes of it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
+from cosim.base.scratch import Held, scratch
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
+from cosim.isolation.watch import Clock, Watch, fmi_calls
+from cosim.master.c_loop import compile_beforehand
+from cosim.master.halving import Halved
+from cosim.master.master import StoppedRun, results_of, simulate
+from cosim.master.own_process import in_own_processes
+from cosim.storage.files import hold_stops, is_full
+from cosim.storage.results import Results
+from cosim.system.system import System
+
+MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
+PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
+LONGEST_WORDS = 500  # characters of an error
+SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """What came of the steps: results, what the FMUs said, and why it ended where that was before its end."""
+
+    results: Results
+    said: Sequence[str]
+    failure: SimulationError | None = None
+
+
+def said_of(system: System) -> list[str]:
+    """What its FMUs said, a line each."""
+    return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
+
+
+def simulate_here(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Stepped:
+    """The steps of a run in this process. Raises FmuError."""
+    try:
+        return Stepped(_stepped(system, steps, h, progress), said_of(system))
+    except StoppedRun as run:
+        return Stepped(run.results, said_of(system), run.error)
+
+
+def _stepped(
+    system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
+) -> Results:
+    """The rows of a run, or of what halves of its steps make of it."""
+    if not system.halved:
+        return simulate(system, steps, h, progress, rows)
+    return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
+
+
+# -- in the worker ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How the steps ended in a worker; the rows themselves stand in the files.
+
+    last: time of the last row [s], where there is one
+    """
+
+    said: Sequence[str] = ()
+    failure: SimulationError | None = None
+    last: float | None = None
+    notes: Sequence[str] = ()
+
+
+def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits) -> Ended:
+    """Simulate into the table in a file."""
+    system = in_own_processes(system, limits)
+    for stage in system.stages:
+        here.overheard(stage.component)
+    progress = here.progress
+    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
+    failure: SimulationError | None = None
+    try:
+        made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing, _tell_loop))
+    except StoppedRun as run:
+        made, failure = run.results, run.error
+    except OSError as error:
+        if not is_full(error):
+            raise
+        now = system.start + h * max(0, progress.made[0] - 1)
+        full = f"the disk is full: {_too_few(progress.made[0], steps + 1)}"
+        return Ended(said_of(system), DiskFull("the run", now, full))
+    finally:
+        beside.close()
+    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
+
+
+def _tell_loop(loop: str) -> None:
+    """Let the caller know which loop steps, even where the process ends."""
+    here.progress.loop = loop.encode()[:255]
+
+
+# -- its caller -----------------------------------------------------------------------------------
+
+
+def simulate_apart(
+    worker: Worker,
+    system: System,
+    steps: int,
+    h: float,
+    folder: Path,
+    limits: Limits | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Stepped:
+    """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
+    columns, limits = len(system.columns), limits or Limits()
+    watch = Watch(
+        [stage.component.name for stage in system.stages],
+        [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
+        lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
+        limits,
+        8 * columns,
+        progress=progress,
+    )
+    ended = Ended()
+    compile_beforehand(system)
+    with ExitStack() as stack:
+        worker.start()
+        counters = worker.progress
+        counters.loop = b""
+        held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
+        stack.callback(held.remove)
+        worker.take_along(held.path)
+        table = held.path / ROWS
+        try:
+            ended = worker.call(simulate_rows, system, count - 1, h, table, limits, watch=watch)
+            hold_stops()  # there are rows to be kept
+        except SimulationError as error:
+            ended = Ended(failure=error)
+        except (KeyboardInterrupt, Terminated) as stop:
+            ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
+        except (CosimError, OSError, MemoryError):
+            raise
+        except Exception as error:  # of a library, which nobody foresaw: no reason to lose the rows
+            ended = Ended(failure=_unforeseen(error, watch, counters))
+        done, failure = counters.made[0], ended.failure
+        values = read_table(table, done, columns)
+        beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
+    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    if done and ended.last is not None:
+        time[done - 1] = ended.last
+    if failure is None and count <= steps and done == count:
+        failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
+    loop = counters.loop.decode("utf-8", "ignore")
+    return Stepped(results_of(system, time[:done], values, beside, ended.notes, loop), ended.said, failure)
+
+
+def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
+    """An error of no kind of ours, with the call in which it came."""
+    component, at, call = Clock(watch, counters).place()
+    words = " ".join(str(error).split())[:LONGEST_WORDS]
+    return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
+
+
+def _too_few(count: int, rows: int) -> str:
+    return f"it has room for {count} of {rows} rows while the run lasts"
+
+
+def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+    """A folder with the file of the rows, beside the results or, where there is no room, elsewhere; and for how many.
+
+    For all of them, or as many as a full disk takes. DiskFull where that is none.
+    """
+    count = rows
+    while count:
+        for beside in folders:
+            held = scratch(PREFIX, beside)
+            try:
+                allocate(held.path / ROWS, count * width)
+            except OSError as error:
+                held.remove()
+                if not is_full(error):
+                    raise
+            else:
+                return held, count
+        count = int(SMALLER * count)
+    raise DiskFull("the run", 0.0, f"the disk is full: {_too_few(0, rows)}")

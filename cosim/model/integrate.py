@@ -1,0 +1,81 @@
+"""Stepping a model: inputs held over a communication step, equal RK4 substeps inside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.model.model import Effect, Model, Number, Values, overrides
+from cosim.model.namespaces import SCALAR, Namespace
+
+Derivative = Callable[[Number, Values, Values], Values]
+
+
+def substeps(step: float, longest: float) -> int:
+    """Number of equal substeps of a communication step; 1e-6 of slack absorbs a host's rounding."""
+    return max(1, math.ceil(step / longest - 1e-6))
+
+
+def rk4(f: Derivative, t: Number, x: Values, u: Values, h: Number) -> Values:
+    """One step of the classical Runge-Kutta method: x(t + h), command u held."""
+    half = 0.5 * h
+    k1 = f(t, x, u)
+    k2 = f(t + half, tuple([a + half * k for a, k in zip(x, k1)]), u)  # noqa: B905 - hot loop
+    k3 = f(t + half, tuple([a + half * k for a, k in zip(x, k2)]), u)  # noqa: B905
+    k4 = f(t + h, tuple([a + h * k for a, k in zip(x, k3)]), u)  # noqa: B905
+    sixth = h / 6.0
+    return tuple([a + sixth * (p + 2.0 * (q + r) + s) for a, p, q, r, s in zip(x, k1, k2, k3, k4)])  # noqa: B905
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Everything that decides the future: time [s], continuous state, memory of each shaping effect."""
+
+    t: Number
+    state: Values
+    memory: tuple[Values, ...] = ()
+
+
+class Stepper:
+    """A model bound to a namespace and ready to step: `moment = stepper.step(moment, command, h)`."""
+
+    def __init__(self, model: Model, m: Namespace = SCALAR) -> None:
+        self.model = model
+        self.namespace = m
+        self.derivative, self.output = model.acting(m)
+        self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
+
+    def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:
+        """Moment at `t` from start values by name: states, and memory as `effect.memory`."""
+        values = values or {}
+        inputs = dict(zip((q.name for q in self.model.inputs), self.model.start_command(), strict=True))
+        memory = tuple(
+            e.remember(t, tuple(values.get(f"{e.name}.{q.name}", inputs.get(q.name, q.start)) for q in e.memory))
+            for e in self.shaping
+        )
+        return Moment(t, self.model.start(values, self.namespace), memory)
+
+    def shape(
+        self, t: Number, h: Number, command: Values, memory: tuple[Values, ...]
+    ) -> tuple[Values, tuple[Values, ...]]:
+        """Command that acts over one substep, after every effect that shapes it, and their memory."""
+        after = []
+        for effect, remembered in zip(self.shaping, memory, strict=True):
+            command, remembered = effect.shape(self.namespace, t, h, command, remembered)
+            after.append(remembered)
+        return command, tuple(after)
+
+    def step(self, moment: Moment, command: Values, h: float) -> Moment:
+        """Advance by the communication step `h` [s], `command` held."""
+        n = substeps(h, self.model.substep)
+        dt = h / n
+        start, x, memory = moment.t, moment.state, moment.memory
+        derivative, acting = self.derivative, command
+        for k in range(n):
+            t = start + k * dt
+            if memory:
+                acting, memory = self.shape(t, dt, command, memory)
+            x = rk4(derivative, t, x, acting, dt)
+        return Moment(start + h, x, memory)

@@ -1,0 +1,248 @@
+"""A traced body printed as functions of arrays, each effect's block skipped at run time while it is dormant.
+
+Beside the body itself: where it has kinks, and its derivative in a direction, block by block by the chain rule, so
+that no Jacobian is ever written out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+from cosim.model.symbolic.languages import Language
+from cosim.model.symbolic.trace import Block, Trace
+
+AWAKE, DORMANT = 0, 1  # branches of a block
+
+
+def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any]) -> tuple[list[Block], list[Any]]:
+    """What passes through zero where an expression has a kink or a jump, once each, and the blocks that compute it.
+
+    moving: symbols that change while a solver steps; a comparison of others stays as it is. One that stands in an
+    effect's block is 1 while that effect is dormant.
+    """
+    import sympy
+
+    reach, found = set(moving), dict[Any, int | None]()
+    for block in (*blocks, Block(dict(enumerate(expressions)))):
+        for symbol, e in block.values.items():
+            for relation in sorted(e.atoms(sympy.core.relational.Relational), key=str):
+                gap = relation.lhs - relation.rhs
+                if gap.free_symbols & reach and gap not in found and -gap not in found:
+                    found[gap] = block.effect
+            if e.free_symbols & reach:
+                reach.add(symbol)
+    more, indicators = [], []
+    for k, (gap, effect) in enumerate(found.items()):
+        symbol = sympy.Symbol(f"z{k}", real=True)
+        more.append(Block({symbol: gap}, effect, {} if effect is None else {symbol: sympy.Integer(1)}))
+        indicators.append(symbol)
+    return more, indicators
+
+
+def tangent(
+    blocks: Sequence[Block], expressions: Sequence[Any], direction: Mapping[Any, Any]
+) -> tuple[list[Block], list[Any]]:
+    """Blocks and expressions of the derivative in a direction, symbol → symbol of how fast it changes."""
+    import sympy
+
+    slopes = dict(direction)
+
+    def slope(e: Any) -> Any:
+        moving = sorted(e.free_symbols & slopes.keys(), key=str)
+        return sympy.Add(*(sympy.diff(e, s) * slopes[s] for s in moving))
+
+    more = []
+    for block in blocks:
+        awake = {s: slope(e) for s, e in block.values.items()}
+        asleep = {s: slope(e) for s, e in block.dormant.items()}
+        moving = [s for s in awake if awake[s] != 0 or asleep.get(s, 0) != 0]
+        named = {s: sympy.Symbol(f"d_{s}", real=True) for s in moving}
+        if named:
+            values = {named[s]: awake[s] for s in moving}
+            rest = {} if block.effect is None else {named[s]: asleep[s] for s in moving}
+            more.append(Block(values, block.effect, rest, block.title and f"{block.title}, slope"))
+        slopes |= named
+    return more, [slope(e) for e in expressions]
+
+
+@dataclass(frozen=True)
+class Nearby:
+    """A call that evaluates sine and cosine of an angle, or a power of base and exponent, near a known point.
+
+    place: of the known point; each call of a function has one of its own
+    """
+
+    place: int
+    symbols: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+
+
+def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
+    """Return what the results need with a symbol for each sin, cos and power, and the calls that evaluate these.
+
+    Powers by a number are left as they are: squares, roots and reciprocals cost little.
+    """
+    import sympy
+
+    calls: dict[Any, Nearby] = {}
+
+    def call(names: Sequence[str], arguments: tuple[Any, ...]) -> Nearby:
+        symbols = tuple(sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names)
+        return calls.setdefault(arguments, Nearby(len(calls), symbols, arguments))
+
+    def replaced(e: Any) -> Any:
+        arguments = tuple(map(replaced, e.args))
+        if arguments != e.args:
+            e = e.func(*arguments)
+        if isinstance(e, (sympy.sin, sympy.cos)):
+            return call(("sine", "cosine"), e.args).symbols[isinstance(e, sympy.cos)]
+        if isinstance(e, sympy.Pow) and not e.exp.is_number:
+            return call(("power",), e.args).symbols[0]
+        return e
+
+    def each(values: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {s: replaced(sympy.sympify(e)) for s, e in values.items()}
+
+    changed = [Block(each(b.values), b.effect, each(b.dormant), b.title) for b in _needed(blocks, results)]
+    return changed, [replaced(sympy.sympify(e)) for e in results], list(calls.values())
+
+
+@dataclass
+class _Node:
+    """What is printed at one place: symbols, and what they are made of, branch by branch of an effect's block."""
+
+    branches: tuple[dict[Any, Any], ...]
+    effect: int | None
+    title: str
+    call: Nearby | None = None
+    within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch alone
+
+
+def function(
+    language: Language,
+    name: str,
+    arguments: str,
+    blocks: Sequence[Block],
+    results: Sequence[Any],
+    places: Mapping[Any, str],
+    calls: Sequence[Nearby] = (),
+) -> str:
+    """`name(arguments, awake, out)`, printed: what of the blocks the results need, each effect's in a branch.
+
+    calls: evaluations that `nearby` has taken out of the blocks and results
+    """
+    import sympy
+
+    evaluated = {call.symbols: sympy.Tuple(*call.arguments) for call in calls}
+    needed = _needed(blocks, [*results, *evaluated.values()])
+    plain = {s: e for b in needed if b.effect is None for s, e in b.values.items()}
+    temporary = (sympy.Symbol(f"c{k}", real=True) for k in count())
+    replaced, reduced = sympy.cse([*plain.values(), *evaluated.values(), *results], symbols=temporary, optimizations=[])
+    called, ends = reduced[len(plain) : len(plain) + len(calls)], reduced[len(plain) + len(calls) :]
+    nodes = [_Node(({s: e},), None, "") for s, e in (*replaced, *zip(plain, reduced, strict=False))]
+    nodes += [_Node((dict.fromkeys(c.symbols, e),), None, "", c) for c, e in zip(calls, called, strict=True)]
+    nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
+    ordered = _sunk(_ordered(nodes, ends), ends)
+    lines = [line for node in ordered for line in _printed(node, language, places, "    ")]
+    printer = language.printer(places)
+    lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)]
+    return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())
+
+
+def _needed(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
+    """The blocks without which there are no results, with only those of their symbols that are used."""
+    import sympy
+
+    wanted = {s for e in results for s in sympy.sympify(e).free_symbols}
+    kept = []
+    for block in reversed(blocks):
+        values = {s: e for s, e in block.values.items() if s in wanted}
+        if values:
+            dormant = {s: block.dormant[s] for s in values} if block.dormant else {}
+            kept.append(Block(values, block.effect, dormant, block.title))
+            wanted |= {s for e in (*values.values(), *dormant.values()) for s in e.free_symbols}
+    return kept[::-1]
+
+
+def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
+    """The nodes, each after what it is made of."""
+    maker = {s: node for node in nodes for s in node.branches[0]}
+    done: dict[int, _Node] = {}
+
+    def visit(expressions: Iterator[Any]) -> None:
+        for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
+            node = maker.get(symbol)
+            if node is not None and id(node) not in done:
+                visit(e for branch in node.branches for e in branch.values())
+                done[id(node)] = node
+
+    visit(iter(results))
+    return list(done.values())
+
+
+def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
+    """The nodes, those that one branch of an effect's block alone needs moved into it."""
+    homes: dict[Any, set[tuple[int, int] | None]] = {}
+
+    def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:
+        for e in expressions:
+            for symbol in e.free_symbols:
+                homes.setdefault(symbol, set()).add(home)
+
+    use(results, None)
+    at, stay = {id(node): node for node in nodes}, []
+    for node in reversed(nodes):
+        if node.effect is None:
+            own = set[tuple[int, int] | None]().union(*(homes.get(s, set()) for s in node.branches[0]))
+            (home,) = own if len(own) == 1 else (None,)
+            use(list(node.branches[0].values()), home)
+            if home is not None:
+                at[home[0]].within[home[1]].insert(0, node)
+                continue
+        else:
+            for k, branch in enumerate(node.branches):
+                use(list(branch.values()), (id(node), k))
+        stay.append(node)
+    return stay[::-1]
+
+
+def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent: str) -> Iterator[str]:
+    """The lines of a node."""
+    import sympy
+
+    printer = language.printer(places)
+    if node.call is not None:
+        arguments = next(iter(node.branches[0].values()))
+        words = (*map(str, node.call.symbols), *map(printer.doprint, arguments))
+        form = language.angle if len(arguments) == 1 else language.power
+        yield indent + form.format(node.call.place, *words)
+        return
+    if node.effect is None:
+        ((symbol, e),) = node.branches[0].items()
+        yield indent + language.local.format(symbol, printer.doprint(e))
+        return
+    yield from (indent + line for line in language.declared([str(s) for s in node.branches[0]]))
+    for k, opening in ((AWAKE, language.when.format(node.effect, node.title)), (DORMANT, language.otherwise)):
+        yield indent + opening
+        for inner in node.within[k]:
+            yield from _printed(inner, language, places, indent + "    ")
+        names = (sympy.Symbol(f"{next(iter(node.branches[0]))}_{'cd'[k]}{j}", real=True) for j in count())
+        values = node.branches[k]
+        replaced, reduced = sympy.cse(list(values.values()), symbols=names, optimizations=[])
+        for symbol, e in replaced:
+            yield indent + "    " + language.local.format(symbol, printer.doprint(e))
+        for symbol, e in zip(values, reduced, strict=True):
+            yield indent + "    " + language.assign.format(symbol, printer.doprint(e))
+    if language.end:
+        yield indent + language.end
+
+
+def places_of(trace: Trace, values: Mapping[str, str]) -> dict[Any, str]:
+    """Where the symbols of a trace stand: `x[0]`, `u[1]`, `memory[0]`, and parameters as `values` says by name."""
+    s = trace.s
+    groups = {"x": s.state, "u": s.command, "memory": trace.memory}
+    places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
+    return {s.time: "t", trace.step: "h", **places, **{symbol: values[name] for name, symbol in s.parameters.items()}}

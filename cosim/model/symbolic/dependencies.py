@@ -1,0 +1,55 @@
+"""Which output depends on what, read off the equations themselves by evaluating them with symbols."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cosim.model.model import Model
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.symbolic.symbols import SymbolicModel, symbolic
+
+
+def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
+    """Inputs each output depends on directly (through no state), in the order of the inputs."""
+    s = symbolic(model)
+    return {
+        q.name: tuple(i.name for i, u in zip(model.inputs, s.command, strict=True) if u in e.free_symbols)
+        for q, e in zip(model.outputs, _outputs(s), strict=True)
+    }
+
+
+def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
+    """Parameters, start values among them, and inputs that each output depends on in initialization mode."""
+    found: dict[str, set[str]] = {q.name: set() for q in model.outputs}
+    flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
+    variants = []
+    for flag in (True, False):
+        s = symbolic(model, flag)
+        variants.append(_outputs(s))
+        names = {symbol: name for name, symbol in s.parameters.items()}
+        names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
+        starts = {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
+        follows = _derived_starts(s)
+        for q, expression in zip(model.outputs, variants[-1], strict=True):
+            for symbol in expression.free_symbols - {s.time}:
+                found[q.name].add(starts.get(symbol) or names[symbol])
+                found[q.name] |= {names[other] for other in follows.get(starts.get(symbol, ""), ())}
+    for q, with_flag, without in zip(model.outputs, *variants, strict=True):
+        if with_flag != without:
+            found[q.name].update(flags)
+    return {name: tuple(sorted(names)) for name, names in found.items()}
+
+
+def _outputs(s: SymbolicModel) -> list[Any]:
+    import sympy
+
+    outputs = s.model.acting(SymbolNamespace()).output(s.time, s.state, s.command)
+    return [sympy.sympify(e) for e in outputs]
+
+
+def _derived_starts(s: SymbolicModel) -> dict[str, set[Any]]:
+    """Start parameters that follow from other parameters until the host sets them."""
+    import sympy
+
+    own = s.model.start_state(SymbolNamespace())
+    return {f"{name}_start": sympy.sympify(e).free_symbols for name, e in own.items()}

@@ -1,0 +1,214 @@
+"""Printing expressions as functions: in C for a compiler, in Python for numba."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cosim.model.symbolic.dormant import Term, skippable
+
+
+class Unprintable(ValueError):
+    """An expression that a language has no words for."""
+
+
+class Language:
+    """A function that writes its expressions to `out`, common subexpressions computed once.
+
+    skipped, either: how an expression is written that counts for nothing, and is 0, but under one of some conditions
+    local, store:    how a common subexpression and a result are written
+    assign:          how a symbol that is declared before gets its value
+    when, otherwise: how the branch of an effect (place, title) that is awake begins, and that of one that is dormant
+    end:             how the branches end
+    angle, power:    how sine and cosine of an angle, and a power, are evaluated near a point: place, symbols, arguments
+    """
+
+    skipped: str
+    either: str
+    local: str
+    store: str
+    assign: str
+    when: str
+    otherwise: str
+    end: str
+    angle: str
+    power: str
+
+    def declared(self, names: Sequence[str]) -> list[str]:
+        """Lines that declare symbols before they get a value."""
+        raise NotImplementedError
+
+    def function(
+        self,
+        name: str,
+        arguments: str,
+        expressions: Sequence[Any],
+        places: Mapping[Any, str],
+        before: Sequence[Mapping[Any, Any]] = (),
+        terms: Sequence[Term] = (),
+    ) -> str:
+        """Print one function; `places` says where a symbol stands in the arguments (`x[3]`).
+
+        before: what is computed first, stage by stage, symbol → expression of arguments and earlier symbols
+        terms:  while these are dormant, what counts for nothing is skipped
+        """
+        import sympy
+
+        names = sympy.numbered_symbols("c")
+        parts: list[tuple[Any, Any]] = []  # symbol, or place of a result, and expression
+        for stage in (*before, dict(enumerate(expressions))):
+            replaced, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
+            parts += [*replaced, *zip(stage, reduced, strict=True)]
+        plain = [(None if isinstance(target, int) else target, e) for target, e in parts]
+        conditions = {
+            f: self.either.join(f"{places[p]} != {float(v)!r}" for p, v in awake.items())
+            for f, awake in skippable(plain, terms).items()
+        }
+        printer, lines = self.printer(places, conditions), []
+        for target, e in parts:
+            form = self.store if isinstance(target, int) else self.local
+            lines.append(form.format(target, printer.doprint(e)))
+        return self.frame(name, [*arguments.split(), "out"], "\n    ".join(lines))
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """Sympy's printer, with symbols in their places; conditions: function → what it is computed under, 0 else."""
+        raise NotImplementedError
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
+        """A function of the time and of arrays around its lines."""
+        raise NotImplementedError
+
+
+class C(Language):
+    """C99."""
+
+    skipped, either = "(({}) ? {} : 0.0)", " || "
+    local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
+    when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
+    angle = "double {1}, {2}; near_angle(near + {0}, {3}, &{1}, &{2});"
+    power = "const double {1} = near_power(near + {0}, {2}, {3});"
+
+    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+        return [f"double {', '.join(names)};"]
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
+        from sympy import Function
+        from sympy.printing.c import C99CodePrinter
+
+        skipped = self.skipped
+
+        class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
+            def doprint(self, expression: Any, assign_to: Any = None) -> str:
+                try:
+                    text = " ".join(super().doprint(expression, assign_to).split())
+                except NotImplementedError:  # of sympy before 1.13 a comment in the code
+                    text = "Not supported in C"
+                if "Not supported in C" in text:
+                    used = {type(f).__name__ for f in expression.atoms(Function)}
+                    unknown = sorted(used - self.known_functions.keys() - {"Piecewise"})
+                    raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
+                return text
+
+            def _print(self, e: Any, **options: Any) -> str:
+                text = str(super()._print(e, **options))
+                return skipped.format(conditions[e], text) if conditions and e in conditions else text
+
+            def _print_Symbol(self, symbol: Any) -> str:
+                return places.get(symbol) or str(super()._print_Symbol(symbol))
+
+        return Printer()
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
+        kinds = {
+            "t": "double t",
+            "h": "double h",
+            "near": "Near *near",
+            "awake": "const unsigned char *awake",
+            "out": "double *out",
+        }
+        declared = ", ".join(kinds.get(a, f"const double *{a}") for a in arguments)
+        unused = [a for a in arguments if not re.search(rf"\b{a}\b", body)]
+        lines = [f"(void){a};" for a in unused] if "awake" in arguments else []
+        text = "\n    ".join([*lines, body] if body else lines)
+        return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
+
+
+def _of_both_sides(printer: Any, choose: str) -> Any:
+    """Return a printer whose branches compute both sides: `choose(condition, then, otherwise)`."""
+    plain = type(printer)
+
+    class Printer(plain):  # type: ignore[misc, valid-type]
+        def _print_Piecewise(self, e: Any) -> str:
+            *branches, last = e.args
+            if last[1] != True:  # noqa: E712 - sympy's own
+                raise Unprintable("a branch without an otherwise")
+            text = str(self._print(last[0]))
+            for value, condition in reversed(branches):
+                text = f"{choose}({self._print(condition)}, {self._print(value)}, {text})"
+            return text
+
+        def _print_And(self, e: Any) -> str:
+            return " & ".join(f"({self._print(a)})" for a in e.args)
+
+        def _print_Or(self, e: Any) -> str:
+            return " | ".join(f"({self._print(a)})" for a in e.args)
+
+    return Printer()
+
+
+class Lanes(C):
+    """C99 for many at once: every number but time is a row, one for each lane `i` of W; branches compute both sides."""
+
+    store = "out[{}][i] = {};"
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """As above; nothing is skipped, for lanes differ in what is dormant."""
+        rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
+        return _of_both_sides(super().printer(rows), "chosen")
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
+        kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
+        declared = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
+        return f"INLINE void {name}({declared})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
+
+
+class Python(Language):
+    """Python with the functions of `math`."""
+
+    skipped, either = "({1} if {0} else 0.0)", " or "
+    local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
+    when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
+
+    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+        return []
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
+        from sympy.printing.pycode import PythonCodePrinter
+
+        skipped = self.skipped
+
+        class Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
+            def _print(self, e: Any, **options: Any) -> str:
+                text = str(super()._print(e, **options))
+                return skipped.format(conditions[e], text) if conditions and e in conditions else text
+
+            def _print_Symbol(self, symbol: Any) -> str:
+                return places.get(symbol) or str(super()._print_Symbol(symbol))
+
+            def _print_sign(self, e: Any) -> str:  # sympy's own is ±1 at 0
+                x = self._print(e.args[0])
+                return f"(1.0 if {x} > 0.0 else -1.0 if {x} < 0.0 else 0.0)"
+
+        return Printer()
+
+    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
+        return f"def {name}({', '.join(arguments)}):\n    {body or 'pass'}\n"
+
+
+class Arrays(Python):
+    """Python with the functions of numpy, under the name `math`: numbers are arrays; branches compute both sides."""
+
+    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
+        """Return the printer of Python; nothing is skipped, for points differ in the values of their terms."""
+        return _of_both_sides(super().printer(places), "math.where")

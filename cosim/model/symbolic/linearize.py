@@ -1,0 +1,77 @@
+"""Linear model of the smooth part: the one body evaluated with symbols, differentiated, and put at a point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.model.model import Model, Values
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.symbolic.languages import Python
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """ẋ = A·x + B·u, y = C·x + D·u about an operating point; names give the order of rows and columns."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+class Linearizer:
+    """Jacobians of a model's equations, differentiated and printed once: `linearizer(state, command, t)`."""
+
+    def __init__(self, model: Model) -> None:
+        import sympy
+
+        self.model = model
+        n, m = len(model.states), len(model.inputs)
+        t = sympy.Symbol("t", real=True)
+        x = sympy.symbols([f"x{k}" for k in range(n)], real=True)
+        u = sympy.symbols([f"u{k}" for k in range(m)], real=True)
+        derivative, output = model.acting(SymbolNamespace())
+        rows = [sympy.sympify(e) for e in (*derivative(t, tuple(x), tuple(u)), *output(t, tuple(x), tuple(u)))]
+        slopes = {
+            (i, k): d
+            for i, e in enumerate(rows)
+            for k, s in enumerate((*x, *u))
+            if s in e.free_symbols and (d := sympy.diff(e, s)) != 0
+        }
+        self._places = list(slopes)
+        self._shape = len(rows), n + m
+        places = {s: f"x[{k}]" for k, s in enumerate(x)} | {s: f"u[{k}]" for k, s in enumerate(u)}
+        text = Python().function("jacobian", "t x u", list(slopes.values()), {**places, t: "t"})
+        scope: dict[str, Any] = {"math": math}
+        exec(text, scope)  # what the one generator has printed of these equations
+        self._jacobian = scope["jacobian"]
+
+    def __call__(self, state: Values, command: Values, t: float = 0.0) -> LinearModel:
+        """The linear model at a state and a command; ArithmeticError or ValueError where the slopes are not finite."""
+        values = [0.0] * len(self._places)
+        self._jacobian(t, tuple(map(float, state)), tuple(map(float, command)), values)
+        whole = np.zeros(self._shape)
+        for place, value in zip(self._places, values, strict=True):
+            whole[place] = value
+        model, n = self.model, len(self.model.states)
+        return LinearModel(
+            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:],
+            *(tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)),
+        )  # fmt: skip
+
+
+def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:
+    """Jacobians of the equations at a state and command (default: the start of the model, which hovers)."""
+    point_x = model.start() if state is None else state
+    point_u = model.start_command() if command is None else command
+    return Linearizer(model)(point_x, point_u, t)

@@ -1,0 +1,55 @@
+"""A model with every number a symbol: what its equations depend on, their Jacobian, generated code."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cosim.model.model import Model, Values
+from cosim.model.quantities import parameters_of
+
+
+@dataclass(frozen=True)
+class SymbolicModel:
+    """The model with its whole catalogue awake, and its symbols by FMI name.
+
+    model:      parameters are symbols (a Boolean is fixed by `flags`)
+    parameters: `mass`, `coulomb_friction.force`, … → symbol
+    """
+
+    model: Model
+    time: Any
+    parameters: dict[str, Any]
+    state: Values
+    command: Values
+
+
+def symbolic(
+    model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool | Collection[str] = True
+) -> SymbolicModel:
+    """Replace every number of the model by a symbol, with the whole catalogue awake, none of it or some by name.
+
+    Booleans keep their value, or take that of `flags`, which may say it by FMI name.
+    """
+    import sympy
+
+    symbols: dict[str, Any] = {}
+
+    def as_symbols(owner: Any, prefix: str) -> Any:
+        values: dict[str, Any] = {}
+        for p in parameters_of(owner):
+            if isinstance(p.default, bool):
+                known = flags.get(prefix + p.name) if isinstance(flags, Mapping) else flags
+                values[p.name] = getattr(owner, p.name) if known is None else known
+            else:
+                values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
+        return replace(owner, **values)
+
+    names = [kind.name for kind in model.catalogue] if effects is True else effects or ()
+    terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if kind.name in names)
+    awake = replace(as_symbols(model, ""), effects=terms)
+    # prefixed, for an input and a state may bear one name
+    state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in awake.states)
+    command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in awake.inputs)
+    return SymbolicModel(awake, sympy.Symbol("time", real=True), symbols, state, command)

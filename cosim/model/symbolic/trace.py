@@ -1,0 +1,271 @@
+"""The body evaluated with symbols, effect by effect: what each adds is a block that is skipped while it is dormant.
+
+A model calls its effects through hooks of its own naming. Each call of a hook that an effect overrides is recorded as
+a block: what it computes awake, and what the same lines give at the effect's neutral value. One set of expressions
+serves every combination of effects, and a dormant one costs a jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cosim.model.delay import Delay
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.quantities import parameters_of
+from cosim.model.symbolic.symbols import SymbolicModel, symbolic
+from cosim.model.symbolic.tracing_guard import guarded
+
+APART = ("shape", "remember")  # hooks that the integrator calls, not the equations
+
+
+class Untraceable(ValueError):
+    """Of a model what symbols cannot say: an effect without a value at its neutral value, a delay by a rule of its own.
+
+    owner, hook: its class and the hook, where it is one effect's fault; cure: what to do about it
+    """
+
+    def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
+        super().__init__(text)
+        self.owner, self.hook, self.cure = owner, hook, cure
+
+
+@dataclass(frozen=True)
+class Block:
+    """Symbols computed together.
+
+    values:  symbol → expression
+    effect:  place in the catalogue of the effect that must be awake, None of what is always computed
+    dormant: symbol → expression while that effect sleeps
+    """
+
+    values: dict[Any, Any]
+    effect: int | None = None
+    dormant: dict[Any, Any] = field(default_factory=dict)
+    title: str = ""
+
+
+@dataclass
+class Trace:
+    """A model as blocks, and expressions of their symbols.
+
+    derivative, outputs: an expression each state, each output
+    shaped, remembered:  commands that act, and the memory after a substep; `memory` are the symbols before it. A delay
+                         is left out: it is a history, not an expression
+    started:             memory at the start time from its start values, which are `memory`
+    """
+
+    s: SymbolicModel
+    blocks: list[Block] = field(default_factory=list)
+    shaping: list[Block] = field(default_factory=list)  # of the command
+    derivative: list[Any] = field(default_factory=list)
+    outputs: list[Any] = field(default_factory=list)
+    shaped: list[Any] = field(default_factory=list)
+    remembered: list[Any] = field(default_factory=list)
+    started: list[Any] = field(default_factory=list)
+    memory: list[Any] = field(default_factory=list)
+    step: Any = None  # symbol of the substep's length
+
+    _named: dict[Any, Any] = field(default_factory=dict)
+    _calls: dict[Any, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
+        """Trace a model with its whole catalogue, its switches as `flags` say; Untraceable, guard.OfNumbersOnly."""
+        import sympy
+
+        trace = cls.__new__(cls)
+        watched = tuple(trace._watched(kind, k) for k, kind in enumerate(model.catalogue))
+        kind = type(type(model).__name__, (type(model),), {"catalogue": watched, "__module__": type(model).__module__})
+        values = {p.name: getattr(model, p.name) for p in model.parameters}
+        trace.__init__(symbolic(kind(**values), flags))  # type: ignore[misc]  # the effects know the trace before
+        s, m = trace.s, SymbolNamespace()
+        with guarded():
+            derivative, output = s.model.acting(m)
+            rates = derivative(s.time, s.state, s.command)
+            trace.derivative = [sympy.sympify(e) for e in rates]
+            trace._still()
+            trace.outputs = [sympy.sympify(e) for e in output(s.time, s.state, s.command)]
+            trace._shape(m)
+        return trace
+
+    @property
+    def effects(self) -> tuple[Any, ...]:
+        """The catalogue, awake, in order."""
+        effects: tuple[Any, ...] = self.s.model.effects
+        return effects
+
+    def name(self, expression: Any) -> Any:
+        """A symbol for an expression; the same expression has one symbol."""
+        import sympy
+
+        if expression.is_Atom:
+            return expression
+        if expression not in self._named:
+            self._named[expression] = sympy.Symbol(f"a{len(self._named)}", real=True)
+            self.blocks.append(Block({self._named[expression]: expression}))
+        return self._named[expression]
+
+    def _still(self) -> None:
+        """States of an effect do not move while it sleeps."""
+        import sympy
+
+        place = len(self.s.model.base_states)
+        for k, effect in enumerate(self.effects):
+            for q in effect.states:
+                symbol = sympy.Symbol(f"rate_{k}_{place}", real=True)
+                title = f"{effect.name}.{q.name}"
+                awake = self.name(self.derivative[place])
+                self.blocks.append(Block({symbol: awake}, k, {symbol: sympy.Integer(0)}, title))
+                self.derivative[place] = symbol
+                place += 1
+
+    def _shape(self, m: SymbolNamespace) -> None:
+        """The effects on a command, in order; each sees plain symbols."""
+        import sympy
+
+        self.step = sympy.Symbol("h", real=True)
+        command: tuple[Any, ...] = self.s.command
+        shaping = overrides(self.effects, "shape", Effect)
+        if any(e.delay for e in shaping[1:]):
+            raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+        for late in (e for e in self.effects if e.delay):
+            for hook in APART:
+                if getattr(type(late), hook) is not getattr(Delay, hook):
+                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
+                    raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
+        for k, effect in enumerate(self.effects):
+            if effect.delay or effect not in shaping:
+                continue
+            own = tuple(sympy.Symbol(f"memory:{len(self.memory) + j}", real=True) for j in range(len(effect.memory)))
+            shaped, after = effect.shape(m, self.s.time, self.step, command, own)
+            awake = [sympy.sympify(e) for e in (*shaped, *after)]
+            names = [sympy.Symbol(f"s{k}_{j}", real=True) for j in range(len(awake))]
+            kept = [n if e == n else names[j] for j, (e, n) in enumerate(zip(awake, (*command, *own), strict=True))]
+            values = {n: e for n, e in zip(kept, awake, strict=True) if n in names}
+            sleeping = {n: e for n, e in zip(kept, (*command, *own), strict=True) if n in names}
+            self.shaping.append(Block(values, k, sleeping, f"{effect.name}.shape"))
+            command = tuple(kept[: len(command)])
+            self.memory += own
+            started = [sympy.sympify(e) for e in effect.remember(self.s.time, own)]
+            if len(started) != len(own):
+                text = f"{effect.name} declares {len(own)} remembered values; remember gives {len(started)}"
+                raise Untraceable(text, type(effect), "remember", "let it give one for each")
+            self.started += started
+            self.remembered += kept[len(command) :]
+        self.shaped = list(command)
+
+    def _watched(self, kind: type[Any], place: int) -> type[Any]:
+        """The effect's class with a record of what the equations call."""
+        hooks = {name: self._hook(getattr(kind, name), name, place) for name in _overridden(kind)}
+        return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
+
+    def _hook(self, lines: Callable[..., Any], name: str, place: int) -> Callable[..., Any]:
+        def recorded(effect: Any, *arguments: Any, **keywords: Any) -> Any:
+            return self._call(lines, effect, name, place, arguments, keywords)
+
+        return recorded
+
+    def _call(
+        self, lines: Callable[..., Any], effect: Any, name: str, place: int, arguments: Any, keywords: Any
+    ) -> Any:
+        import sympy
+
+        arguments = _mapped(arguments, lambda e: self.name(sympy.sympify(e)))
+        key = (place, name, _key((arguments, keywords)))
+        if key in self._calls:
+            return self._calls[key]
+        result = lines(effect, *arguments, **keywords)
+        neutral = _neutral(effect)
+        passed = {e for e in _numbers(arguments) if getattr(e, "is_Symbol", False)}
+        block = Block({}, place, {}, f"{effect.name}.{name}")
+
+        def leaf(value: Any) -> Any:
+            awake = sympy.sympify(value)
+            asleep = awake.xreplace(neutral)
+            if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
+                text = f"{effect.name} has no value where {_at(effect)}: {name} gives {asleep}"
+                cure = "let m.where choose another value there"
+                raise Untraceable(text, type(effect), name, cure)
+            if asleep == awake and (awake in passed or awake.is_Number):
+                return awake
+            symbol = sympy.Symbol(f"b{len(self._calls)}_{len(block.values)}", real=True)
+            block.values[symbol], block.dormant[symbol] = awake, asleep
+            return symbol
+
+        self._calls[key] = _mapped(result, leaf)
+        if block.values:
+            self.blocks.append(block)
+        return self._calls[key]
+
+
+def _overridden(kind: type[Any]) -> Iterator[str]:
+    """Hooks that the class or a base of it overrides: those that a base of its kind of effects has a body for too."""
+    names = {n for c in kind.__mro__ for n, v in vars(c).items() if callable(v) and not n.startswith("_")}
+    for name in sorted(names - set(APART)):
+        defined = [c for c in kind.__mro__ if name in vars(c) and issubclass(c, Effect)]
+        if len(defined) > 1:
+            yield name
+
+
+def _neutral(effect: Any) -> dict[Any, Any]:
+    """Symbol → the value at which the effect sleeps."""
+    import sympy
+
+    values = ((getattr(effect, p.name), p.neutral) for p in parameters_of(effect) if p.neutral is not None)
+    return {symbol: sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for symbol, v in values}
+
+
+def _at(effect: Any) -> str:
+    """Its neutral values in words."""
+    return ", ".join(f"{p.name} is {p.neutral:g}" for p in parameters_of(effect) if p.neutral is not None)
+
+
+def _numbers(value: Any) -> Iterator[Any]:
+    """Numbers and expressions at any depth."""
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    if isinstance(value, (tuple, list)):
+        for part in value:
+            yield from _numbers(part)
+    elif _is_number(value):
+        yield value
+
+
+def _key(value: Any) -> Any:
+    """What tells the arguments of one call from those of another, texts and Booleans too."""
+    if isinstance(value, Mapping):
+        return ("mapping", *((key, _key(part)) for key, part in value.items()))
+    if isinstance(value, (tuple, list)):
+        return (type(value), *(_key(part) for part in value))
+    if _is_number(value):
+        return str(value)
+    try:
+        hash(value)
+    except TypeError:
+        return repr(value)
+    return (type(value), value)
+
+
+def _is_number(value: Any) -> bool:
+    import sympy
+
+    return isinstance(value, (int, float, sympy.Expr)) and not isinstance(value, bool)
+
+
+def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+    """The same structure of tuples and mappings with every number changed."""
+    if isinstance(value, Mapping):
+        return {key: _mapped(part, change) for key, part in value.items()}
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*(_mapped(part, change) for part in value))
+    if isinstance(value, (tuple, list)):
+        return tuple(_mapped(part, change) for part in value)
+    return change(value) if _is_number(value) else value
+
+
+def switches(model: Model) -> tuple[str, ...]:
+    """The parameters that are true or false, of the model and its catalogue, by FMI name."""
+    return tuple(name for name, p in model.declared.items() if isinstance(p.default, bool))

@@ -1,0 +1,29 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+from cosim.storage.kinds import ANSWER, STUDY
+
+ARTEFACTS = (
+    Artefact(
+        STUDY,
+        "`cosim refine {file}` refines its model",
+        keys=(frozenset({"logs"}),),
+        without=frozenset({"components", "connections", "vary"}),
+        schema="cosim.refinement.study:StudyFile",
+        schema_name="study",
+        title="cosim study",
+    ),
+    Artefact(
+        ANSWER,
+        "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
+        keys=(frozenset({"verdict", "candidates"}),),
+        verb="cosim refine",
+        marks=("refine.json",),
+        folder="the folder of a refine",
+        folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
+        "that decides",
+        sources=("study",),
+    ),
+)

@@ -1,0 +1,261 @@
+"""What speaks for each part of a hypothesis: likelihood and its scatter, logs left out, open-loop predictions.
+
+A likelihood takes what is left for white. What is left of a real system is not: so the scatter of a gain, and of an
+estimate, is taken from blocks of time longer than an unknown input lasts,
+    z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
+(Vuong 1989; White 1982). On a log left out, parameters are as the other logs have them, and every hypothesis predicts
+from its own filtered state without looking at what is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.estimation.data import unscored
+from cosim.estimation.expected import unseen
+from cosim.estimation.fit import Fit, fit, inverse, scores
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.posing import halved
+from cosim.estimation.problem import Problem, Scored
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
+from cosim.refinement.search.hypotheses import Hypothesis
+
+BLOCK = 100  # rows at least
+LASTING = 3.0  # times as long as an unknown input lasts
+FEWEST = 12  # blocks, over all logs
+DIVERGED = 1e6  # of NLL, that a measurement counts where a filter has diverged
+BACK = 200  # rows before a replay, for a delay to look into
+BY_CHANCE = 0.01  # probability, below which chance is unlikely
+PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
+
+
+def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
+    """Number of the block of time in which each scored measurement stands: longer than what is left is like itself."""
+    data = problem.logs[0]
+    lasting = correlated(scored) if problem.trusted else memory / data.step
+    rows = max(BLOCK, round(LASTING * lasting))
+    total = sum(len(d.u) for d in problem.logs)
+    rows = max(1, min(rows, total // FEWEST))
+    numbers, first = [], 0
+    for part in np.split(scored.rows, np.cumsum(scored.counts)[:-1]):
+        block = first + part // rows
+        numbers.append(block)
+        first = int(block.max()) + 1 if block.size else first
+    return np.concatenate(numbers)
+
+
+def number_of_blocks(problem: Problem, f: Fit) -> int:
+    """How many blocks of time the scored measurements of a fit fall into."""
+    return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
+
+
+def correlated(scored: Scored) -> float:
+    """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
+    parts = np.split(scored.errors / np.sqrt(scored.variances), np.cumsum(scored.counts)[:-1])
+    rows = np.split(scored.rows, np.cumsum(scored.counts)[:-1])
+    longest = 0.0
+    for part, at in zip(parts, rows, strict=True):
+        series = np.bincount(at, np.nan_to_num(part))
+        power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
+        like = np.fft.irfft(power)[: len(series)]
+        none = np.flatnonzero(like <= 0.0)
+        longest = max(longest, float(like[: none[0] if none.size else len(like)].sum() / (like[0] or 1.0)))
+    return longest
+
+
+def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
+    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time.
+
+    costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
+    """
+    scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
+    if scored[0].errors.size != scored[1].errors.size:
+        return math.inf
+    block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
+    better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
+    gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
+    return in_scatter(gains[np.bincount(block) > 0], costs + worse.penalty - better.penalty)
+
+
+def in_scatter(gains: Array, known: float = 0.0) -> float:
+    """A sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
+    total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+    return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
+
+
+def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
+    """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
+
+    What one claims and the other does not is as the other logs have it, or as the model has it. For the likelihood the
+    rest, what both claim, base parameters and noise, settles on the log itself, for both alike: logs that excite little
+    leave it open. Predictions have nothing of the log. Of a single log, halves.
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    count = len(problem.logs)
+    both = set(better.names) & set(worse.names)
+    names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
+    shared = tuple(c for c in better.candidates if c.name in both)
+    settling = [f for f in search.free(shared) if f.name not in names]
+
+    def one(left_out: int) -> tuple[float, list[Array]]:
+        objectives, missed = [], []
+        for h in (worse, better):
+            learnt = learnt_without(search, problem, h, left_out)
+            missed.append(open_loop(problem, search.model.horizon, learnt.values, learnt, left_out))
+            if problem.table:  # on a row or a few, nothing can settle
+                objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
+                continue
+            own = {f.name for c in h.candidates for f in c.free}
+            stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
+            settled = fit(
+                problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
+            )
+            objectives.append(settled.objective)
+        return objectives[0] - objectives[1], missed
+
+    found = in_parallel(one, list(range(count)))
+    return sum(gain for gain, _ in found), in_scatter(_nearer([missed for _, missed in found]))
+
+
+def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
+    """By how many times its scatter the square error of predictions of logs left out is less; of one log, of halves."""
+    problem = problem if len(problem.logs) > 1 else halved(problem)
+    logs = range(len(problem.logs))
+
+    def one(left_out: int) -> list[Array]:
+        others = [k for k in logs if k != left_out]
+        learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
+        return [
+            open_loop(problem, horizon, f.values, f, left_out) for f in (unseen(problem, f, left_out) for f in learnt)
+        ]
+
+    return in_scatter(_nearer(in_parallel(one, list(logs))))
+
+
+def best_of(scatters: float, tried: int) -> float:
+    """How many times its scatter the best of several must gain, to be as unlikely by chance as one that gains so much.
+
+    Of n that gain nothing the best passes z with a probability of at most n·(1 − Φ(z)) (Bonferroni).
+    """
+    from scipy.special import ndtr, ndtri
+
+    return float(-ndtri(ndtr(-scatters) / max(1, tried)))
+
+
+def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
+    """How many times its scatter the gain of the best of several must be, for chance to be unlikely.
+
+    What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
+    blocks of time, and any of those tried could have come by it (Bonferroni).
+    """
+    from scipy.special import stdtrit
+
+    blocks = number_of_blocks(problem, f)
+    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
+
+
+def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
+    """A hypothesis as all logs but one have it."""
+    key = (h.names, left_out)
+    if key not in search.learnt:
+        others = [k for k in range(len(problem.logs)) if k != left_out]
+        free = search.free(h.candidates)
+        learnt = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+        search.learnt[key] = unseen(problem, learnt, left_out)
+    return search.learnt[key]
+
+
+def _nearer(found: Sequence[Sequence[Array]]) -> Array:
+    """By how much square errors are less, in each replay of each log, every output in units of its own."""
+    longest = max(missed[0].shape[1] for missed in found)  # rows of a replay, where logs are of unlike length
+    worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
+    both = np.isfinite(worse) & np.isfinite(better)
+    counts = np.maximum(1, both.sum(axis=1))
+    squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
+    size = 0.5 * sum(s.sum(axis=(0, 1)) for s in squares) / np.maximum(1, both.sum(axis=(0, 1)))
+    size = np.where(size > 0.0, size, 1.0)
+    per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
+    return np.asarray(per_replay[both.any(axis=(1, 2))])
+
+
+def _padded(missed: Array, rows: int) -> Array:
+    """Replays with NaN behind their end, so that all have as many rows."""
+    return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
+
+
+def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
+    """Measured − predicted, shape (replays, rows, outputs), NaN where nothing is; each from the filtered state.
+
+    Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
+    """
+    if problem.table:  # each row by its own inputs
+        return problem.innovations(values, f.noise, index)[0][:, None, :]
+    data, first = problem.data(values, index), unscored(problem.logs[index])
+    rows = len(data.u)
+    length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
+    length = max(2, min(length, (rows - first) // 2))
+    run = problem.run(values, f.noise, index, states=True)
+    p = problem.numbers(problem.of_log(values, index))
+    missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
+    for k, row in enumerate(range(first, rows - length, length)):
+        if k >= len(missed):
+            break
+        first_row = max(0, row - BACK)
+        part, back, start = (
+            data.rows(first_row, row + length + 1),
+            row - first_row,
+            problem.undisturbed(run.states[row]),
+        )
+        predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
+        missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
+    return np.where(np.abs(missed) < 1e30, missed, np.nan)
+
+
+def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
+    """The model as it was given, unknown inputs free; of its parameters per log what all logs say, or all but one.
+
+    A filter that takes the given model for as good as the recalibrated one would not follow what is measured.
+    """
+    given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
+    if not problem.own:
+        return given
+    others = [k for k in range(len(problem.logs)) if k != left_out]
+    known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
+    learnt = fit(problem, problem.own, known, given.noise, others, SCREEN_ITERATIONS, sensing=False)
+    return learnt if left_out is None else unseen(problem, learnt, left_out)
+
+
+def scatter(problem: Problem, f: Fit) -> float:
+    """How many times larger variances of estimates are as they scatter over time than for a white residual."""
+    spread, white = scattered(problem, f).scattered, inverse(f.information)
+    assert spread is not None
+    ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
+    return max(1.0, float(np.median(ratios))) if ratios else 1.0
+
+
+def _of_few(covariance: Array, rows: int, free: int) -> Array:
+    """A covariance for few rows: what is left is less than the noise, and normal intervals are too narrow (Student)."""
+    from scipy.special import stdtrit
+
+    left = max(1, rows - free)
+    return np.asarray(covariance * (float(stdtrit(left, 0.975)) / NORMAL_95) ** 2 * rows / left)
+
+
+def scattered(problem: Problem, f: Fit) -> Fit:
+    """The fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
+    each, information = scores(problem, f)
+    scored = problem.scored(f.values, f.noise)
+    block = blocks_of(problem, scored, math.exp(f.noise.memory))
+    sums = np.stack([np.bincount(block, row) for row in each])
+    inside = inverse(information)
+    covariance = inside @ (sums @ sums.T) @ inside
+    count = len(f.free)
+    if problem.table:
+        covariance = _of_few(covariance, problem.samples, sum(x.prior is None for x in f.free))
+    return replace(f, scattered=np.asarray(covariance[:count, :count]))

@@ -1,0 +1,325 @@
+"""The error of a model on logs: replays through the FMU over the model's horizon (2 s, or a free run), and their floor.
+
+Each replay starts from that model's own filtered state and effect memory, of past data only, at its first row's time.
+All horizons are measured through the FMU; the floor, which needs dozens of runs, through the kernel, which equals it.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.estimation.data import as_data, unscored
+from cosim.estimation.per_log import own, spread
+from cosim.estimation.posing import origins, start_covariance, start_state
+from cosim.estimation.problem import Problem
+from cosim.estimation.readings import readings_of
+from cosim.fmi.state import MEMORY, Memory
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.kernel.kernel import CONSTANT, Data, Filtered
+from cosim.kernel.kernel import MEMORY as LASTS
+from cosim.logs.log import Log
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.namespaces import arrays
+from cosim.model.sensors import SensorError
+from cosim.refinement.proof.refined_models import Variant
+from cosim.residuals.drive import Drive, StoppedReplay
+from cosim.residuals.remote_drive import DriveApart
+from cosim.residuals.residual_statistics import FREE_RUN, pooled
+from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
+
+FLOOR_SEED = 20121
+
+DRAWS = 20
+CALMER, UNLIKE = 1.2, 3.0  # times the error, and times its scatter, from which a floor is plainly above it
+
+
+Evidence = list[tuple[Log, Replay]]
+
+
+def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
+    """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
+    layout = problem.layout
+    data = [as_data(model, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
+    x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
+    readings = [readings_of(d.y, unscored(d)) for d in data]
+    begins = origins(model, layout, logs, data, problem.settings)
+    posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
+    return replace(posed, P0=start_covariance(model, posed))
+
+
+def replays(
+    variant: Variant,
+    problem: Problem,
+    logs: Sequence[Log],
+    horizons: Sequence[float] = (),
+    worker: Worker | None = None,
+    limits: Limits | None = None,
+) -> dict[float, Evidence]:
+    """Horizon → each log, its readings corrected, and its consecutive replays through the FMU.
+
+    The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
+    worker: where the FMU runs, within limits; in this process without.
+    """
+    problem = filtering(problem, variant.model, logs)
+    judged = variant.model.horizon
+    played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
+    for index, log in enumerate(logs):
+        between = problem.settings.interpolated
+        apart = worker and DriveApart(worker, log, variant.fmu, interpolated=between, limits=limits)
+        with apart or Drive(log, variant.fmu, interpolated=between) as drive:
+            if log.table:
+                replay = row_by_row(drive, variant.parameters)
+                played[judged].append((without_sensor_errors(log, variant, {}, replay.outputs), replay))
+                continue
+            data, values = problem.data(variant.values, index), problem.of_log(variant.values, index)
+            for horizon, evidence in played.items():
+                rows = first_rows(log, horizon)
+                filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
+                given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
+                starts = {k: {**variant.parameters, **start} for k, start in given.items()}
+                memories = {k: _on_its_way(variant, values, log, problem.logs[index], k) for k in rows}
+                try:
+                    replay = windows(drive, starts, horizon, memories)
+                except StoppedReplay:
+                    if horizon == judged:
+                        raise
+                    break  # a failed FMU is not called again
+                acting = _acting(problem, filtered, log.grid[rows], log.grid)
+                evidence.append((without_sensor_errors(log, variant, acting, replay.outputs), replay))
+    return played
+
+
+def first_rows(log: Log, horizon: float) -> list[int]:
+    """Where replays start; a free run is one, from the first row."""
+    return [0] if horizon == FREE_RUN else window_rows(log, horizon)
+
+
+def rmse(evidence: Evidence) -> dict[str, float]:
+    """Channel → RMSE pooled over the logs."""
+    return pooled(replay.errors(log) for log, replay in evidence)
+
+
+def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: int) -> dict[str, float]:
+    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart.
+
+    Parameters per log are among them, as the filter knows them by then; errors of sensors are none of the plant's.
+    """
+    layout = problem.layout
+    awake = {e.name for e in variant.model.awake}
+    plant = variant.model.declared
+    here = problem.undisturbed(filtered.states[row])
+    start = {name: float(here[place]) for name, place in layout.constants.items() if name in plant}
+    for name, value in zip(layout.states, filtered.states[row], strict=True):
+        if name.startswith(CONSTANT):
+            continue
+        if "." not in name or name.split(".")[0] in awake:
+            start[f"{name}_start"] = float(value)
+    k = 0
+    for effect in _shaping(variant.model.catalogue):
+        if effect.delay:  # see _on_its_way
+            continue
+        for q in effect.memory:
+            if effect.name in awake:
+                start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
+            k += 1
+    return start
+
+
+@functools.cache
+def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
+    """The effects of a catalogue that act on a command, as declared."""
+    return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
+
+
+def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
+    """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
+    shaping = overrides(variant.model.awake, "shape", Effect)
+    waiting: dict[tuple[int, int], Any] = {}
+    for place, effect in enumerate(shaping):
+        if effect.delay:
+            row = int(log.grid[k])
+            late = values[f"{effect.name}.{effect.delay}"] / data.step
+            rows = range(max(0, math.floor(row - late)), row) or [row]
+            waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return waiting
+
+
+def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
+    """The log with its readings corrected for what the model knows of its sensors, and what is `acting` in each row.
+
+    said: output → what the model says is there; where a reading is late or goes by other outputs, these are the model's
+    """
+    outputs = dict(log.outputs)
+    for sensor in _sensors(variant, acting):
+        if sensor.straight():
+            at_zero, gain = _line(sensor)
+            outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
+        elif not sensor.dormant:
+            outputs |= {n: outputs[n] - by for n, by in _added(sensor, log.time, said).items() if n in outputs}
+    return replace(log, outputs=outputs)
+
+
+def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
+    """The errors of the sensors, the last to act first."""
+    values = {**variant.values, **acting}
+    for kind in reversed(variant.model.sensors):
+        yield kind(value=values[f"{kind.name}.value"])
+
+
+def _line(sensor: SensorError) -> tuple[Any, Any]:
+    """Reading at zero, and gain, of one whose readings are a straight line."""
+    at_zero = sensor.measure(0.0)
+    return at_zero, sensor.measure(1.0) - at_zero
+
+
+def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
+    """Output → what one that is no straight line adds to it, at what the model says is there."""
+    own = {n: said[n] for n in sensor.affected()}
+    if sensor.late:
+        return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
+    own = {n: np.nan_to_num(there) for n, there in own.items()}
+    read = sensor.readings(arrays(), time, {**said, **own})
+    return {n: np.asarray(read[n] - there) for n, there in own.items()}
+
+
+def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
+    """Parameter per log → its value in some rows: as the filter knew it where the replay of that row started."""
+    constants = problem.layout.constants
+    if not constants:
+        return {}
+    begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
+    of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
+    known = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
+    return {name: np.array([known[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
+
+
+def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
+    problem = filtering(problem, variant.model, logs)
+    missed = [
+        _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
+    ]
+    return _root_mean_squares(problem, missed)
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Channel → error of a model against itself, and how much of it that scatters from draw to draw.
+
+    scatter: standard deviation of its logarithm; without a channel where one draw is all there is
+    """
+
+    level: Mapping[str, float]
+    scatter: Mapping[str, float]
+
+    def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Channel → floor and error, where the floor is plainly above: the logs hold less noise than it."""
+        there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
+        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
+        return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
+
+
+def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
+    """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
+    problem = filtering(problem, variant.model, logs)
+    draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
+    for index, log in enumerate(logs):
+        whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
+        first = problem.run(whole, variant.noise, index, states=True).states[0]
+        for draw in draws:
+            drawn = _drawn(problem, index, variant, first, rng)
+            draw.append(_missed(variant, problem, log, index, drawn))
+    level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
+    each = [_root_mean_squares(problem, draw) for draw in draws]
+    sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
+    return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
+
+
+def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
+    if not logs or not problem.layout.constants:
+        return {}
+    problem = filtering(problem, variant.model, logs)
+    ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
+    return {name: value for end in ends for name, value in end.items()}
+
+
+def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
+    """Values of parameters per log, known as the filter has them when it has seen the whole log."""
+    if not (constants := problem.layout.constants):
+        return {}
+    last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+    group = problem.origins[index].group
+    values = {own(name, group): float(last[place]) for name, place in constants.items()}
+    return values | {spread(name, group): 0.0 for name in constants}
+
+
+def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
+    """A log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew.
+
+    Late readings are where they belong, as of `Problem.data`.
+    """
+    layout, data = problem.layout, problem.data(variant.values, index)
+    rows, noisy = len(data.u), layout.noise_places
+    density = problem.densities(variant.noise)[list(layout.noisy)]
+    kicks = np.zeros((rows, len(layout.states)))
+    kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(density * data.step)
+    lasting = {**variant.values, LASTS: math.exp(variant.noise.memory)}
+    p = problem.numbers(problem.of_log(lasting if layout.coloured else variant.values, index))
+    truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
+    sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
+    return replace(data, y=np.where(np.isnan(data.y), np.nan, _older(truth.outputs, data.late) + sensed))
+
+
+def _older(outputs: Array, late: Array | None) -> Array:
+    """Outputs by part of a row earlier, as the filter takes readings that are older than their row."""
+    return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
+
+
+def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
+    """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
+
+    Each starts from the state that the filter knew by then.
+    """
+    gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
+    horizon = variant.model.horizon
+    rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
+    filtered = problem.known(data, variant.values, variant.noise, index, rows)
+    acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
+    for sensor in _sensors(variant, acting):
+        if sensor.straight():
+            gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
+    readings = filtered.errors
+    if not data.table:
+        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+        p = problem.numbers(problem.of_log(variant.values, index))
+        readings = data.y - _predicted(problem, data, p, filtered, rows, length)
+    return np.asarray(readings / np.column_stack(list(gains.values())))
+
+
+def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
+    whole = np.vstack(missed)
+    sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
+    return {
+        name: float(np.sqrt(s / c)) if c else float("nan")
+        for name, s, c in zip(problem.layout.outputs, sums, counts, strict=True)
+    }
+
+
+def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
+    """Outputs of replays as the kernel runs them; NaN where none predicts."""
+    predicted = np.full(data.y.shape, np.nan)
+    for k in rows:
+        end = min(k + length, len(data.u) - 1)
+        part = data.rows(0, end + 1)
+        run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
+        predicted[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
+    return predicted

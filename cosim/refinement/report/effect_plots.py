@@ -1,0 +1,210 @@
+"""What is missing beside what was claimed, effect by effect: the picture that shows a verdict to be right, or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.estimation.candidates import Candidate
+from cosim.estimation.data import unscored
+from cosim.estimation.problem import Problem
+from cosim.model.model import Model
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
+
+VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What one claim explains.
+
+    what, unit: the quantity that is missing; where: the state or channel it is missing in
+    estimated, sigma: what the data say, row by row, without the claim
+    term:       what the claim says; None: nothing is claimed
+    first:      rows of the first log
+    """
+
+    effect: str
+    kind: str
+    where: str
+    unit: str
+    against: Regressor
+    time: Array
+    estimated: Array
+    sigma: Array
+    term: Array | None
+    first: int
+    step: float
+    recorded: float | None = None  # the share as refine.json has it
+
+    @property
+    def what(self) -> str:
+        """What was estimated: `acceleration missing from speed`."""
+        if self.kind == "sensor":
+            return f"error of {self.where}"
+        return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
+
+    @property
+    def correlation(self) -> float:
+        """Of what the data say with what the claim says."""
+        if (
+            self.term is None
+            or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2))
+            or not np.std(self.estimated)
+        ):
+            return float("nan")
+        return float(np.corrcoef(self.estimated, self.term)[0, 1])
+
+    @property
+    def share(self) -> float:
+        """Share of the mean square of what the data say that the claim takes away."""
+        if self.recorded is not None:
+            return self.recorded
+        power = float(np.mean(self.estimated**2))
+        return float("nan") if self.term is None or not power else 1.0 - float(
+            np.mean((self.estimated - self.term) ** 2)
+        ) / power  # fmt: skip
+
+
+def shown(r: Refinement) -> list[Shown]:
+    """One picture for each part of a claim; without a claim, one of what is left."""
+    claim, base = r.verdict.claimed, r.attribution.base
+    logs = range(min(LOGS, len(r.problem.logs)))
+    if claim is None:
+        return [_left(r, logs)] if r.verdict.name == "unexplained" else []
+    pictures = []
+    for candidate in claim.candidates:
+        with_it = Filter(claim.fit.values, claim.fit.noise)
+        without = Filter(base.fit.values, base.fit.noise)
+        if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
+            without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
+        picture = _reading if candidate.kind == "sensor" else _term
+        pictures.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
+    return pictures
+
+
+def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
+    """The claim's values with one candidate's at neutral."""
+    return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
+
+
+def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]) -> Shown:
+    """The equation in which the claim is largest against what is known of the missing acceleration."""
+    parts = [(k, missing(problem, without, k)) for k in logs]
+    terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
+    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
+    against = choose(regressors(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
+    return _picture(model, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
+
+
+def _left(r: Refinement, logs: Sequence[int]) -> Shown:
+    """What the best hypothesis leaves, with the term without a name that promises most beside it."""
+    model, problem, best = r.study.loaded.model, r.problem, r.attribution.best.fit
+    parts = [(k, missing(problem, Filter(best.values, best.noise), k)) for k in logs]
+    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+    residual, equations = r.verdict.residual, parts[0][1].equations
+    column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
+    if residual.get("equation") in equations:
+        column = equations.index(residual["equation"])
+    first = next(iter(residual.get("terms", ())), None)
+    drawn = nameless(model, problem, parts, first) if first else None
+    if first is None or drawn is None:
+        against = choose(regressors(model, problem, parts), (), value[:, column])
+        return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
+    term = at_best(problem, best, logs, column, drawn[1], value[:, column])
+    picture = _picture(model, parts, "", "nameless", column, drawn[0], value, sigma, term)
+    return replace(picture, effect=first["signal"], recorded=residual.get("share"))
+
+
+def _picture(
+    model: Model,
+    parts: Sequence[tuple[int, Missing]],
+    effect: str,
+    kind: str,
+    column: int,
+    against: Regressor,
+    value: Array,
+    sigma: Array,
+    term: Array | None,
+) -> Shown:
+    where = parts[0][1].equations[column]
+    unit = next((q.unit for q in model.states if q.name == where), "")
+    time, first = np.concatenate([m.time for _, m in parts]), len(parts[0][1].time)
+    step = float(np.median(np.diff(parts[0][1].time))) if first > 1 else 1.0
+    return Shown(
+        effect, kind, where, _per_second(unit), against, time, value[:, column], sigma[:, column], term, first, step
+    )
+
+
+def _per_second(unit: str) -> str:
+    return {"m/s": "m/s2", "rad/s": "rad/s2"}.get(unit, f"{unit}/s")
+
+
+def _reading(
+    model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
+) -> Shown:
+    """A sensor's reading less what is there, along the refined estimate, against what its error comes of.
+
+    That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
+    several outputs the one on which the error is largest is shown.
+    """
+    kind = next(k for k in model.sensors if k.name == c.name)
+    parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in logs]
+    first = len(parts[0].time)
+    time = np.concatenate([p.time for p in parts])
+    there, read, y, rate = (np.vstack([getattr(p, n) for p in parts]) for n in ("there", "read", "y", "rate"))
+    names = problem.layout.outputs
+    sizes = np.sqrt(np.nanmean((read - there) ** 2, axis=0) / problem.r)
+    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
+    rows = np.isfinite(y[:, channel]) & np.isfinite(read[:, channel])
+    unit = {q.name: q.unit for q in model.outputs}
+    said = {n: Regressor(f"{n} as the refined model says it is", unit[n], there[rows, k]) for k, n in enumerate(names)}
+    name, missed, term = names[channel], (y - there)[rows, channel], (read - there)[rows, channel]
+    if kind.late:
+        against = Regressor(f"rate of {name}, by the refined model", _per_second(unit[name]), rate[rows, channel])
+    elif kind.straight():
+        against = said[name]
+    else:
+        known = {"time": Regressor("time", "s", time[rows]), **said}
+        against = choose(known, model.drawn_against.get(c.name, ()), term)
+    sigma = np.full(len(term), float(np.sqrt(problem.r[channel])))
+    return Shown(
+        c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, int(rows[:first].sum()),
+        problem.logs[logs[0]].step,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensed:
+    """Rows of one log: what is there without an error of a sensor, what is read with it, readings, rates of change."""
+
+    time: Array
+    there: Array
+    read: Array
+    y: Array
+    rate: Array
+
+
+def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late: bool) -> _Sensed:
+    """Along the refined estimate of a log, every measured output."""
+    data = problem.logs[index]
+    run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
+    clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
+    wrong = Steps(problem, index, with_it.values)
+    count = min(len(data.u), MOST_ROWS) - 1
+    there, read = (np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (clean, wrong))
+    k = np.arange(count, dtype=np.float64)
+    if late:  # by another clock: what was there that long ago
+        rows = with_it.values[c.parameters[0]] / data.step
+        read = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in there.T])
+    rate = np.gradient(there, data.step, axis=0)
+    kept = slice(min(unscored(data), count - 1), count)
+    time = data.start + data.step * k
+    return _Sensed(time[kept], there[kept], read[kept], data.y[:count][kept], rate[kept])

@@ -1,0 +1,203 @@
+"""How far the model was off before and is after, in numbers and in a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.base.text import MISSING, finer, joined, percent, plain
+from cosim.refinement.record import OTHER_HORIZONS
+from cosim.refinement.refinement import Refinement
+from cosim.residuals.replay_sentences import horizon_name
+from cosim.residuals.residual_statistics import excess_left
+
+PARTS = {"estimation": "Estimation logs", "validation": "Sealed validation logs"}
+NOISE = 1.2  # times the floor, up to which an error is noise
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Places on a ruler in percent."""
+
+    before: float
+    after: float
+    floor: float
+    low: float
+    width: float
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """A channel's errors as text."""
+
+    channel: str
+    before: str
+    recalibrated: str
+    after: str
+    floor: str
+    excess: str
+    marks: Marks | None
+    nearest: str = MISSING
+
+
+@dataclass(frozen=True)
+class ErrorTable:
+    """Errors on one set of logs; `nearest`: with those of the nearest model, where not all is claimed."""
+
+    title: str
+    note: str
+    rows: tuple[ErrorRow, ...]
+    nearest: bool = False
+
+
+@dataclass(frozen=True)
+class HorizonTable:
+    """Errors over several horizons on one set of logs: of `what`; a channel's name and its texts, one a horizon."""
+
+    title: str
+    what: str
+    horizons: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def units(r: Refinement) -> dict[str, str]:
+    """Unit of each output."""
+    return {q.name: q.unit for q in r.study.loaded.model.outputs}
+
+
+def error_size(value: float, unit: str, like: float) -> str:
+    """An error in a unit that suits one of size `like`."""
+    shown, factor = finer(unit, like)
+    return joined(plain(value * factor), shown)
+
+
+def horizon(r: Refinement) -> str:
+    """How long the model runs by itself: `2 s`, or `a whole run`."""
+    horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
+    return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
+
+
+def error_tables(r: Refinement) -> list[ErrorTable]:
+    """One table for each set of logs there is."""
+    error, tables = r.record["error"], []
+    for part, title in PARTS.items():
+        if part not in error["before"]:
+            continue
+        rows = tuple(_error_row(r, part, name) for name in error["before"][part])
+        note = "What was learnt from." if part == "estimation" else "Opened once, when all was decided."
+        tables.append(ErrorTable(title, note, rows, bool(error.get("nearest"))))
+    return tables
+
+
+def horizon_table(r: Refinement) -> HorizonTable:
+    """Before → refined, or → nearest where nothing was claimed, from the shortest horizon to the longest.
+
+    Horizons shorter than the rows are apart are left away.
+    """
+    part = judged(r)
+    errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
+    errors[r.study.loaded.model.horizon] = r.record["error"]
+    near = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
+    variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if near else ("after",)
+    what = "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if near else "Over"
+
+    def text(error: Mapping[str, Any], channel: str) -> str:
+        sizes = [float(error[name][part].get(channel, math.nan)) for name in variants]
+        return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
+
+    ordered = sorted(h for h in errors if any(v is not None for v in errors[h]["before"][part].values()))
+    rows = [(c, tuple(text(errors[h], c) for h in ordered)) for c in r.record["error"]["before"][part]]
+    return HorizonTable(PARTS[part], what, tuple(map(horizon_name, ordered)), tuple(rows))
+
+
+def judged(r: Refinement) -> str:
+    """The logs that count: the sealed ones where there are any."""
+    return "validation" if "validation" in r.record["error"]["before"] else "estimation"
+
+
+def _numbers(r: Refinement, part: str, name: str) -> tuple[float, float, float, float]:
+    """Before, recalibrated, after, floor."""
+    error = r.record["error"]
+    before, between, after = (float(error[v][part].get(name, math.nan)) for v in ("before", "recalibrated", "after"))
+    return before, between, after, float(r.record["noise_floors"].get(part, {}).get(name, math.nan))
+
+
+def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
+    numbers = _numbers(r, part, name)
+    before, _, after, floor = numbers
+    texts = [error_size(value, units(r).get(name, ""), after) for value in numbers]
+    left = excess_left(before, after, floor)
+    said = percent(max(0.0, left))
+    if math.isnan(left):
+        said = "within noise" if before < NOISE * floor else "under twice the floor" if floor else MISSING
+    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(name, math.nan))
+    said_near = error_size(near, units(r).get(name, ""), after) if math.isfinite(near) else MISSING
+    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), said_near)
+
+
+def _marks(before: float, after: float, floor: float) -> Marks | None:
+    """On a logarithmic scale of a decade about the three, or as many as they need."""
+    good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
+    if len(good) < 3:
+        return None
+    logs = [math.log10(v) for v in good]
+    middle, reach = 0.5 * (min(logs) + max(logs)), max(1.0, 1.1 * (max(logs) - min(logs)))
+    at = [round(50 + 96 * (v - middle) / reach, 2) for v in logs]
+    return Marks(at[0], at[1], at[2], min(at[:2]), abs(at[0] - at[1]))
+
+
+def second_sentence(r: Refinement) -> str:
+    """The error of the channel that fell most, on sealed runs where there are any."""
+    part = judged(r)
+    what = "rows" if r.problem.table else "runs"
+    where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
+    ratios = {}
+    for name in r.record["error"]["before"][part]:
+        before, _, after, floor = _numbers(r, part, name)
+        if before > 0 and after > 0 and math.isfinite(before + after):
+            ratios[name] = after / before
+    if not ratios:
+        return ""
+    if r.verdict.claimed is None:
+        return _unchanged(r, part, where)
+    name = min(ratios, key=lambda n: ratios[n])
+    before, _, after, floor = _numbers(r, part, name)
+    said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
+    verb = "fell from" if after < before else "went from"
+    lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
+    return f"{lead}{_causes(r, said[1], said[2], above=floor > after)}"
+
+
+def _over(r: Refinement) -> str:
+    return "" if r.problem.table else f" over {horizon(r)}"
+
+
+def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
+    """How the sentence goes on: what the error would be without anything missing."""
+    causes = "noise and disturbance make"
+    if r.problem.table:
+        causes = "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
+    if floor == after:
+        return f", as much as {causes}."
+    return f", less than the {floor} that {causes}." if above else f"; {causes} {floor}."
+
+
+def _unchanged(r: Refinement, part: str, where: str) -> str:
+    """How far the model as it stands is from its noise floor."""
+    worst, ratio = "", 0.0
+    for name in r.record["error"]["before"][part]:
+        _, _, after, floor = _numbers(r, part, name)
+        if floor > 0 and after / floor > ratio:
+            worst, ratio = name, after / floor
+    if not worst:
+        return ""
+    _, _, after, floor = _numbers(r, part, worst)
+    said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
+    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(worst, math.nan))
+    beside = ""
+    if near < after:
+        beside = f", and nearest.yaml by {error_size(near, units(r).get(worst, ''), after)}"
+    lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}{beside}"
+    return f"{lead}{_causes(r, said[0], said[1], above=floor > after)}"

@@ -1,0 +1,34 @@
+"""The table of parameters per log: what each group has, and what the filter came to where no group is known."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cosim.base.text import MISSING, amount
+from cosim.refinement.record import PerLog
+from cosim.refinement.refinement import Refinement
+
+
+class PerLogRow(NamedTuple):
+    """A parameter for one group, in words."""
+
+    name: str
+    group: str
+    value: str
+    interval: str
+    how: str
+
+
+def per_log_rows(r: Refinement) -> list[PerLogRow]:
+    """One row for each parameter and group, those that were fitted first."""
+    rows = []
+    for name, entry in r.record.get("per_log", {}).items():
+        found = PerLog.model_validate(entry)
+        for group, e in found.groups.items():
+            low, high = (amount(bound, found.unit, 3) for bound in e.ci95)
+            rows.append(PerLogRow(name, group, amount(e.value, found.unit, 4), f"{low} … {high}", "fitted"))
+        for group, f in found.followed.items():
+            from_, by = amount(f.expected, found.unit, 3), amount(f.spread, found.unit, 2)
+            how = f"by the filter at the end of the log, from {from_} ± {by} (one standard deviation)"
+            rows.append(PerLogRow(name, group, amount(f.value, found.unit, 4), MISSING, how))
+    return rows

@@ -1,0 +1,310 @@
+"""The page about a refine: what was missing, how that is known, and what it brought."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.registry import entry_of
+from cosim.base.text import MISSING, counted, percent, plain
+from cosim.base.version import __version__
+from cosim.loading.refined import REFINED
+from cosim.logs.log import Log
+from cosim.model.model import Model
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.report.effect_plots import Shown, shown
+from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, second_sentence
+from cosim.refinement.report.innovations import innovations, modes
+from cosim.refinement.report.log_parameters import per_log_rows
+from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs
+from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
+from cosim.refinement.report.table_plots import table_parts
+from cosim.report.drawing import Charts
+from cosim.report.html_tables import Badge, Row
+from cosim.report.template import render
+from cosim.storage.files import atomic_write
+
+TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
+TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
+    "effect_found": ("effect found", "good"),
+    "parameter_error": ("wrong parameter", "good"),
+    "sensor_error": ("sensor error", "good"),
+    "no_effect": ("nothing missing", "good"),
+    "ambiguous": ("ambiguous", "warn"),
+    "unexplained": ("unexplained", "warn"),
+}
+
+
+def write_refine_report(path: Path, r: Refinement) -> None:
+    """Write one self-contained HTML page about a refine."""
+    page = render(TEMPLATE, context(r))
+    with atomic_write(path) as stream:
+        stream.write(page)
+
+
+def context(r: Refinement) -> Mapping[str, Any]:
+    """Everything the template names."""
+    charts = Charts()
+    return {
+        "name": f"Study {r.study.path.resolve().parent.name}",
+        "description": f"{r.study.loaded.model.title}: what measured logs say the model lacks.",
+        "sentence": r.record["sentence"],
+        "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
+        "second": second_sentence(r),
+        "badges": _badges(r),
+        "claimed": r.verdict.claimed is not None,
+        "rivals": _rivals(r),
+        "warnings": r.record["warnings"],
+        "tables": error_tables(r),
+        "error_lead": _error_lead(r),
+        **table_parts(r, charts),
+        **(_NO_TIME if r.problem.table else _in_time(r, charts)),
+        **_ranking(r),
+        "parameters": parameter_tables(r),
+        "per_log": per_log_rows(r),
+        "noise": noise_rows(r),
+        "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
+        "use": shlex.join(use_command(type(r.study.loaded.model), r.folder)),
+        "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
+        "provenance": _provenance(r),
+        "data": charts.data(),  # after all that is drawn
+        "version": __version__,
+    }
+
+
+_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "whiteness": []}  # of tables
+
+
+def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
+    """What is drawn over time, or told of it."""
+    return {
+        "horizons": horizon_table(r),
+        "horizon": horizon(r),
+        "windowed": horizon(r) != "a whole run",
+        "terms": [_term(s, charts) for s in shown(r)],
+        "term_lead": _term_lead(r),
+        "runs": runs(r, charts),
+        **_whiteness(r, charts),
+    }
+
+
+def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
+    """The innovations; channels that are white before and after are folded away where others are not."""
+    white = innovations(r, charts)
+    coloured = [w for w in white if w.tells]
+    return {
+        "whiteness": white,
+        "coloured": coloured or white,
+        "quiet": [w for w in white if not w.tells] if coloured else [],
+        "modes": modes(r),
+        "innovation_lead": _innovation_lead(r.verdict.claimed is not None),
+    }
+
+
+def _ranking(r: Refinement) -> Mapping[str, Any]:
+    """The hypotheses tried: the best single ones, the others, and the best of several candidates together."""
+    singles, more, pairs = ranked(r)
+    return {
+        "singles": singles,
+        "more": more,
+        "pairs": pairs[:SHOWN_PAIRS],
+        "pairs_count": len(pairs),
+        "pairs_open": r.verdict.claimed is not None and len(r.verdict.claimed.candidates) > 1,
+        "ranking_lead": _ranking_lead(r),
+    }
+
+
+# -- sentences --------------------------------------------------------------------------------
+
+
+def _badges(r: Refinement) -> list[Badge]:
+    text, tone = TITLES.get(r.verdict.name, (r.verdict.name, "plain"))
+    sealed = len(r.evidence["before"].get("validation", ()))
+    what, much = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
+    if r.problem.table:
+        what, much = "table", counted(sum(log.rows for log in r.study.logs), "row")
+    return [
+        Badge(text, tone),
+        *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
+        Badge(f"{counted(len(r.study.logs), what)} learnt from, {much}"),
+        Badge(f"{counted(sealed, what)} sealed" if sealed else f"no {what} sealed", "plain" if sealed else "warn"),
+        Badge(_tried(r)),
+        Badge(f"{r.record['seconds']:.0f} s of work"),
+    ]
+
+
+def _tried(r: Refinement) -> str:
+    """How many hypotheses, and how many of them only by a score test."""
+    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
+    screened = len(r.record["candidates"]) - fitted
+    return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
+
+
+def _rivals(r: Refinement) -> str:
+    """What would settle an open question."""
+    if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
+        return (
+            f"Would not have shown in these logs, present or not: {', '.join(r.verdict.rivals)}. "
+            f"What would show them: {r.verdict.experiment}. Nothing is claimed, and the model is left as it was."
+        )
+    if r.verdict.name == "ambiguous":
+        return (
+            f"Rivals: {', '.join(r.verdict.rivals)}. What would tell them apart: {r.verdict.experiment}. "
+            "Until then the refined model holds the one that fits best, and predicts these runs as well as any of them."
+        )
+    if r.verdict.name == "unexplained" and r.verdict.rivals:
+        verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
+        return (
+            f"{' and '.join(r.verdict.rivals)} {verb} not claimed: something without a name does as much beside it, "
+            "or replays are not near enough. model.yaml is the model as it was."
+        )
+    return ""
+
+
+def _term_lead(r: Refinement) -> str:
+    if r.verdict.name == "sensor_error":
+        return "Each reading less what the refined model says is there, and over it what the sensor error makes of it."
+    way = (
+        "The data speak for themselves here: a smoother finds the input that an equation lacks, row by row, "
+        "knowing nothing of the claim. "
+    )
+    if r.verdict.claimed:
+        return way + "Over it, what the claimed term adds: a step of the model with it less a step without."
+    beside = f" beside {' and '.join(r.verdict.rivals)}, the nearest" if r.verdict.rivals else ""
+    return f"{way}Over what is left{beside}: the term without a name that promises most, if one does."
+
+
+def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
+    return {
+        "title": s.effect or s.where,
+        "sentence": _term_sentence(s),
+        "against": against_signal(s, charts),
+        "label": axis_label(s),
+        "time": over_time(s, charts),
+    }
+
+
+def _term_sentence(s: Shown) -> str:
+    """How well the claim takes away what is missing, in numbers."""
+    what = s.what
+    if s.term is None:
+        return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
+    if not np.any(s.term):  # it acts where no unknown input does, behind a sensor say
+        return f"{s.effect} adds nothing to the {what}: it acts elsewhere ({rows_shown(s)})."
+    who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
+    text = f"Of the mean square {what}, {who} takes away {percent(min(1.0, max(0.0, s.share)))}"
+    if s.kind == "sensor":
+        return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
+    if math.isfinite(s.correlation):
+        text += f"; row by row the two correlate by {plain(s.correlation, 3)}"
+    return f"{text} ({rows_shown(s)})."
+
+
+def _error_lead(r: Refinement) -> str:
+    """What the errors are of, and what the floor."""
+    claimed = r.verdict.claimed is not None
+    if r.problem.table:
+        how = "over the rows, each predicted through the FMU from its own inputs"
+    else:
+        windowed, length = horizon(r) != "a whole run", horizon(r)
+        over = f"over replays of {length}" if windowed else f"over {length}"
+        each = "each started" if windowed else "started"
+        how = f"{over} through the FMU, {each} from the state that model's own filter knew by then"
+    made = "the noise that was" if r.problem.table else "the noise and the disturbance that were"
+    text = (
+        f"Root mean square of measured − model {how}. The noise floor is the same number for the "
+        f"{'refined ' if claimed else ''}model against itself, with {made} estimated."
+    )
+    if claimed:
+        text += " Excess left is the share of the squared error above the floor that remains, where there was one."
+    return text
+
+
+def _innovation_lead(claimed: bool) -> str:
+    way = (
+        "An innovation is what a reading tells that the filter did not expect one step before, over its expected "
+        "size; a complete model leaves white noise of size 1. "
+    )
+    if claimed:
+        return way + "One filter, tuned to the refined model, ran on the model before and on the refined one."
+    return (
+        way
+        + "The model ran in a filter that trusts its equations, and in one that allows for the disturbance it found."
+    )
+
+
+def _ranking_lead(r: Refinement) -> str:
+    gain = r.record.get("held_out_gain")
+    lead = (
+        "Of every set of candidates a score test said what it promises; those that promised enough were fitted, base "
+        "parameters and noise free. The score is the log-likelihood gained on the base model and on the priors of its "
+        "parameters, less ½ ln N for each parameter added and, for each candidate, 3 and the logarithm of their number."
+    )
+    if r.verdict.claimed is not None and gain is not None:
+        each = "each part of the table" if r.problem.table else "each log"
+        lead += f" On {each}, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
+    return lead
+
+
+# -- provenance -------------------------------------------------------------------------------
+
+
+def _provenance(r: Refinement) -> list[Row]:
+    study = r.study
+    rows = [Row("Study", str(study.path)), Row("Model", study.loaded.source, study.content.model)]
+    rows += [_log_row("Estimation log", log) for log in study.logs]
+    rows += _inputs(r)
+    rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
+    for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
+        file = r.folder / name
+        rows.append(Row(what, str(file), _digest(file)))
+    if study.loaded.sensors or any(c.kind == "sensor" for c in _parts(r)):
+        rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
+    return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
+
+
+def _inputs(r: Refinement) -> list[Row]:
+    """How inputs were taken between rows, and what the other way would be worth."""
+    inputs = r.record.get("inputs")
+    if not inputs:
+        return []
+    gain = inputs["gain_otherwise"]
+    likelier = "likelier" if gain is not None and gain > 0.0 else "less likely"
+    by = "" if gain is None else f"the other way the logs are {likelier} by {plain(abs(gain))} in log-likelihood"
+    return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
+
+
+def use_command(kind: type[Model], folder: Path) -> list[str]:
+    """What runs a scenario with the model that a refine left, and with a controller made for it where one is designed.
+
+    Paths are whole: those in a scenario start at the scenario.
+    """
+    model, fmu = ((folder / name).resolve() for name in REFINED)
+    command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
+    entry = entry_of(kind)
+    return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
+
+
+def _parts(r: Refinement) -> Sequence[Any]:
+    return r.verdict.claimed.candidates if r.verdict.claimed else ()
+
+
+def _log_row(label: str, log: Log) -> Row:
+    times = "" if log.table else f" t = {log.time[0]:.6g} … {log.time[-1]:.6g} s,"
+    holes = f"{log.rows} rows,{times} measures {', '.join(log.outputs)}"
+    return Row(label, str(log.path), f"{holes}\n{_digest(log.path)}")
+
+
+def _digest(path: Path) -> str:
+    if not path.is_file():
+        return MISSING
+    with path.open("rb") as stream:
+        return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}…"

@@ -1,0 +1,128 @@
+"""What the page about a refine shows of tables: errors on rows left out, measured and model over the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.text import counted, display, finer
+from cosim.base.units import factor
+from cosim.logs.log import Log
+from cosim.model.quantities import Quantity
+from cosim.refinement.proof.measure import Evidence
+from cosim.refinement.record import Part
+from cosim.refinement.refinement import Refinement
+from cosim.refinement.report.error_tables import error_size, units
+from cosim.report.chart_data import Abscissa
+from cosim.report.drawing import Charts
+from cosim.report.html_tables import Grid
+from cosim.report.panels import Panel, Trace
+from cosim.report.svg import Plot
+from cosim.residuals.residual_statistics import rmse
+
+INPUTS = 4  # at most, over which a residual is drawn
+WORDS: Mapping[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
+COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined", "nearest": "Nearest"}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A plot, and what stands under its axis."""
+
+    plot: Plot
+    label: str
+
+
+@dataclass(frozen=True)
+class DrawnTable:
+    """One table: what it is, and its outputs over the inputs."""
+
+    title: str
+    plots: tuple[Drawn, ...]
+
+
+def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
+    """What the template names of tables; nothing of other logs."""
+    if not r.problem.table:
+        return {"left_out": None, "tables_drawn": []}
+    return {"left_out": left_out(r), "tables_drawn": drawn(r, charts)}
+
+
+def left_out(r: Refinement) -> Grid:
+    """Errors on rows left out, a row each output; what is the same for want of a claim is left away."""
+    errors = r.record["error"]["left_out"]
+    shown = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
+    rows = []
+    for name, unit in ((n, units(r)[n]) for n in errors["before"]):
+        like = min(errors[k][name] for k in shown)
+        rows.append((name, *(error_size(errors[k][name], unit, like) for k in shown)))
+    return Grid("Rows left out", tuple(COLUMNS[k] for k in shown), tuple(rows))
+
+
+def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
+    """Every table, by its sets."""
+    found = []
+    for part, word in WORDS.items():
+        for k, (log, _) in enumerate(r.evidence["before"].get(part, ())):
+            of = {name: r.evidence[name][part][k : k + 1] for name in ("before", "after")}
+            title = f"{log.path.name}, {word}: {counted(log.rows, 'row')}"
+            plots = [p for name in log.outputs for p in _plots(r, charts, of, name)]
+            found.append(DrawnTable(title, tuple(plots)))
+    return found
+
+
+def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
+    """An output over the first input that varies, and its residual over each."""
+    log = of["before"][0][0]
+    models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
+    models = models if r.verdict.claimed else [("model", "true", "after")]
+    errors = {label: (style, of[which][0][1].errors(of[which][0][0])[name]) for label, style, which in models}
+    # what is drawn is what was read: sensors that are known to be wrong are in it
+    reading = log.outputs[name]
+    varied = [q for q in r.study.loaded.model.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
+    unit, times = display(log.units[name])
+    fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
+    plots: list[Drawn] = []
+    for q in varied or r.study.loaded.model.inputs[:1]:
+        x, alone = log.inputs[q.name], len(varied) < 2
+        if not plots:
+            whole = [("measured", "estimate dots", reading)]
+            whole += [(n, style, reading - e) for n, (style, e) in errors.items()]
+            drawn = [(n, s, v * times) for n, s, v in whole]
+            plots.append(_over(charts, name, unit, _axis(log, q), x, drawn, alone))
+        left = [(n, f"{style} dots", e * scale) for n, (style, e) in errors.items()]
+        plots.append(_over(charts, f"{name}: measured − model", fine, _axis(log, q), x, left, alone))
+    return plots
+
+
+def _axis(log: Log, q: Quantity) -> tuple[str, str, float]:
+    """Name of an input, its unit as the table was written or as usual, and what its values are multiplied by."""
+    scale = factor(log.written[q.name], q.unit or log.units[q.name]) if log.written.get(q.name) else None
+    return (q.name, log.written[q.name], 1.0 / scale) if scale else (q.name, *display(q.unit))
+
+
+def _over(
+    charts: Charts,
+    title: str,
+    unit: str,
+    axis_of: tuple[str, str, float],
+    x: Array,
+    traces: Sequence[tuple[str, str, Array]],
+    alone: bool,
+) -> Drawn:
+    """Rows in the order of an input: dots, and lines where it is the only one that varies."""
+    name, shown, scale = axis_of
+    order = np.argsort(x, kind="stable")
+    places = x[order] * scale
+    panel = [
+        Trace(label, values[order], style if alone or "dots" in style else f"{style} dots")
+        for label, style, values in traces
+    ]
+    low, high = float(places.min()), float(places.max())
+    room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
+    drawing = charts.over(places, len(panel), Abscissa((name, shown or "1"), (low - room, high + room)))
+    return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{shown or '1'}]")

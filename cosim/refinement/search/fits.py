@@ -1,0 +1,220 @@
+"""Fits sets of candidates on one problem, side by side, and keeps every hypothesis that was tried.
+
+A set is scored by what its fit leaves, plus what its candidates cost: for each parameter ½·ln N (half of BIC), for each
+candidate ENTRY and the logarithm of how many are on trial, so that more candidates mean no more false ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import TypeVar
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.estimation.candidates import Candidate, Free, base_parameters
+from cosim.estimation.fit import FAIR, Fit, fit
+from cosim.estimation.parallel import in_parallel
+from cosim.estimation.problem import Problem
+from cosim.model.model import Model
+from cosim.refinement.search.hypotheses import Hypothesis
+
+SCREEN_ITERATIONS = 12
+ENTRY = 3.0  # of score, beside what its parameters cost, for a candidate
+NEGLIGIBLE, NEEDED = 1.0, 30.0  # of ln of an unknown input's power above the least; of NLL, that its lack costs
+LEADING, DONE = 8, 0.5  # iterations of a fit without one, and what it must gain
+TO_THE_END = 60  # iterations, within which every fit met so far has converged
+
+Parts = tuple[Candidate, ...]
+Trial = tuple[Parts, Mapping[str, float] | None]  # and values from which a fit of them starts
+Progress = Callable[[str, float], None]
+Item = TypeVar("Item")
+
+
+def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
+    """By what a hypothesis is known: the names of its candidates, sorted."""
+    return tuple(sorted(c.name for c in parts))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size.
+
+    candidates: all that were on trial
+    heard:      where equations were trusted, ln of the variances of sensor noise beside unknown inputs that are free:
+                without these, what the model misses counts as noise too
+    """
+
+    search: Search
+    best: Hypothesis
+    hidden: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    heard: Array | None = None
+
+    @property
+    def effects(self) -> int:
+        """How many effects were on trial."""
+        return sum(c.kind == "effect" for c in self.candidates)
+
+
+class Search:
+    """Hypotheses on one problem.
+
+    price:   score that each parameter of a candidate costs: ½·ln N; entry: what each candidate does beside it
+    tried:   names → hypothesis
+    reached: objective of the base model, recalibrated; below it, every hypothesis comes when it is fitted
+    """
+
+    def __init__(self, model: Model, problem: Problem, on_trial: int, progress: Progress) -> None:
+        self.model, self.problem, self.progress = model, problem, progress
+        self.price = 0.5 * np.log(max(2, problem.samples))
+        self.on_trial = max(1, on_trial)
+        self.entry = ENTRY + float(np.log(self.on_trial))
+        self.tried: dict[tuple[str, ...], Hypothesis] = {}
+        self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # names, log left out → fit of the others
+        self.reached = np.inf
+
+    def hypothesis(
+        self,
+        parts: Parts,
+        start: Fit | None,
+        iterations: int = TO_THE_END,
+        goal: float = np.inf,
+        *,
+        promised: Mapping[str, float] | None = None,
+        loosen: bool = True,
+        sensing: bool = True,
+        patient: bool = True,
+    ) -> Hypothesis:
+        """Fit some candidates together, from each of their starts; base parameters on trial lose their prior.
+
+        promised: values from which the fit starts too
+        With `loosen`, the unknown inputs start no lower than where they are plain enough to move.
+        `patient`: with more iterations while it is above what hypotheses within it have reached.
+        """
+        free = self.free(parts)
+        # of the start only what this fit may move: the parts of another hypothesis go back to neutral
+        moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
+        known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
+        noise = start.noise if start is not None else self.problem.plain
+        if self.problem.trusted:
+            noise = replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
+        elif loosen:
+            noise = replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet))
+        begins = [{**known, **promised}] if promised else []
+        starts = max([1, *(len(c.starts) for c in parts)])
+        for k in range(starts if starts > 1 or not begins else 0):
+            values = dict(known)
+            for c in parts:
+                if not set(c.parameters) <= moved:
+                    values |= c.starts[min(k, len(c.starts) - 1)]
+            begins.append(values)
+        reached = self.reached_within(parts) if patient else np.inf
+        fits = []
+        for values in begins:
+            fair = 1 if values == known else FAIR
+            fits.append(fit(self.problem, free, values, noise, None, iterations, goal, fair, reached, sensing))
+        best = min(fits, key=lambda f: f.objective)
+        return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
+
+    def free(self, parts: Parts) -> list[Free]:
+        """What a fit of these candidates may move."""
+        own = [*(f for c in parts for f in c.free), *self.problem.own]
+        on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
+        base = base_parameters(self.model, self.problem.values, self.problem.settings.tolerance)
+        return [b for b in base if b.name not in on_trial] + own
+
+    def fit_all(
+        self,
+        sets: Sequence[Trial],
+        start: Hypothesis,
+        stage: str,
+        margin: float,
+    ) -> list[Hypothesis]:
+        """Fit sets of candidates, each from what it was promised, until they cannot come within `margin` of `start`."""
+        todo = [(parts, promised) for parts, promised in sets if key_of(parts) not in self.tried]
+
+        def one(which: Trial) -> Hypothesis:
+            parts, promised = which
+            goal = start.score + margin - self.cost(parts)
+            h = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
+            return h
+
+        fitted = self._each(stage, one, todo)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
+
+    def fit_again(
+        self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
+    ) -> list[Hypothesis]:
+        """Fit hypotheses further, from where they are, noise of the sensors and all; `only` from there."""
+
+        def one(h: Hypothesis) -> Hypothesis:
+            fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
+            if only or self.problem.trusted or not fitted.ended:
+                return fitted
+            return self._without_noise(self._otherwise(fitted))
+
+        fitted = self._each("fitting the best further", one, hypotheses)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
+
+    def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
+        """Fit hypotheses to the end, from where they are and with the noise of another."""
+
+        def one(h: Hypothesis) -> Hypothesis:
+            return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
+
+        fitted = self._each("fitting what comes near the best", one, hypotheses)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
+
+    def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+        """Fits side by side, in the order of `todo`; each that is done is told."""
+        done = count()
+        self.progress(stage, 0.0)
+
+        def told(item: Item) -> Hypothesis:
+            h, number = one(item), 1 + next(done)
+            self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
+            return h
+
+        return in_parallel(told, todo)
+
+    def _otherwise(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
+        plain = self.problem.plain
+        power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
+        start = replace(h.fit, noise=replace(h.fit.noise, power=power, memory=plain.memory))
+        goal = h.fit.objective - DONE
+        other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+        return replace(other, ended=h.ended) if other.fit.objective < goal else h
+
+    def _without_noise(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis, or one fitted without some unknown input where that leads further: a fit is slow there."""
+        least = self.problem.noise.smallest
+        for k in np.argsort(h.fit.noise.power - least)[::-1]:
+            if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
+                continue
+            power = h.fit.noise.power.copy()
+            power[k] = least[k]
+            start = replace(h.fit, noise=replace(h.fit.noise, power=power))
+            if self.problem.scored(h.fit.values, start.noise).nll > h.fit.nll + NEEDED:
+                continue
+            goal = h.fit.objective - DONE
+            other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+            if other.fit.objective < goal:
+                h = replace(other, ended=h.ended)
+        return h
+
+    def cost(self, parts: Sequence[Candidate]) -> float:
+        """What candidates cost a hypothesis."""
+        return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
+
+    def reached_within(self, parts: Parts) -> float:
+        """Objective that some of the parts reach without the others: all together can do no worse when fitted."""
+        names = {c.name for c in parts}
+        fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
+        return min(fitted, default=self.reached)

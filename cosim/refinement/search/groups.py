@@ -1,0 +1,130 @@
+"""Which parameters of a study are per log, and which logs form a group: their names, and what is wrong with them."""
+
+from __future__ import annotations
+
+import os.path
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from cosim.base.errors import Fault
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.quantities import parameters_of
+from cosim.storage.yaml_file import YamlFile, did_you_mean
+
+Groups = Mapping[str, Sequence[str]]  # group → files
+
+
+def full_name(model: Model, name: str) -> str:
+    """A parameter as the fits call it: an error of a sensor may go without its `.value`."""
+    return f"{name}.value" if name in {kind.name for kind in model.sensors} else name
+
+
+def numbers_of(model: Model) -> list[str]:
+    """What may be per log: numbers of the base, of effects that act in it, errors of its sensors."""
+    base = [p.name for p in model.parameters if not isinstance(p.default, bool)]
+    return [*base, *(f"{e.name}.{p.name}" for e in model.awake for p in parameters_of(e)), *model.sensor_parameters]
+
+
+def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
+    """File of each log → its group; one in no group is one of its own."""
+    named = {os.path.realpath(folder / f): group for group, members in groups.items() for f in members}
+    return {folder / f: named.get(os.path.realpath(folder / f), f) for f in files}
+
+
+def per_log_faults(
+    yaml: YamlFile,
+    model: Model,
+    names: Sequence[str] | None,
+    groups: Groups,
+    learnt: Sequence[str],
+    sealed: Sequence[str],
+    on_trial: Sequence[str],
+) -> Iterator[Fault]:
+    """Everything wrong with `per_log` and `groups`.
+
+    learnt, sealed: files of the logs; on_trial: what the study names as candidates
+    """
+    yield from _wrong_groups(yaml, groups, [*learnt, *sealed])
+    if names is None:
+        if groups:
+            cure = "say with per_log which parameters differ between them, or leave the groups out"
+            yield yaml.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
+        return
+    if model.static:
+        cure = "a model without states reads tables; give it an input that tells them apart"
+        yield yaml.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
+        return
+    if not names:
+        yield yaml.fault(("per_log",), "names none; name some, or leave the key out", key=True)
+    folder = yaml.path.parent
+    group = group_of(folder, [*learnt, *sealed], groups)
+    known = {group[folder / f] for f in learnt}
+    apart = [f for f in sealed if group[folder / f] not in known]
+    seen: set[str] = set()
+    for k, name in enumerate(names):
+        place, full = ("per_log", k), full_name(model, name)
+        if full not in numbers_of(model):
+            yield yaml.fault(place, _unknown(model, name))
+            continue
+        if full in seen:
+            yield yaml.fault(place, f"{name} stands there twice; keep one")
+        elif apart and full in _not_a_state(model):
+            cure = f"put {apart[0]} in a group with a log of estimation"
+            yield yaml.fault(
+                place, f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}; {cure}"
+            )
+        seen.add(full)
+    for k, name in enumerate(on_trial):
+        if _whole(model, name) <= seen:
+            cure = "one per log is free in every hypothesis; name it in one place"
+            yield yaml.fault(("candidates", k), f"{name} is per log too; {cure}")
+
+
+def _wrong_groups(yaml: YamlFile, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
+    """Groups without logs, files that are no logs of the study or stand in two groups."""
+    folder, owner = yaml.path.parent, dict[str, str]()
+    files = {os.path.realpath(folder / f) for f in listed}
+    for group, members in groups.items():
+        if group in listed:
+            yield yaml.fault(
+                ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
+            )
+        if not members:
+            yield yaml.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
+        for k, name in enumerate(members):
+            path, place = os.path.realpath(folder / name), ("groups", group, k)
+            if path not in files:
+                yield yaml.fault(place, f"{name} is not listed under logs{did_you_mean(name, listed)}")
+            elif path in owner:
+                twice = "twice" if owner[path] == group else f"in {owner[path]} too"
+                yield yaml.fault(place, f"{name} stands {twice}; a log has one group, keep one")
+            owner.setdefault(path, group)
+
+
+def _unknown(model: Model, name: str) -> str:
+    if name in model.declared and not isinstance(model.declared[name].default, bool):
+        effect = name.partition(".")[0]
+        return f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave {effect} out"
+    known = numbers_of(model)
+    own = [n for n in known if n.startswith(f"{name}.")]
+    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *_short(model)])
+    return f'no parameter "{name}" of the model or of its sensors{hint}'
+
+
+def _short(model: Model) -> list[str]:
+    return [kind.name for kind in model.sensors]
+
+
+def _whole(model: Model, name: str) -> set[str]:
+    """Parameters of a candidate."""
+    kinds = {kind.name: kind for kind in (*model.catalogue, *model.sensors)}
+    return {f"{name}.{p.name}" for p in parameters_of(kinds[name])} if name in kinds else {name}
+
+
+def _not_a_state(model: Model) -> set[str]:
+    """What is no number of the equations: what shapes commands before they act, or says when readings were taken."""
+    shaping = [
+        *overrides(tuple(kind() for kind in model.catalogue), "shape", Effect),
+        *(s for s in model.sensors if s.late),
+    ]
+    return {f"{e.name}.{p.name}" for e in shaping for p in parameters_of(e)}

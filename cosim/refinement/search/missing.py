@@ -1,0 +1,224 @@
+"""The acceleration a model lacks, row by row, and what a hypothesis puts in its place.
+
+Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, in
+which each forced equation has an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) estimates it:
+    δ⁺ = F·δ + (f(x̄) − x̄⁺) + w      y − g(x̄) = C·δ + v      d among the δ
+Its power is that of the base fit, or one that is plainly detected (`NoiseRange.plain`) where the fit has less.
+Claimed: a step of the model with the hypothesis less a step of the model without, over the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import least_squares, solution
+from cosim.estimation.data import unscored
+from cosim.estimation.fit import DIFFERENCE, Fit
+from cosim.estimation.noise_model import Noise
+from cosim.estimation.problem import Problem
+
+MOST_ROWS = 3000  # of a log, smoothed
+LOGS = 2  # the first of a study, that are smoothed
+NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
+NONE = 1e-6  # of ln of the power of an unknown input above the least
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Rows of one log: d and its standard deviation per forced equation, in the state's unit per second."""
+
+    time: Array
+    equations: tuple[str, ...]
+    value: Array
+    sigma: Array
+    states: Array  # filtered by the base fit, all of the kernel's
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """A set of values and process noise with which the kernel filters a log."""
+
+    values: Mapping[str, float]
+    noise: Noise
+
+
+class Steps:
+    """Single steps of the kernel from any row of a log."""
+
+    def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
+        self.kernel, self.data = problem.kernel, problem.logs[index]
+        layout = problem.layout
+        self.p = problem.numbers(
+            problem.of_log({**problem.values, **values}, index)
+        )  # an unknown input lasts as long as usual
+        late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
+        self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
+
+    def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
+        """The state at the next row, and the outputs at this one."""
+        d = self.data
+        back = min(row, self.back)
+        first = row - back
+        run = self.kernel.simulate(d.rows(first, row + 2), self.p, state, memory, first=back)
+        return run.states[back + 1], run.outputs[back]
+
+
+def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
+    """Smooth the input that the base fit lacks on a log, in the state's unit per second.
+
+    every: rows over which slopes of the equations are taken to stay
+    """
+    layout, data = problem.layout, problem.logs[index]
+    equations = layout.forced
+    noise = loosened(problem, base.noise)
+    run = problem.run({**problem.values, **base.values}, noise, index, states=True)
+    rows = min(len(data.u), MOST_ROWS)
+    model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
+    readings = problem.data({**problem.values, **base.values}, index).y[:rows]
+    value, sigma = _smooth(problem, model, run.states, noise, index, readings)
+    kept = slice(min(unscored(data), rows - 1), rows - 1)
+    time = data.start + data.step * np.arange(rows, dtype=np.float64)
+    return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+
+
+def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
+    """Of each forced equation with an unknown input: its size over that of what moves states of its unit on the logs.
+
+    units: of the states
+    """
+    names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
+    moved: dict[str, float] = {}
+    runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
+    for name, place in zip(names, problem.layout.forced_places, strict=True):
+        change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
+        low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
+        moved[units[name]] = max(moved.get(units[name], 1e-300), float(high - low))
+    return {n: float(p) / moved[units[n]] for n, p, there in zip(names, powers, noisy, strict=True) if there}
+
+
+def loosened(problem: Problem, noise: Noise) -> Noise:
+    """A filter that follows what an equation lacks: in each at least what is plainly detected, as short as usual.
+
+    A fit without any unknown input takes for noise of sensors what equations lack: then sensors are as stated.
+    """
+    bare = bool(np.all(noise.power <= problem.noise.smallest + NONE))
+    sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
+    return replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
+
+
+def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
+    """What the claim adds to each forced equation at the rows of `missing`.
+
+    Both steps start from the refined estimate of what is measured, each from its own of the rest.
+    """
+    layout, data = problem.layout, problem.logs[index]
+    runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
+    without, with_it = (Steps(problem, index, f.values) for f in (base, after))
+    shared, forced = list(layout.stochastic), layout.forced_places
+    rows = min(len(data.u), MOST_ROWS)
+    added = np.full((rows, len(forced)), np.nan)
+    for k in range(rows - 1):
+        here = problem.undisturbed(runs[0].states[k])
+        there = problem.undisturbed(runs[1].states[k])
+        here[shared] = there[shared]
+        plain = without.step(k, here, runs[0].memory[k])[0]
+        fuller = with_it.step(k, there, runs[1].memory[k])[0]
+        added[k] = (fuller - plain)[forced] / data.step
+    return added[min(unscored(data), rows - 1) : rows - 1]
+
+
+def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
+    """A term in one equation at the size at which it takes away most of what is lacking there.
+
+    What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
+    that points the other way takes away nothing.
+    """
+    here, rows = Filter(at.values, at.noise), []
+    for f in at.free:
+        if f.prior is None:
+            step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
+            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
+            rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
+    if rows and np.isfinite(rows).all() and np.isfinite(term).all():
+        basis = np.array(rows).T
+        term = term - basis @ least_squares(basis, term)
+    power = float(term @ term)
+    return np.asarray(max(0.0, float(lacking @ term) / power) * term if power > 0.0 else term)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """δ⁺ = F·δ + b, y − g = C·δ about the filtered states; one row less than the log for F and b."""
+
+    F: Array
+    b: Array
+    C: Array
+    g: Array
+
+
+def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
+    """Differences of single steps, for the states that noise reaches."""
+    reached = list(problem.layout.stochastic)
+    size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
+    size = np.where(size > 0.0, size, NUDGE)  # a parameter per log may be 0, and known
+    n, ny = len(reached), problem.logs[0].y.shape[1]
+    F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
+    b, g = np.zeros((rows, n)), np.zeros((rows, ny))
+    for k in range(rows - 1):
+        ahead, g[k] = steps.step(k, states[k], memory[k])
+        b[k] = ahead[reached] - states[k + 1, reached]
+        if k % every:
+            F[k], C[k] = F[k - 1], C[k - 1]
+            continue
+        for j, state in enumerate(reached):
+            moved = states[k].copy()
+            moved[state] += size[j]
+            there, read = steps.step(k, moved, memory[k])
+            F[k, :, j] = (there - ahead)[reached] / size[j]
+            C[k, :, j] = (read - g[k]) / size[j]
+    return _Linear(F, b, C, g)
+
+
+def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index: int, y: Array) -> tuple[Array, Array]:
+    """Forward filter and backward smoother of δ; the unknown inputs and their standard deviation."""
+    layout, data = problem.layout, problem.logs[index]
+    places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
+    r = np.broadcast_to(problem.variances(noise, index), data.y.shape)
+    x, P = np.zeros(n), problem.P0.copy()
+    if layout.coloured:
+        P[places, places] = np.exp(noise.power)
+    Q = np.diag(problem.densities(noise)) * data.step
+    ahead, spread = np.zeros((rows, n)), np.zeros((rows, n, n))
+    after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
+    for k in range(rows - 1):
+        ahead[k], spread[k] = x, P
+        x, P = _take(x, P, model.C[k], y[k] - model.g[k], r[k])
+        after[k], spread_after[k] = x, P
+        x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
+    last = rows - 2
+    for k in range(last - 1, -1, -1):
+        gain = least_squares(spread[k + 1], model.F[k] @ spread_after[k]).T
+        after[k] += gain @ (after[k + 1] - ahead[k + 1])
+        spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
+    deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, places], 0.0))
+    return states[:rows][:, layout.noise_places] + after[:, places], deviation
+
+
+def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
+    """Condition on the measurements of a row that are there."""
+    wide = np.zeros((len(e), len(x)))
+    wide[:, : C.shape[1]] = C
+    measured = np.isfinite(e)
+    if not measured.any():
+        return x, P
+    H = wide[measured]
+    S = H @ P @ H.T + np.diag(r[measured])
+    K = solution(S, H @ P).T
+    x = x + K @ (e[measured] - H @ x)
+    P = P - K @ H @ P
+    return x, 0.5 * (P + P.T)

@@ -1,0 +1,291 @@
+"""Local shapes without a name: where on a signal, or from when on, an equation lacks something.
+
+A smoother says which input each equation lacks, row by row. Bumps at many places, of three widths, steps and rows of
+bumps (a spline), over time, each state, command and difference of two states of a unit, each also times a velocity, its
+sign or the distance from there, are held against it by regression. Only the most promising ones are worth a filter run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.linear_algebra import least_squares, orthonormal
+from cosim.estimation.fit import Fit
+from cosim.estimation.problem import Problem
+from cosim.kernel.kernel import CONSTANT, DISTURBANCE
+from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
+from cosim.refinement.search.missing import LOGS, Filter, Missing, missing
+
+HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # of ζ, at which a bump is half as high
+INSIDE = (2.0, 98.0)  # percent of the rows, between which places lie
+WIDTHS = (1 / 3, 1 / 6, 1 / 12)  # of that range: of a bump at half its height
+STEPS = 8  # places of a step
+SLIP = 0.05  # of its range, within which the sign of a velocity turns
+FEWEST = 30  # rows within a width
+KEPT = 3  # of the bumps and steps of an equation, that are worth a filter run; of splines one
+TWICE = 0.9  # correlation, from which two of them are one
+EVERY = 4  # rows, of which one has its slopes taken: a regression needs no more
+TURN = 2.0 * np.pi
+DIFFERENCE = " − "
+
+Signals = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One local shape.
+
+    equation: the forced state; of: signal over which it is local, or two: the first less the second
+    kind:  `bump`, `step` or `spline`; place: of its middle, a spline's first bump; width: of a bump at half its
+           height, of a step from end to end, of a spline from bump to bump
+    times: signals as in `of` that it is multiplied by, or none; dry: by their sign alone, which turns within `slip`
+    unit:  of place and width
+    well:  it is multiplied by the distance from its place; turned: it is over an angle and comes back every turn
+    """
+
+    equation: str
+    of: tuple[str, ...]
+    kind: str
+    place: float
+    width: float
+    times: tuple[str, ...] = ()
+    dry: bool = False
+    slip: float = 1.0
+    well: bool = False
+    turned: bool = False
+    unit: str = ""
+
+    @classmethod
+    def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
+        """The shape that an entry of refine.json tells."""
+        lists = {name: tuple(entry[name]) for name in ("of", "times")}
+        return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """As refine.json tells it."""
+        told = {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items()}
+        return {n: v for n, v in told.items() if n != "equation"}
+
+    @property
+    def signal(self) -> str:
+        """Over what it is local, as a reader knows it."""
+        return DIFFERENCE.join(self.of)
+
+    @property
+    def factor(self) -> str:
+        """What it is multiplied by, as a reader knows it; empty for nothing."""
+        if self.well:
+            return "distance from there"
+        name = DIFFERENCE.join(self.times)
+        return f"sign of {name}" if self.dry else name
+
+    @property
+    def per(self) -> float:
+        """ζ per unit of the signal, of an angle that turns per unit of 1 − cosine."""
+        if self.turned:
+            return float(HALF / (1.0 - np.cos(0.5 * self.width)))
+        return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
+
+    def settings(self, slot: int) -> dict[str, float]:
+        """What sets a slot of the kernel to this shape, all but its coefficients."""
+
+        def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
+            return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
+
+        found = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
+        if self.turned:
+            (angle,) = self.of
+            circle = {"1": 1.0, f"cos {angle}": -np.cos(self.place), f"sin {angle}": -np.sin(self.place)}
+            found |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
+        else:
+            found |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
+        if self.well:
+            return found | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
+        if self.dry:
+            return found | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
+        return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
+
+    def coefficients(self, slot: int) -> tuple[str, ...]:
+        """Parameters of a slot that scale it."""
+        own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
+        return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
+
+    def over(self, signals: Signals) -> Array:
+        """The signal that it is over; an angle that turns within one turn about its place."""
+        z = _mixed(signals, self.of)
+        return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
+
+    def columns(self, signals: Signals) -> Array:
+        """What each coefficient multiplies, shape (rows, coefficients)."""
+        z = self.over(signals)
+        over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
+        if self.kind == "step":
+            basis = rise(over)[:, None]
+        else:
+            count = KNOTS if self.kind == "spline" else 1
+            basis = np.stack([bump(over - k) for k in range(count)], axis=1)
+        if self.well:
+            return np.asarray(basis * (z - self.place)[:, None])
+        if not self.times:
+            return np.asarray(basis)
+        factor = _mixed(signals, self.times)
+        return np.asarray(basis * (clipped(factor / self.slip) if self.dry else factor)[:, None])
+
+
+def _mixed(signals: Signals, names: Sequence[str]) -> Array:
+    return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
+
+
+def signals_of(problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Array]:
+    """Over what shapes may be local, at the rows of some logs: index of a log and what was smoothed of it."""
+    layout = problem.layout
+    found: dict[str, Array] = {"time": np.concatenate([m.time for _, m in parts])}
+    states = np.vstack([m.states for _, m in parts])
+    for k, name in enumerate(layout.states):
+        if not name.startswith((DISTURBANCE, CONSTANT)):
+            found[name] = states[:, k]
+    rows = []
+    for index, m in parts:
+        first = round((m.time[0] - problem.logs[index].start) / problem.logs[index].step)
+        rows.append(problem.logs[index].u[first : first + len(m.time)])
+    return found | {f"command {n}": u for n, u in zip(layout.inputs, np.vstack(rows).T, strict=True)}
+
+
+def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
+    """Shapes that a regression on what the equations lack finds most promising, and how many coefficients were tried.
+
+    units: of the signals; of two states of one unit the difference is a signal too
+    worth: log-likelihood that a shape must promise, were each row of its own
+    """
+    prefix = f"{LOCAL}.1.of."
+    known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
+    if not known or not problem.layout.forced:
+        return [], 0
+    with np.errstate(invalid="ignore", over="ignore"):
+        here = Filter(at.values, at.noise)
+        parts = [(k, missing(problem, here, k, EVERY)) for k in range(min(LOGS, len(problem.logs)))]
+    lacking, sigma = (np.vstack([getattr(m, name) for _, m in parts]) for name in ("value", "sigma"))
+    signals = {n: z for n, z in signals_of(problem, parts).items() if n in known}
+    if not np.isfinite(lacking).all() or not all(np.isfinite(z).all() for z in signals.values()):
+        return [], 0
+    found: list[Shape] = []
+    tried = 0
+    for column, equation in enumerate(problem.layout.forced):
+        weight = 1.0 / np.sqrt(np.mean(sigma[:, column] ** 2))
+        own = [signals[equation]] if equation in signals else []
+        best = _Best(lacking[:, column] * weight, own, worth)
+        for shape in _family(problem, equation, signals, units):
+            tried += len(shape.coefficients(1))
+            best.try_one(shape, shape.columns(signals))
+        found += best.kept()
+    return found, tried
+
+
+class _Best:
+    """The shapes that take away most of what one equation lacks, beside a constant and the state itself."""
+
+    def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
+        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
+        self.lacking, self.worth = self._beside(lacking), worth
+        self.single: list[tuple[float, Shape, Array]] = []
+        self.groups: list[tuple[float, Shape, Array]] = []
+
+    def _beside(self, columns: Array) -> Array:
+        return np.asarray(columns - self.plain @ (self.plain.T @ columns))
+
+    def try_one(self, shape: Shape, columns: Array) -> None:
+        """Keep it where it promises enough."""
+        left = self._beside(columns)
+        products = left.T @ left
+        taken = least_squares(products, left.T @ self.lacking, rcond=1e-9)
+        gain = 0.5 * float(taken @ products @ taken)
+        if gain > self.worth * len(taken):
+            (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
+
+    def kept(self) -> list[Shape]:
+        """The most promising that are not alike."""
+        chosen: list[tuple[Shape, Array]] = []
+        for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):
+            direction = row / np.linalg.norm(row)
+            if all(abs(direction @ other) < TWICE for _, other in chosen):
+                chosen.append((shape, direction))
+            if len(chosen) == KEPT:
+                break
+        groups = sorted(self.groups, key=lambda entry: -entry[0])[:1]
+        return [s for s, _ in chosen] + [s for _, s, _ in groups]
+
+
+def _family(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[Shape]:
+    """Every shape that is tried in one equation."""
+    rates = problem.layout.rates
+    states = [n for n in signals if n in problem.layout.states]
+    pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
+    over: list[tuple[str, ...]] = [*((n,) for n in signals), *pairs]
+    for of in over:
+        z = _mixed(signals, of)
+        low, high = np.percentile(z, INSIDE)
+        if not high > low or np.unique(z).size < FEWEST:
+            continue
+        moving: list[tuple[str, ...]] = [(equation,)] if equation in signals else []
+        if all(n in rates and rates[n] in signals for n in of):
+            moving = list(dict.fromkeys(((*(rates[n] for n in of),), *moving)))
+        slips = [(t, _slip(signals, t)) for t in moving if not set(t) & set(of)]
+        if len(of) == 1 and units.get(of[0]) == "rad" and high - low > TURN:
+            shapes = _round(equation, of, slips)
+        else:
+            shapes = _over(equation, of, z, low, high, slips)
+        yield from (replace(shape, unit=units.get(of[0], "")) for shape in shapes)
+
+
+def _round(equation: str, of: tuple[str, ...], moving: Sequence[tuple[tuple[str, ...], float]]) -> Iterator[Shape]:
+    """The shapes over an angle that turns."""
+    for width in WIDTHS:
+        for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
+            where = Shape(equation, of, "bump", float(place), width * TURN, turned=True)
+            yield where
+            for times, slip in moving:
+                yield replace(where, times=times)
+                yield replace(where, times=times, dry=True, slip=slip)
+
+
+def _slip(signals: Signals, names: tuple[str, ...]) -> float:
+    low, high = np.percentile(_mixed(signals, names), INSIDE)
+    return SLIP * float(high - low) or 1.0
+
+
+def _over(
+    equation: str,
+    of: tuple[str, ...],
+    z: Array,
+    low: float,
+    high: float,
+    moving: Sequence[tuple[tuple[str, ...], float]],
+) -> Iterator[Shape]:
+    """The shapes over one signal."""
+    span = high - low
+    for place in np.linspace(low, high, STEPS + 2)[1:-1]:
+        step = Shape(equation, of, "step", float(place), span / STEPS)
+        yield step
+        for times, _ in moving:
+            yield replace(step, times=times)
+    if of == ("time",):
+        return
+    yield Shape(equation, of, "spline", float(low), span / (KNOTS - 1))
+    for width in WIDTHS:
+        for place in np.linspace(low, high, round(2 / width) + 1):
+            near = np.count_nonzero(abs(z - place) < 0.5 * width * span)
+            if near < FEWEST:
+                continue
+            where = Shape(equation, of, "bump", float(place), float(width * span))
+            yield where
+            yield replace(where, well=True)
+            for times, slip in moving:
+                yield replace(where, times=times)
+                yield replace(where, times=times, dry=True, slip=slip)

@@ -1,0 +1,143 @@
+"""Numbers for the page's script: every row of every signal in a chart, and safe inside a script element."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.report.packed import packed, power, power_of_time, whole
+from cosim.report.panels import HELD, LINE, Panel, Trace
+
+MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
+COUNTS = 1e9  # below which what is held and whole is read without decimals
+TIME = ("time", "s")  # what a page is over unless it says so
+Numbers = list[float | None]
+
+
+def sample_rows(count: int, limit: int) -> Rows:
+    """Every n-th row and the last, at most about `limit`."""
+    rows = np.arange(0, count, max(1, math.ceil(count / limit)))
+    return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
+
+
+def rounded(values: Array, digits: int) -> Numbers:
+    """Plain numbers; what cannot be drawn becomes null, whole numbers lose their `.0`."""
+    numbers: Numbers = []
+    for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
+        short = round(value, digits) if good else None
+        numbers.append(int(short) if short is not None and short == int(short) and abs(short) < 1e15 else short)
+    return numbers
+
+
+@dataclass(frozen=True)
+class Abscissa:
+    """What charts are over.
+
+    over:   its name and unit; ends: where it begins and ends if not at rows
+    sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
+    breaks: rows after which lines begin anew that do so
+    log:    the axis holds the logarithms to base 10 of what it is read as
+    points: places in a plane, of which the nearest one is meant
+    """
+
+    over: tuple[str, str] = TIME
+    ends: tuple[float, float] | None = None
+    sparse: bool = False
+    breaks: Sequence[int] = ()
+    log: bool = False
+    points: bool = False
+
+    @property
+    def label(self) -> str:
+        """What it is, in words."""
+        return f"{self.over[0]} in {self.over[1] or '1'}"
+
+    def about(self, rows: Rows) -> dict[str, Any]:
+        """What the script must know of it, of a page that holds these rows."""
+        about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
+        about |= {"ends": self.ends} if self.ends else {}
+        about |= {"sparse": 1} if self.sparse else {}
+        about |= {"log": 1} if self.log else {}
+        about |= {"points": 1} if self.points else {}
+        return about | ({"breaks": np.searchsorted(rows, list(self.breaks), "right").tolist()} if self.breaks else {})
+
+
+OVER_TIME = Abscissa()
+
+
+class Series:
+    """Signals over one axis of which the script knows every row, each under a short key.
+
+    rows: those in the page: all, unless that would be more than MOST_CELLS
+    """
+
+    def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
+        self.time, self.name = time, name
+        self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
+        self.entries: dict[str, dict[str, Any]] = {}
+        self.columns = [whole(time[self.rows], power_of_time(time))]
+        self.about = abscissa.about(self.rows)
+
+    def add(self, panel: Panel) -> list[str]:
+        """Keys of the traces of a panel."""
+        return [self.trace(trace, trace.values, trace.upper) for trace in panel.traces]
+
+    def trace(self, trace: Trace, values: Array, upper: Array | None = None) -> str:
+        """Key of a trace, whose values stand at the rows of this axis."""
+        more: dict[str, Any] = {"b": 1} if trace.anew else {}
+        more |= {"s": trace.shift} if trace.shift else {}
+        more |= {"u": self.column(upper)} if upper is not None else {}
+        more |= {"i": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
+        return self.column(values, way=trace.way, more=more)
+
+    def band(self, panel: Panel) -> tuple[str, ...]:
+        """Keys of the lower and the upper edge of a panel's band."""
+        return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
+
+    def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+        """Key of one signal; way: how it is drawn."""
+        key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
+        good = np.isfinite(kept)
+        counts = (
+            way == HELD
+            and bool(np.all(np.abs(kept[good]) < COUNTS))
+            and np.array_equal(kept[good], np.rint(kept[good]))
+        )
+        decimals = 0 if counts else power(kept)
+        gaps = not bool(good.all())
+        self.columns.append(whole(kept, decimals))
+        if gaps:
+            self.columns.append(good.astype(np.int64))
+        self.entries[key] = {"p": decimals, "h": way, "g": int(gaps), **more}
+        return key
+
+
+def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, further: Sequence[Series] = ()) -> str:
+    """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element.
+
+    further: signals over other axes, each set with a name of its own
+    """
+    data = {**_block(series), **({"further": [_block(s) for s in further]} if further else {}), **more}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _block(series: Series) -> dict[str, Any]:
+    """`every` and `of`: the n-th rows that are here, and how many there are in all."""
+    every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
+    return {
+        "rows": int(series.rows.size),
+        "every": every,
+        "of": int(series.time.size),
+        "p": power_of_time(series.time),
+        "series": series.entries,
+        "packed": packed(series.columns),
+        **series.about,
+    }

@@ -1,0 +1,19 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+
+ARTEFACTS = (
+    Artefact(
+        "an answer of `cosim replay`",
+        "scripts read it; `cosim replay LOG.csv` makes one",
+        keys=(frozenset({"schema_version", "units"}),),
+        without=frozenset({"scenario", "differences", "estimates"}),
+        verb="cosim replay",
+        marks=("replay.json", "residual.csv"),
+        folder="the folder of a replay",
+        folder_step="`cosim compare {file} OTHER` compares it with another",
+        sources=("log", "fmu"),
+    ),
+)

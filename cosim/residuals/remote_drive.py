@@ -1,0 +1,212 @@
+"""A drive whose FMU runs in a worker process: what is asked of it there, and what its caller makes of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
+from cosim.base.scratch import Held, scratch
+from cosim.blocks.compiling import with_permission
+from cosim.fmi.state import Memory, Own
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import OTHER, Rows, allocate, mapped_table, read_table
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.logs.log import Log
+from cosim.residuals.drive import PLANT, Drive, StoppedReplay
+
+MODULES = ("cosim.residuals.remote_drive", "fmpy.fmi2", "fmpy.logging")
+
+# -- in the worker ------------------------------------------------------------------------------
+
+_drives: dict[int, Drive] = {}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A drive that a worker is to have: its number there, what it is made of, the file for the rows it is making."""
+
+    number: int
+    log: Log
+    fmu: Path
+    interpolated: frozenset[str]
+    given: Mapping[str, Any]
+    table: Path
+
+
+def load(asked: Loaded) -> None:
+    """Have a drive ready; its FMU is loaded at the first run."""
+    drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
+    here.overheard(drive.block)
+    drive._new_rows = partial(_mapped, asked.table)
+    _drives[asked.number] = drive
+
+
+def _mapped(path: Path, rows: int, columns: int) -> Rows:
+    return Rows(mapped_table(path, rows, columns), made=here.progress.made, doing=here.progress.doing)
+
+
+def ask(number: int, method: str, *arguments: Any) -> Any:
+    """Call a method of a drive."""
+    here.progress.doing[0] = OTHER
+    return getattr(_drives[number], method)(*arguments)
+
+
+def unload(number: int) -> None:
+    """Free the FMU of a drive."""
+    here.progress.doing[0] = OTHER
+    _drives.pop(number).block.close()
+
+
+# -- its caller -----------------------------------------------------------------------------------
+
+
+class DriveApart(Drive):
+    """Context: a drive in a worker, loaded there again where that has crashed."""
+
+    _numbers = itertools.count()
+
+    def __init__(
+        self,
+        worker: Worker,
+        log: Log,
+        fmu: Path,
+        progress: Callable[[int], None] | None = None,
+        interpolated: Container[str] = (),
+        limits: Limits | None = None,
+        given: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(log, fmu, progress, interpolated, given)
+        self._worker, self._limits, self._interpolated = worker, limits or Limits(), interpolated
+        self._number, self._process = next(self._numbers), 0
+        self._full = log  # of which others are made
+        self._most = max(len(self._steps(0, log.rows - 1)[0]), log.rows) + 2  # rows of a run
+        self._held: Held | None = None
+
+    def __enter__(self) -> Self:
+        self._held = scratch("cosim-replay-rows-")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None and self._process == self._worker.starts:
+                self._worker.call(unload, self._number, watch=self._watch(()))
+        finally:
+            if self._held is not None:
+                self._held.remove()
+
+    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
+        """As of a drive."""
+        self._check_start(start)
+        answer: dict[str, float] = self._ask("initial", start, row)
+        return answer
+
+    def own(self, start: Mapping[str, Any]) -> Own:
+        """As of a drive."""
+        answer: Own = self._ask("own", start)
+        return answer
+
+    def state(self) -> Own:
+        """As of a drive."""
+        answer: Own = self._ask("state")
+        return answer
+
+    def run_and_keep(
+        self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
+    ) -> tuple[Array, dict[int, Own]]:
+        """As of a drive."""
+        answer: tuple[Array, dict[int, Own]] = self._run("run_and_keep", first, last, start, rows)
+        return answer
+
+    def run(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        memory: Memory | None = None,
+        visit: Callable[[int], None] | None = None,
+    ) -> Array:
+        """As of a drive; `visit` cannot be called from a worker."""
+        assert visit is None
+        answer: Array = self._run("run", first, last, start, memory)
+        return answer
+
+    def rows(self, start: Mapping[str, Any]) -> Array:
+        """As of a drive."""
+        try:
+            answer: Array = self._ask("rows", start, times=self.log.time.tolist())
+        except StoppedReplay:
+            raise
+        except SimulationError as error:
+            raise StoppedReplay(error, self._made()) from None
+        return answer
+
+    # -- within -------------------------------------------------------------------------------
+
+    def _run(self, method: str, first: int, last: int, *arguments: Any) -> Any:
+        times, held, rows = self._steps(first, last)
+        read = self._read(rows)
+        ends = (t + h for t, h in zip(times, held, strict=True))
+        reached = [float(self.log.time[first]), *(t for t, wanted in zip(ends, read, strict=True) if wanted)]
+        self.left = None
+        try:
+            answer = self._ask(method, first, last, *arguments, times=reached)
+        except StoppedReplay:
+            raise
+        except SimulationError as error:
+            table = self._made()
+            raise StoppedReplay(error, self._at_rows(table, reached[: len(table)], first, last)) from None
+        except BaseException:
+            table = self._made()
+            if last == self._full.rows - 1:
+                self.left = self._at_rows(table, reached[: len(table)], first, last)
+            raise
+        self._driven[0] += len(times)
+        if self.progress is not None:
+            self.progress(self._driven[0])
+        return answer
+
+    def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:
+        """Call a method of the drive in the worker; `times` are those of the rows it makes."""
+        self._worker.start()
+        if self._process != self._worker.starts:
+            self._load()
+        return self._worker.call(ask, self._number, method, *arguments, watch=self._watch(times))
+
+    @property
+    def _file(self) -> Path:
+        assert self._held is not None, "a drive apart is a context"
+        return self._held.path / "rows"
+
+    def _load(self) -> None:
+        self._worker.take_along(self._file.parent)
+        allocate(self._file, 8 * self._most * len(self.outputs))
+        between = frozenset(name for name in self.inputs if name in self._interpolated)
+        asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)
+        self._worker.call(with_permission, self.block.compiles, load, asked, watch=self._watch(()))
+        self._process = self._worker.starts
+
+    def _watch(self, times: Any) -> Watch:
+        begin = float(self.log.time[0])
+        driven, progress = self._driven[0], self.progress
+        return Watch(
+            [PLANT],
+            [fmi_calls(self.description)],
+            lambda made, call: times[min(max(0, made - 1), len(times) - 1)] if times else begin,
+            self._limits,
+            8 * len(self.outputs),
+            self._worker.spent,
+            None if progress is None else lambda made: progress(driven + made),
+        )
+
+    def _made(self) -> Array:
+        """The rows that the worker made before it ended."""
+        return read_table(self._file, self._worker.progress.made[0], len(self.outputs))

@@ -1,0 +1,153 @@
+"""A comparison in words; each sentence follows from the numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cosim.base.text import amount, counted, plain, size
+from cosim.logs.finding import Finding
+from cosim.residuals.compare import ChannelSummary, Comparison
+from cosim.residuals.residual_statistics import FREE_RUN
+
+
+def horizon_name(horizon: float) -> str:
+    """`2 s`, `free run`."""
+    return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What a verdict is made of: channels, those that windows do not measure, those that miss more than noise makes.
+
+    measure: the horizon that counts [s]; lead: how far the model is off
+    """
+
+    comparison: Comparison
+    channels: Sequence[ChannelSummary]
+    measure: float
+    lost: Sequence[ChannelSummary]
+    beyond: Sequence[ChannelSummary]
+    lead: str
+
+
+def verdict(comparison: Comparison) -> str:
+    """How far the model is off, whether noise explains that, and what the rest follows: the first rule that applies."""
+    outcome = _outcome(comparison)
+    rules = (_not_measured, _not_in_kind, _explained, _beyond_in_free_run, _beyond_in_windows)
+    return next(sentence for rule in rules if (sentence := rule(outcome)))
+
+
+def _outcome(comparison: Comparison) -> _Outcome:
+    channels = [c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels
+    measure = channels[0].measure
+    seconds = float(comparison.log.time[-1] - comparison.log.time[0])
+    over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
+    beyond = sorted((c for c in channels if not (c.matched or c.lost)), key=lambda c: -c.excess)
+    lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)"
+    return _Outcome(comparison, channels, measure, [c for c in channels if c.lost], beyond, lead)
+
+
+def _not_measured(o: _Outcome) -> str:
+    return f"{o.lead}. {_no_measure(o.lost)}" if o.lost and not o.beyond else ""
+
+
+def _not_in_kind(o: _Outcome) -> str:
+    following = [c for c in o.channels if c.matched and not c.explained]
+    if o.beyond or not following:
+        return ""
+    return f"{o.lead}, which noise could explain in size, but not in kind. {_cause(o.comparison, following)}"
+
+
+def _explained(o: _Outcome) -> str:
+    if o.beyond:
+        return ""
+    return f"{o.lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
+
+
+def _beyond_in_free_run(o: _Outcome) -> str:
+    if o.measure != FREE_RUN:
+        return ""
+    worst = min(o.beyond, key=lambda c: c.scores[FREE_RUN].fit)
+    fit = amount(worst.scores[FREE_RUN].fit, "%", 2)
+    return f"{o.lead}; {worst.name} fits to {fit}. {_cause(o.comparison, o.beyond)}"
+
+
+def _beyond_in_windows(o: _Outcome) -> str:
+    first, *others = (f"{plain(c.excess, 2)} times" for c in o.beyond)
+    names = [c.name for c in o.beyond]
+    times = [
+        f"{first} what the noise of the sensors explains for {names[0]}",
+        *(f"{times} for {name}" for times, name in zip(others, names[1:], strict=True)),
+    ]
+    rest = f" {_no_measure(o.lost)}" if o.lost else ""
+    return f"{o.lead}. That is {_and(times)}. {_cause(o.comparison, o.beyond)}{rest}"
+
+
+def _no_measure(lost: Sequence[ChannelSummary]) -> str:
+    """Which channels windows do not measure, how that shows, and what the free run says of them."""
+    names = _and([c.name for c in lost])
+    own = _and([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+    return (
+        f"The windows do not measure {names}: restarted from its own outputs this FMU misses {own}, "
+        f"for it keeps a state that no output shows. Its free run misses {_sizes(lost, FREE_RUN)}."
+    )
+
+
+def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
+    return _and([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
+
+
+def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
+    """A delay, or which command the misfit follows."""
+    names = {c.name for c in channels}
+    late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
+    if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
+        first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
+        return f"{first.whole}."
+    pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
+    if not pairs:
+        return (
+            "No command stands out in the residual: an effect that depends on the motion, a disturbance or a sensor; "
+            "`cosim refine` tells them apart."
+        )
+    channel, found = max(pairs, key=lambda pair: pair[1].strength)
+    rho = plain(float(found.rho[found.peak]), 2)
+    why = "" if found.ahead else ", or the loop answers a disturbance"
+    return (
+        f"The residual of {channel.name} follows {found.name} (correlation {rho}): "
+        f"the model's answer to that command is wrong or incomplete{why}."
+    )
+
+
+def whiteness_words(channel: ChannelSummary) -> str:
+    """White or not."""
+    test = channel.whiteness
+    if math.isnan(test.p_value):
+        return "too few rows to tell"
+    if test.white:
+        return "white"
+    return "not white, yet no larger than noise and start explain" if channel.matched else "not white"
+
+
+def input_words(channel: ChannelSummary) -> str:
+    """The command that stands out, or that none does."""
+    if not channel.inputs:
+        return "no command moves"
+    found = channel.inputs[0]
+    if not found.stands_out:
+        return f"none ({found.name} comes closest, {plain(found.strength, 2)} times the band)"
+    return f"{found.name}, {plain(found.strength, 2)} times the band"
+
+
+def quality(findings: Sequence[Finding]) -> str:
+    """How sound the log is."""
+    warnings = sum(f.severity == "warning" for f in findings)
+    if not warnings:
+        return "Clock, units, signs and channels of the log are in order."
+    return f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

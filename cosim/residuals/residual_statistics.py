@@ -1,0 +1,195 @@
+"""The residual, measured minus model: how large, whether white, and which input it follows.
+
+NaN marks what was not measured or not predicted; every statistic is over the rows that are there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import slowness
+
+FREE_RUN = math.inf  # as a horizon [s]
+LJUNG_BOX_LAGS = 20
+COUNTS_FROM = 2.0  # times the noise floor, from which an error before has an excess that can fall
+STANDS_OUT = 2.0  # times the 95 % band: four standard errors, by chance once in 10⁴ lags
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a model predicts a channel.
+
+    rmse: root mean square of measured − model, in the channel's unit
+    fit:  100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%], NaN where y is constant
+    rows: number of rows compared
+    """
+
+    rmse: float
+    fit: float
+    rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """Autocorrelation ρ(k), k = 0 … L, its 95 % band if white, and the Ljung–Box test of the first lags."""
+
+    rho: Array
+    band: float
+    p_value: float
+
+    @property
+    def white(self) -> bool:
+        """Not refused at 1 %."""
+        return self.p_value > 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class InputCorrelation:
+    """Correlation of the residual with an input `lags` rows earlier; negative lags are the loop's feedback."""
+
+    name: str
+    lags: Rows
+    rho: Array
+    band: float
+
+    @property
+    def peak(self) -> int:
+        """Place of the largest |ρ| among the lags at which the input can be a cause."""
+        causal = np.where((self.lags > 0) & np.isfinite(self.rho), np.abs(self.rho), -1.0)
+        return int(np.argmax(causal))
+
+    @property
+    def strength(self) -> float:
+        """Largest causal |ρ| in units of the band."""
+        return abs(float(self.rho[self.peak])) / self.band
+
+    @property
+    def ahead(self) -> bool:
+        """The input leads: it is clearly more like what comes after it than like what came before."""
+        before = np.abs(self.rho[(self.lags <= 0) & np.isfinite(self.rho)])
+        return abs(float(self.rho[self.peak])) > 1.2 * float(before.max(initial=0.0))
+
+    @property
+    def stands_out(self) -> bool:
+        """More than chance can do."""
+        return self.strength > STANDS_OUT
+
+
+def rmse(*errors: Array) -> float:
+    """Root mean square of everything finite, pooled; NaN where nothing is."""
+    kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
+    with np.errstate(over="ignore"):  # of a model that runs away
+        return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
+
+
+def excess_left(before: float, after: float, floor: float) -> float:
+    """(after² − floor²)/(before² − floor²) of root mean squares; NaN where before is not well above the floor."""
+    if not before > COUNTS_FROM * floor:
+        return math.nan
+    return (after * after - floor * floor) / (before * before - floor * floor)
+
+
+def fit_percent(measured: Array, model: Array) -> float:
+    """NRMSE fit as MATLAB's `compare` gives it: 100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%]."""
+    both = np.isfinite(measured) & np.isfinite(model)
+    y = measured[both]
+    spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
+    return 100.0 * (1.0 - float(np.linalg.norm(y - model[both])) / spread) if spread > 0.0 else math.nan
+
+
+def score(measured: Array, model: Array) -> Score:
+    """RMSE and fit over the rows both have."""
+    error = measured - model
+    return Score(rmse(error), fit_percent(measured, model), int(np.isfinite(error).sum()))
+
+
+def whiteness(residual: Array, lags: int) -> Whiteness:
+    """Autocorrelation over `lags` rows, and Q = n·(n + 2)·Σ ρ(k)²/(n − k) of Ljung and Box (1978)."""
+    from scipy.special import gammaincc
+
+    z, seen = _centred(residual)
+    count = int(seen.sum())
+    rho, pairs = _correlation(z, seen, z, seen, lags)
+    rho, pairs = rho[lags:], pairs[lags:]
+    used = [k for k in range(1, min(LJUNG_BOX_LAGS, lags) + 1) if pairs[k] > 0 and math.isfinite(rho[k])]
+    if not used:
+        return Whiteness(rho, math.nan, math.nan)
+    # with gaps each lag weighs by its pairs; without, this is the formula above
+    q = (count + 2) / count * sum(pairs[k] * rho[k] ** 2 for k in used)
+    chance = float(gammaincc(0.5 * len(used), 0.5 * q))  # that χ² of so many degrees of freedom exceeds Q
+    return Whiteness(rho, NORMAL_95 / math.sqrt(count), chance)
+
+
+def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) -> tuple[InputCorrelation, ...]:
+    """Correlation with each input that moves, the one that stands out most first.
+
+    The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n): slow residuals and slow inputs are alike by chance.
+    """
+    z, seen = _centred(residual)
+    count, reach = int(seen.sum()), min(residual.size - 1, max(lags, residual.size // 4))
+    everywhere = np.ones(residual.size)
+    found = []
+    for name, values in inputs.items():
+        u = values - values.mean()
+        if count < 3 or np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())) or not np.any(z):
+            continue
+        own_r, own_u = _correlation(z, seen, z, seen, reach)[0], _correlation(u, everywhere, u, everywhere, reach)[0]
+        alike = float(np.nansum(own_r * own_u))
+        rho, _ = _correlation(u, everywhere, z, seen, lags)
+        band = NORMAL_95 * math.sqrt(max(1.0, alike) / count)
+        found.append(InputCorrelation(name, np.arange(-lags, lags + 1), rho, band))
+    return tuple(sorted(found, key=lambda c: -c.strength))
+
+
+def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
+    """Correlation of `after` with `before` −lags … lags rows earlier."""
+    a, seen_a = _centred(before)
+    b, seen_b = _centred(after)
+    return _correlation(a, seen_a, b, seen_b, lags)[0]
+
+
+def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
+    """Rows in `seconds`, more in a slow log, no more than a quarter of what there is."""
+    return max(1, min(round(seconds * slowness(step) / step), rows // 4))
+
+
+def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
+    """Channel → RMSE over several logs."""
+    channels: dict[str, list[Array]] = {}
+    for log in errors:
+        for name, error in log.items():
+            channels.setdefault(name, []).append(error)
+    return {name: rmse(*parts) for name, parts in channels.items()}
+
+
+def _centred(values: Array) -> tuple[Array, Array]:
+    """Values about their mean, 0 where missing, and 1 where they are there."""
+    seen = np.isfinite(values)
+    mean = float(values[seen].mean()) if seen.any() else 0.0
+    return np.where(seen, values - mean, 0.0), seen.astype(np.float64)
+
+
+def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) -> tuple[Array, Array]:
+    """ρ(k) of b(t + k) with a(t) for k = −lags … lags, and in how many pairs of rows it was seen."""
+    products, pairs = _lagged(a, b, lags), np.rint(_lagged(seen_a, seen_b, lags))
+    counts = float(seen_a.sum()), float(seen_b.sum())
+    if min(counts) == 0.0:
+        return np.full(2 * lags + 1, np.nan), pairs
+    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1])
+    usable = pairs > 0 if scale > 0.0 else np.zeros(pairs.size, dtype=bool)
+    rho = np.full(2 * lags + 1, np.nan)
+    rho[usable] = products[usable] / pairs[usable] / scale
+    return rho, pairs
+
+
+def _lagged(a: Array, b: Array, lags: int) -> Array:
+    """Σ_t a(t)·b(t + k) for k = −lags … lags, by FFT."""
+    size = 1 << (a.size + lags).bit_length()
+    whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
+    return np.concatenate((whole[-lags:], whole[: lags + 1]))

@@ -1,0 +1,279 @@
+"""`design:` of a scenario: start values of a controller designed before the run, cached by content.
+
+What can be designed, and what may be said of it, the designer declares (`cosim.model.design`); the registry knows it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Optional
+
+from pydantic import AfterValidator, ConfigDict, Field, create_model
+
+from cosim.base.errors import Crashed, Fault, FmuError, InputError, NotExecuted
+from cosim.base.registry import BASE, entry_of, model_entry, resolve
+from cosim.blocks.description import read_description
+from cosim.fmi.sampled import law_of
+from cosim.isolation.process import Worker
+from cosim.loading.file import load_model, without_execution
+from cosim.loading.refined import NoNearest, refined_file
+from cosim.model.design import Designer, Judged, Objection, Option, Undesigned
+from cosim.model.model import Model
+from cosim.scenario.scenario import Design
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.start_values import typed
+from cosim.storage.cache import cached
+from cosim.storage.files import atomic_write
+from cosim.storage.yaml_file import NotNegative, Positive, short
+
+
+def _complex(value: Any) -> Any:
+    """A number, or the text of a complex one, as it was written; ValueError where it is neither, or not finite."""
+    try:
+        number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        number = complex("nan")
+    if isinstance(value, bool) or not (math.isfinite(number.real) and math.isfinite(number.imag)):
+        raise ValueError(f"{value!r} is no number; write -4 or, complex, -4+1j")
+    return str(number).strip("()") if number.imag else number.real
+
+
+ALIKE = 1e-6  # of its size: numbers no further apart are the same, one typed and one calculated
+Complex = Annotated[Any, AfterValidator(_complex)]
+
+
+class _Declared(Design):
+    """With the options of one designer, and no further keys."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
+    """Start values by component that the design gives; its options are written into the scenario, defaults too.
+
+    A design that fails is faults of the file; what is worth a warning is added to those of the file.
+    """
+    design = file.scenario.design
+    if design is None:
+        return {}
+    try:
+        model, designer = _asked(file, design)
+        law = _law(file, design.component)
+        options = _options(file, design, designer, law)
+        own = getattr(file.scenario.components.get(design.component), "start", None) or {}
+        faults = [_fault(file, o, own, design.component) for o in designer.objections(options, law)]
+        faults += _contradictions(file, design.component, designer.given(options, law), own)
+        if file.faults or faults:  # a faulty scenario is not run
+            raise InputError(faults)
+        made = _Design(file, designer, options, model, law)
+        designed = {**made.values(), **designer.given(options, law)}
+        judged = made.judged(designed, own)
+        if judged.objections:
+            raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
+    except Undesigned as error:
+        file.faults.append(_fault(file, error.objection, own, design.component))
+        return {}
+    except InputError as error:
+        file.faults += error.faults
+        return {}
+    file.warnings += [*judged.warnings, *_two_numbers(file, design.component, designer.rests_on(designed, law))]
+    return {design.component: designed}
+
+
+def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[str, Any]]:
+    """Return `designed_values`; Python that the model of the design names is executed in the worker.
+
+    Without a worker it is executed here. InputError if it ends the worker.
+    """
+    if worker is None:
+        return designed_values(file)
+    try:
+        with without_execution():
+            return designed_values(file)
+    except NotExecuted as code:
+        try:
+            designed, design, file.faults, file.warnings = worker.call(_design_of, file)
+        except Crashed as crash:
+            raise InputError([ended(code.file, crash)]) from None
+        whole = file.scenario.design if design is None else Design.model_validate(design)
+        file.scenario = file.scenario.model_copy(update={"design": whole})
+        return dict(designed)
+
+
+def ended(file: Path, crash: Crashed) -> Fault:
+    """Return the fault of a Python file that ended the worker in which it was executed."""
+    return Fault(file, 0, 0, f"does not load: {crash.reason.replace('the worker', 'its Python', 1)}")
+
+
+def _design_of(file: ScenarioFile) -> tuple[Any, Any, list[Fault], list[str]]:
+    """In a worker: return the designed values, the design with its defaults, faults and warnings."""
+    designed = designed_values(file)
+    design = file.scenario.design
+    return designed, None if design is None else design.model_dump(), file.faults, file.warnings
+
+
+def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], component: str) -> Fault:
+    """An objection at its place: the scenario's own start value where it is about that, else the option."""
+    started = next((name for name in objection.values if name in own), None)
+    if started is not None:
+        return file.fault(("components", component, "start", started), objection.message)
+    about = objection.about[:1]
+    written = file.yaml.root.get("design")
+    said = f"{about[0] if about else 'design'}: {objection.message}"
+    if not about or not isinstance(written, dict) or about[0] not in written:  # left at its default, or not in the file
+        return file.yaml.fault(("design",), said, key=True)
+    return file.fault(("design", *objection.about), said)
+
+
+def _contradictions(
+    file: ScenarioFile, component: str, given: Mapping[str, Any], own: Mapping[str, Any]
+) -> list[Fault]:
+    """Options that the component's own start values leave without effect: one of both is not meant."""
+    return [
+        file.fault(
+            ("components", component, "start", name),
+            f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out",
+        )
+        for name, value in given.items()
+        if isinstance(value, str) and name in own and own[name] != value
+    ]
+
+
+def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
+    """The model of `design.model`, None where none is named, and who designs its controller."""
+    if design.model is None and design.nearest:
+        raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
+    if design.model is None:
+        return None, resolve(model_entry().design)
+    try:
+        named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
+    except NoNearest as error:
+        raise InputError([file.fault(("design", "nearest"), str(error))]) from None
+    try:
+        loaded = load_model(BASE if design.model == BASE else str(named), Path())
+    except InputError as error:  # of the whole file, not of a line of it: told where it is named
+        where = ("design", "model")
+        faults = [
+            f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
+        ]
+        raise InputError(faults) from None
+    entry = entry_of(type(loaded.model))
+    if entry is None or not entry.design:
+        message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
+        raise InputError([file.fault(("design", "model"), message)])
+    return loaded.model, resolve(entry.design)
+
+
+def _law(file: ScenarioFile, component: str) -> str:
+    """The control law of the FMU that is designed for; "" where it says none, or is none."""
+    named = getattr(file.scenario.components.get(component), "fmu", None)
+    return "" if named is None else law_of(file.resolve(named))
+
+
+def _options(file: ScenarioFile, design: Design, designer: Designer, law: str) -> dict[str, Any]:
+    """The options as the designer declares them; InputError with every fault."""
+    fields: dict[str, Any] = {n: (_kind(option), _default(option, law)) for n, option in designer.options.items()}
+    declared = create_model("Design", __base__=_Declared, **fields)
+    whole = file.yaml.validate(declared, design.model_dump(), ("design",))
+    file.scenario = file.scenario.model_copy(update={"design": whole})
+    return {name: getattr(whole, name) for name in designer.options}
+
+
+def _default(option: Option, law: str) -> Any:
+    if option.laws and law not in option.laws:
+        return None
+    return list(option.default) if isinstance(option.default, tuple) else option.default
+
+
+def _kind(option: Option) -> Any:
+    """The type of an option's values."""
+    if option.choices:
+        return Optional[Literal[option.choices]]  # noqa: UP045 - made at run time
+    number: Any = Complex if option.complex else Positive if option.positive else NotNegative
+    if option.length is None:
+        return Optional[number]  # noqa: UP045
+    several: Any = Annotated[list[number], Field(min_length=option.length, max_length=option.length)]
+    return Optional[several] if option.laws else several  # noqa: UP045
+
+
+def _two_numbers(file: ScenarioFile, component: str, designed_with: Mapping[str, float]) -> list[str]:
+    """A number of which the design takes one value and the component, by its own start values, another."""
+    own = _numbers(file, component, designed_with)
+    return [
+        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
+        " it runs with the first and is designed with the second"
+        for name, value in designed_with.items()
+        if name in own and not math.isclose(own[name], value, rel_tol=ALIKE)
+    ]
+
+
+def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[str, float]:
+    """A component's own start values of these names, as numbers in the units of their variables."""
+    part = file.scenario.components.get(component)
+    found = {name: value for name, value in (getattr(part, "start", None) or {}).items() if name in names}
+    if any(isinstance(value, str) for value in found.values()):
+        try:
+            description = read_description(file.resolve(getattr(part, "fmu", "")))
+        except FmuError:  # which is told where the FMU is named
+            return {}
+        variables = {v.name: v for v in description.modelVariables}
+        found = {n: typed(description, variables[n], v) for n, v in found.items() if n in variables}
+    return {n: v for n, v in found.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+
+
+@dataclass(frozen=True)
+class _Design:
+    """One design, its results kept in the user's cache by what they depend on."""
+
+    file: ScenarioFile
+    designer: Designer
+    options: Mapping[str, Any]
+    model: Model | None
+    law: str
+
+    def values(self) -> dict[str, float]:
+        """Designed values; InputError where there is no such design."""
+        try:
+            content = {"model": self.designer.depends_on(self.model)}
+            made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))
+        except Undesigned:
+            raise
+        except ValueError as error:
+            raise InputError([self.file.yaml.fault(("design",), f"design: {error}", key=True)]) from None
+        return {name: float(value) for name, value in made.items()}
+
+    def judged(self, designed: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:
+        """What is to be said of them with the component's own start values over them."""
+
+        def judge() -> dict[str, Any]:
+            found = self.designer.judged(designed, dict(own), self.options, self.law)
+            return {"objections": list(found.objections), "warnings": list(found.warnings)}
+
+        told = self._kept({"designed": designed, "own": dict(own)}, judge)
+        objections = [Objection(tuple(about), said, tuple(names)) for about, said, names in told["objections"]]
+        return Judged(objections, told["warnings"])
+
+    def _kept(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """What was made of this before, or is now."""
+        from cosim.base.version import __version__
+
+        made_by = {"format": self.designer.version, "designer": type(self.designer).__qualname__}
+        key = {"version": __version__, **made_by, "options": self.options, "law": self.law, **content}
+        place = cached(json.dumps(key, sort_keys=True), ".json")
+        try:
+            found = json.loads(place.read_text(encoding="utf-8"))
+            if isinstance(found, dict) and found:
+                return found
+        except (OSError, ValueError):
+            pass  # none there, or it is not one
+        made = make()
+        try:
+            with atomic_write(place) as stream:
+                json.dump(made, stream)
+        except OSError:
+            pass  # a cache that cannot be written only costs time
+        return made

@@ -1,0 +1,279 @@
+"""Reading a scenario file: overrides, faults with their place, and what is left of a faulty one to check on."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import BASE, is_model
+from cosim.scenario.pinned import with_files_beside
+from cosim.scenario.scenario import Scenario
+from cosim.scenario.signal_units import convert_quantities
+from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
+from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
+from cosim.storage.yaml_nodes import Document, Location, NotYaml
+
+MOST_STEPS = 2e7
+ROUNDING = 1e-9  # relative slack when a duration is divided into steps
+
+
+class ScenarioFile:
+    """A scenario and the file it came from, so that later checks can name the place.
+
+    Faults of form do not stop the checks of meaning: `faults` holds them, `scenario` what is left without the
+    faulty parts, `broken` the names of components left out, `places` where the connections, faults and events that are
+    left stand in the file. Whoever runs a scenario raises `faults` first.
+
+    overrides: `path=value` each; a fault of such a value names the override
+    origin:    where the faults of a scenario that was made from another file stand in that
+    option:    in which the user wrote the overrides; "" where a fault gets its place from the caller
+    """
+
+    def __init__(
+        self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"
+    ) -> None:
+        self.path = path
+        check_form(path, SCENARIO, MANIFEST)
+        self.yaml = YamlFile(path, origin)
+        refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
+        self.manifest: Mapping[str, Any] | None = None
+        if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:
+            self.manifest = self.yaml.root
+            self.yaml.enter("scenario")
+        data = copy.deepcopy(self.yaml.root)
+        for override in overrides:
+            named = f'{option} "{short(override)}"' if option else ""
+            self.yaml.overrides[_override(path, data, override, named)] = named
+        self.broken: set[str] = set()
+        self.stands_in = False
+        self.places = _numbered(data)
+        self.faults: list[Fault] = []
+        self.warnings: list[str] = []  # of what is fit to be run
+        convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
+        self.scenario = self._validate(data)
+        if self.manifest is not None:
+            self.scenario = with_files_beside(self.scenario, path.parent)
+        self.faults += [*self._step_faults(), *self._criteria_faults()]
+
+    def _validate(self, data: dict[str, Any]) -> Scenario:
+        """The scenario; where it has faults of form, what is left without them."""
+        try:
+            return self.yaml.validate(Scenario, data)
+        except InputError as error:
+            self.faults += error.faults
+        left = Salvage(data)
+        for _ in range(3):  # what is left may miss a key it needs
+            try:
+                scenario = Scenario.model_validate(left.data)
+            except ValidationError as error:
+                left.drop([location_in(left.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
+            else:
+                self.broken, self.places = left.broken, left.places
+                self.stands_in = left.stands_in
+                return scenario
+        raise InputError(self.faults)
+
+    def resolve(self, name: str) -> Path:
+        """A file named in the scenario, relative to its own folder; unresolved where no file may be so named."""
+        path = self.path.parent / name
+        try:
+            return path.resolve()
+        except (OSError, ValueError):  # a loop of links, a zero byte
+            return path
+
+    @property
+    def files(self) -> list[Path]:
+        """FMUs and recordings that its components name."""
+        named = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
+        return [self.resolve(name) for name in named if name]
+
+    def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
+        """A fault at a place of the scenario."""
+        return self.yaml.fault(location, message, exit_code=exit_code)
+
+    def _step_faults(self) -> list[Fault]:
+        s = self.scenario
+        if self.stands_in:  # duration or step is faulty itself
+            return []
+        count = s.duration / s.step
+        if not count <= MOST_STEPS:
+            message = f"step is {s.step:g} s: {count:.3g} steps are more than the {MOST_STEPS:g} a run may have"
+            return [self.fault(("step",), message)]
+        if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
+            return []
+        cure = s.duration / max(1, math.ceil(count))
+        overrides = self.yaml.overrides
+        return [
+            self.fault(
+                ("duration",) if ("duration",) in overrides and ("step",) not in overrides else ("step",),
+                f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one",
+            )
+        ]
+
+    def _criteria_faults(self) -> list[Fault]:
+        faults = []
+        for kind, k, criterion in self.scenario.goals:
+            where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
+            if (kind == "settling_time") != (criterion.band is not None):
+                faults.append(
+                    self.fault(where, f"{kind} needs a band" if kind == "settling_time" else f"{kind} takes no band")
+                )
+            end = self.scenario.duration if criterion.until is None else criterion.until
+            if not 0 <= criterion.after < end <= self.scenario.duration or end - criterion.after < self.scenario.step:
+                faults.append(
+                    self.fault(
+                        where,
+                        f"{kind} looks from {criterion.after:g} s to {end:g} s of {self.scenario.duration:g} s",
+                    )
+                )
+        return faults
+
+
+LISTS = ("connections", "faults", "events")  # whose entries are told apart where one is faulty
+STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
+
+
+class Salvage:
+    """A scenario's data without its faulty parts, so that the rest can still be checked for meaning."""
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        self.data = copy.deepcopy(data)
+        self.broken: set[str] = set()
+        self.places = _numbered(data)
+        self.stands_in = False
+
+    def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
+        """Leave out the part at each location, as little as will do."""
+        entries: dict[str, set[int]] = {}
+        for first, *rest in filter(None, locations):
+            if first in LISTS and rest and isinstance(rest[0], int):
+                entries.setdefault(str(first), set()).add(rest[0])
+            elif first == "components" and rest:
+                self._drop_from_component(str(rest[0]), rest[1:])
+            elif first == "criteria" and rest:
+                self.data["criteria"].pop(rest[0], None)
+            elif first in STAND_INS:
+                self.data |= STAND_INS
+                self.stands_in = True
+            else:
+                self.data.pop(str(first), None)
+        for key, faulty in entries.items():
+            kept = [k for k in range(len(self.data[key])) if k not in faulty]
+            self.data[key], self.places[key] = ([part[k] for k in kept] for part in (self.data[key], self.places[key]))
+
+    def _drop_from_component(self, name: str, rest: list[int | str]) -> None:
+        component = self.data["components"].get(name)
+        start = component.get("start") if isinstance(component, dict) else None
+        if isinstance(component, dict) and len(rest) == 1 and rest[0] in component and rest[0] not in {"fmu", "block"}:
+            del component[rest[0]]
+        elif isinstance(start, dict) and len(rest) == 2 and rest[0] == "start":
+            start.pop(rest[1], None)
+        else:
+            self.data["components"].pop(name, None)
+            self.broken.add(name)
+            if not self.data["components"]:
+                self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
+
+
+def _numbered(data: Mapping[str, Any]) -> dict[str, list[int]]:
+    """Places of the entries of lists in the file."""
+    return {key: list(range(len(entries))) if isinstance(entries := data.get(key), list) else [] for key in LISTS}
+
+
+def _place(key: str, node: list[Any]) -> int | None:
+    """A key as the place of an item that is there."""
+    return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
+
+
+def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Location:
+    """Put one `path=value` into the data and return its place; the value is read as YAML (JSON included)."""
+    target, sign, value = text.partition("=")
+
+    def refused(why: str) -> InputError:
+        return InputError([Fault(path, 0, 0, f"{named or short(target)} {why}")])
+
+    if not sign or not target.strip():
+        raise refused("is not path=value; for example --set noise=off")
+    node: Any = data
+    keys = keys_of(target.strip())
+    at: list[str | int] = []
+    for depth, key in enumerate(keys[:-1]):
+        if isinstance(node, list) and (place := _place(key, node)) is not None:
+            node = node[place]
+            at.append(place)
+        elif isinstance(node, dict) and (key in node or depth not in NAMED.get(keys[0], ())):
+            node = node.setdefault(key, {})
+            at.append(key)
+        else:
+            break
+    else:
+        last = keys[-1]
+        if isinstance(node, dict) and (last in node or len(keys) - 1 not in NAMED.get(keys[0], ())):
+            node[last] = _from_here(keys, _value(value))
+            return (*at, last)
+        if isinstance(node, list) and (place := _place(last, node)) is not None:
+            node[place] = _value(value)
+            return (*at, place)
+    if keys[0] == "components" and isinstance(components := data.get("components"), dict):
+        known = ", ".join(map(short, islice(components, 20)))
+        hint = did_you_mean(keys[1], components)
+        what = f'component "{short(keys[1])}", which is not in the scenario{hint}'
+        raise refused(f"is for {what} (its components: {known})")
+    raise refused(f"leads nowhere: there is no {short(target)} in the scenario")
+
+
+NAMED = {"components": (1,)}  # at which depth a path names what the scenario must have
+
+
+def keys_of(target: str) -> list[str]:
+    """The keys of a path; a variable's name may hold dots: components.plant.start.coulomb_friction.force."""
+    keys = target.split(".")
+    if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
+        return [*keys[:3], ".".join(keys[3:])]
+    return keys
+
+
+FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys below these whose values are names of files
+
+
+def _from_here(keys: Sequence[str], value: Any) -> Any:
+    """A value of --set, its names of files taken from the current folder: there they were typed."""
+    named = FILES.get(keys[0], ())
+    inner = keys[2:] if keys[0] == "components" else keys[1:]
+    if isinstance(value, dict) and not inner:
+        return {key: _whole(v) if key in named else v for key, v in value.items()}
+    return _whole(value) if len(inner) == 1 and inner[0] in named else value
+
+
+def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a scenario that is in no file, its names of files taken from the current folder."""
+    found = dict(data)
+    if isinstance(components := found.get("components"), Mapping):
+        found["components"] = {
+            name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
+            for name, c in components.items()
+        }
+    if isinstance(design := found.get("design"), Mapping):
+        found["design"] = _from_here(["design"], dict(design))
+    return found
+
+
+def _whole(name: Any) -> Any:
+    """The whole path of a file's name; what is no such name stays."""
+    return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
+
+
+def _value(text: str) -> Any:
+    """What a value of --set means; where it is no YAML, the text itself."""
+    try:
+        return Document(text).data
+    except NotYaml:
+        return text

@@ -1,0 +1,198 @@
+"""Numbers with a unit in a scenario whose unit is that of a signal: converted to it before the scenario is validated.
+
+Quantities whose unit the key itself says, such as `duration`, are converted by `cosim.storage.yaml_file.InUnit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.base.errors import FmuError, InputError
+from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, squared
+from cosim.blocks.description import read_description, unit_of
+from cosim.blocks.sources import playback
+from cosim.scenario.start_values import Misfit, converted
+from cosim.storage.yaml_file import shown
+from cosim.storage.yaml_nodes import Location
+
+STAND_IN = 1.0  # in place of a faulty quantity, so that the rest of the scenario is still checked
+Resolve = Callable[[str], Path]
+Note = Callable[[Location, str], None]
+
+
+class Measure(NamedTuple):
+    """Unit of a signal, and the conversion of text to it: (text, is it a difference) → number, or ValueError."""
+
+    unit: str
+    number: Callable[[str, bool], float]
+
+    def of_kind(self, kind: str, text: str) -> float:
+        """Return the number of a text that is a `value`, a `difference`, a `square` of one, or one in each `second`."""
+        if not has_unit(text):
+            raise ValueError(allowed_quantity(self.unit))
+        if kind == "square":
+            return read_quantity(text, squared(self.unit), difference=True)
+        if kind == "rate":
+            return read_quantity(text, f"{self.unit or '1'}/s", difference=True)
+        if kind == "integral":
+            return read_quantity(text, f"{self.unit}.s".lstrip("."), difference=True)
+        return self.number(text, kind == "difference")
+
+
+@dataclass(frozen=True)
+class Place:
+    """A quantity of a scenario: where it stands, the signal whose unit it has, and of which kind it is.
+
+    of: `component.variable`, or the measure itself
+    """
+
+    location: Location
+    of: str | Measure
+    kind: str
+
+
+def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> None:
+    """Replace text such as `2 deg` by the number in the unit of its signal; `note` gets each fault with its place."""
+    measures: dict[str, Measure | None] = {}
+    for place in _places(data):
+        *path, last = place.location
+        parent = _part(data, *path)
+        text = parent[last]
+        name = ".".join(map(str, place.location))
+        if isinstance(place.of, str):
+            if place.of not in measures:
+                measures[place.of] = _measure(data, place.of, resolve)
+            measure = measures[place.of]
+        else:
+            measure = place.of
+        parent[last] = STAND_IN
+        if measure is None:
+            note(place.location, f"{name} is {shown(text)}: the unit of {place.of} is not known; write a number alone")
+            continue
+        try:
+            parent[last] = measure.of_kind(place.kind, text)
+        except ValueError as error:
+            note(place.location, f"{name} is {shown(text)}: {error}")
+
+
+def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure | None:
+    """Return the measure of a signal; None if there is no such signal, of which other checks tell."""
+    owner, _, name = signal.partition(".")
+    component = _part(data, "components", owner)
+    if not isinstance(component, dict):
+        return None
+    try:
+        if isinstance(file := component.get("fmu"), str):
+            return _of_fmu(resolve(file), name)
+        if component.get("block") == "playback" and isinstance(file := component.get("file"), str):
+            units = {s.name: s.unit for s in playback(owner, resolve(file), (name,)).outputs}
+            return _plain(units[name]) if name in units else None
+    except (FmuError, InputError, OSError, ValueError):
+        return None
+    about = _part(component, "signals", name) or _part(component, "signals", name.removesuffix("_meas"))
+    unit = about.get("unit", "") if isinstance(about, dict) else None
+    is_reference = component.get("block") == "reference"
+    return _plain(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
+
+
+def _of_fmu(path: Path, name: str) -> Measure | None:
+    description = read_description(path)
+    names = {v.name: v for v in description.modelVariables}
+    variable = names.get(name) or names.get(name.rpartition("[")[0])
+    if variable is None:
+        return None
+
+    def number(text: str, difference: bool) -> float:
+        found = converted(description, variable, text, difference=difference)
+        if isinstance(found, Misfit):
+            raise ValueError(found.reason)
+        return found
+
+    return Measure(unit_of(variable), number)
+
+
+def _plain(unit: str) -> Measure:
+    return Measure(unit, lambda text, difference: read_quantity(text, unit, difference=difference))
+
+
+def _places(data: dict[str, Any]) -> Iterator[Place]:
+    """Every text that stands for a quantity of a signal."""
+    for place in (*_of_connections(data), *_of_faults(data), *_of_criteria(data), *_of_components(data)):
+        if isinstance(_part(data, *place.location), str):
+            yield place
+
+
+def _of_connections(data: Mapping[str, Any]) -> Iterator[Place]:
+    for k, connection in _entries(data.get("connections")):
+        if isinstance(target := connection.get("to"), str):
+            yield Place(("connections", k, "offset"), target, "difference")
+            yield Place(("connections", k, "noise", "bias"), target, "difference")
+            yield Place(("connections", k, "noise", "variance"), target, "square")
+
+
+def _of_faults(data: Mapping[str, Any]) -> Iterator[Place]:
+    for k, fault in _entries(data.get("faults")):
+        if isinstance(target := fault.get("on"), str):
+            at = ("faults", k, "value")
+            kind = "value" if fault.get("kind") == "stuck" else "difference"
+            yield Place(at, _plain("1") if fault.get("kind") == "scale" else target, kind)
+
+
+def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
+    criteria = data.get("criteria")
+    for kind, given in criteria.items() if isinstance(criteria, dict) else ():
+        alone: list[tuple[Location, Any]] = [((), given)]
+        for within, criterion in alone if isinstance(given, dict) else [((k,), c) for k, c in _entries(given)]:
+            at: Location = ("criteria", kind, *within)
+            signal = criterion.get("of")
+            if not isinstance(signal, str):
+                continue
+            if isinstance(to := criterion.get("to"), str) and split_quantity(to) is not None:
+                yield Place((*at, "to"), signal, "value")
+            yield Place((*at, "band"), signal, "difference")
+            if kind == "settling_time":
+                yield Place((*at, "max"), _plain("s"), "value")
+            elif kind == "effort":
+                yield Place((*at, "max"), signal, "integral")
+            else:  # a peak held against nothing is a value: at most 80 degC
+                yield Place((*at, "max"), signal, "value" if kind == "peak" and not to else "difference")
+
+
+def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
+    components = data.get("components")
+    for name, component in components.items() if isinstance(components, dict) else ():
+        signals = component.get("signals") if isinstance(component, dict) else None
+        for signal, about in signals.items() if isinstance(signals, dict) else ():
+            unit = about.get("unit", "") if isinstance(about, dict) else None
+            if not isinstance(unit, str):
+                continue
+            at: Location = ("components", name, "signals", signal)
+            measure = _plain(unit)  # as it is written: what is in degrees is computed in radians later
+            yield Place((*at, "start"), measure, "value")
+            for k, _ in _entries(about.get("changes")):
+                yield Place((*at, "changes", k, "to"), measure, "value")
+                yield Place((*at, "changes", k, "rate"), measure, "rate")
+            yield Place((*at, "noise", "bias"), measure, "difference")
+            yield Place((*at, "noise", "variance"), measure, "square")
+
+
+def _entries(given: Any) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Mappings of a list, with their places in it."""
+    for k, entry in enumerate(given if isinstance(given, list) else ()):
+        if isinstance(entry, dict):
+            yield k, entry
+
+
+def _part(data: Any, *location: str | int) -> Any:
+    """The part of plain data at a location; None if there is none."""
+    for step in location:
+        if isinstance(data, dict):
+            data = data.get(step)
+        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
+            data = data[step]
+        else:
+            return None
+    return data

@@ -1,0 +1,152 @@
+"""Start values of a scenario in the type and unit of their FMU variable."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.base.units import allowed_quantity, split_quantity
+from cosim.blocks.component import Signal
+from cosim.blocks.description import is_difference, unit_definition, unit_of
+from cosim.blocks.fmi_types import Kind, element_names, kinds_of
+from cosim.storage.yaml_file import did_you_mean
+
+HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Why a value does not fit its variable."""
+
+    reason: str
+
+
+def settable(variable: Any) -> bool:
+    """FMI lets a host give this variable a start value."""
+    if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
+        return False
+    given = variable.initial is None and variable.start is not None  # FMI 1.0 knows no `initial`
+    return variable.causality == "input" or variable.initial in {"exact", "approx"} or given
+
+
+def kind_of(variable: Any) -> str:
+    """What a variable is that takes none."""
+    known = {
+        "output": "an output",
+        "calculatedParameter": "calculated",
+        "independent": "the time",
+        "structuralParameter": "a structural parameter, which keeps its value here",
+    }
+    return known.get(variable.causality, variable.variability or "not settable")
+
+
+def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of elements, `A[1,2]: 3`, put into the list of their array: what is given for that, else its own start."""
+    found = dict(given)
+    for name, value in given.items():
+        array = variables.get(name.rpartition("[")[0])
+        if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
+            continue
+        values = found.get(array.name, array.start)
+        values = values.split() if isinstance(values, str) else values
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:
+            values = [_number(v) for v in values] * (len(names) // len(values))
+        elif values is None or isinstance(values, (int, float)):
+            values = [values or 0.0] * len(names)
+        else:
+            continue  # what is given for the whole does not fit, which is told
+        del found[name]
+        found[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
+    return found
+
+
+def _number(text: Any) -> Any:
+    """A start value as XML has it, as a number where it is one."""
+    if not isinstance(text, str):
+        return text
+    try:
+        return int(text) if text.lstrip("+-").isdigit() else float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text, text)
+
+
+def typed(description: Any, variable: Any, given: Any) -> Any:
+    """The value as FMI takes it, of an array a list of them, or why it does not fit."""
+    if not variable.shape:
+        return _typed(description, variable, given)
+    count = math.prod(variable.shape)
+    if not isinstance(given, list) or len(given) != count:
+        return Misfit(f"it is a list of {count} values")
+    values = [_typed(description, variable, each) for each in given]
+    return next((v for v in values if isinstance(v, Misfit)), values)
+
+
+def _typed(description: Any, variable: Any, given: Any) -> Any:
+    kind = kinds_of(description.fmiVersion).get(variable.type)
+    if kind is None:
+        return Misfit(f"it is a {variable.type}, which is not supported")
+    if variable.type == "Boolean":
+        return given if isinstance(given, bool) else Misfit("it is true or false")
+    if variable.type == "String":
+        return given if isinstance(given, str) else Misfit("it is text")
+    if variable.type == "Binary":
+        return given if isinstance(given, str) and HEX.fullmatch(given) else Misfit("it is text of hexadecimal digits")
+    if isinstance(given, str):
+        given = _named(variable, given) if variable.type == "Enumeration" else converted(description, variable, given)
+        if isinstance(given, Misfit):
+            return given
+    if isinstance(given, bool) or not isinstance(given, (int, float)):
+        return Misfit(f"it is a number [{unit_of(variable) or '1'}]")
+    if kind.low is not None and given != int(given):
+        return Misfit("it is a whole number")
+    if variable.type == "Enumeration" and (items := _items(variable)) and int(given) not in items.values():
+        return Misfit(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
+    low, high = _bounds(variable, kind)
+    if not low <= given <= high:
+        return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
+    return int(given) if kind.low is not None else float(given)
+
+
+def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
+    """What the variable, else its declared type, else the type of FMI, holds."""
+    declared = variable.declaredType
+    low, high = (
+        next((float(v) for v in (getattr(variable, end), getattr(declared, end, None)) if v is not None), None)
+        for end in ("min", "max")
+    )
+    lowest, highest = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
+    return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
+
+
+def _items(variable: Any) -> dict[str, int]:
+    """Names and numbers of an enumeration's items, where it declares them."""
+    return {i.name: int(i.value) for i in variable.declaredType.items or ()} if variable.declaredType else {}
+
+
+def _named(variable: Any, text: str) -> int | Misfit:
+    """The number of an enumeration's item."""
+    items = _items(variable)
+    return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
+
+
+def converted(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
+    """Return text such as `12 deg` in the unit of the variable; for a difference without the unit's offset."""
+    unit, relative = unit_of(variable), difference or is_difference(variable)
+    displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
+    known = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}
+    found = split_quantity(text)
+    if not unit:
+        return Misfit(allowed_quantity(unit))
+    if found is None:
+        return Misfit(allowed_quantity(unit, known))
+    number, written = found
+    if written in known:
+        factor, offset = known[written]
+        return (number - offset) / factor
+    ends = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
+    if written and (by := next(ends).conversion(next(ends))):
+        return by[0] * number + by[1]
+    return Misfit(allowed_quantity(unit, known))

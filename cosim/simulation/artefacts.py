@@ -1,0 +1,36 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+from cosim.storage.kinds import FMU, MANIFEST, RESULTS, SCENARIO
+
+ARTEFACTS = (
+    Artefact(
+        SCENARIO,
+        "`cosim run {file}` runs it",
+        keys=(frozenset({"components"}), frozenset({"connections"})),
+        schema="cosim.scenario.scenario:Scenario",
+        schema_name="scenario",
+        title="cosim scenario",
+    ),
+    Artefact(
+        MANIFEST,
+        "`cosim run {file}` repeats its run",
+        keys=(frozenset({"scenario", "schema_version"}),),
+        verb="cosim run",
+        marks=("manifest.json",),
+        folder="the folder of a run",
+        folder_step="`cosim report {file}` makes its page again, `cosim compare {file} OTHER` compares it with another",
+    ),
+    Artefact(
+        RESULTS,
+        "`cosim compare {file} OTHER` compares it with another, `cosim replay {file} --plant FMU --column "
+        "COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
+    ),
+    Artefact(
+        FMU,
+        "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
+        "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
+    ),
+)

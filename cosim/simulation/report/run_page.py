@@ -1,0 +1,184 @@
+"""What stands on the page about any run, in order: header, signals, figures of merit, provenance."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import far_beyond
+from cosim.base.text import display, plain
+from cosim.report.chart_data import to_json
+from cosim.report.drawing import Drawing
+from cosim.report.html_tables import Row
+from cosim.report.panels import Band, Panel, Trace, by_unit
+from cosim.report.svg import extent
+from cosim.report.template import render
+from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.run_rows import (
+    Connection,
+    badges,
+    connections,
+    fault_text,
+    faults_on,
+    items_of,
+    provenance,
+    spelled,
+    starts,
+)
+from cosim.simulation.report.subject import Subject, subject_of
+from cosim.simulation.report.system_diagram import graph_of_run
+from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
+from cosim.storage.files import atomic_write
+from cosim.storage.results import Results
+
+TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
+MOST_TILES = 4
+MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
+MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
+MOST_DRAWN = 1000  # signals that a page shows
+MOST_LISTED = 1000  # connections in its table
+DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
+
+
+@far_beyond
+def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
+    """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
+    run = recorded(results, manifest)
+    drawing = Drawing(run.time, min(MOST_DRAWN, len(run.results.columns)))
+    subject = subject_of(run, drawing)
+    page = render(subject.template if subject else TEMPLATE, context(run, drawing, subject), [TEMPLATE.parent])
+    with atomic_write(path) as stream:
+        stream.write(page)
+
+
+def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
+    """The rows that have a time, with NaN for what no axis can hold: one kind of gap for everything after."""
+    timed = np.isfinite(results.time)
+    values = results.values[timed]
+    drawable = np.where(np.abs(values) < DRAWABLE, values, np.nan)
+    return Run(replace(results, time=results.time[timed], values=drawable), manifest)
+
+
+def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
+    """Everything the template names."""
+    judged = criteria(run)
+    shown = subject.shown if subject else frozenset[str]()
+    connected = connections(run)
+    links = connection_panels(run, connected, shown) if run.time.size else {}
+    others = signal_panels(run, shown.union(*links)) if run.time.size else []
+    return {
+        "name": str(run.scenario.get("name") or "Run"),
+        "description": str(run.scenario.get("description") or ""),
+        "outcome": outcome(run, judged),
+        "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
+        "badges": badges(run, judged),
+        "tiles": [*(subject.tiles if subject else _goals(judged)), *_speed(run)],
+        "links": drawing.plots(list(links.values())),
+        "others": drawing.plots(others),
+        "spelled": spelled(run),
+        "undrawn": _undrawn(len(_left(run, shown))),
+        "criteria": judged,
+        "rows": run.time.size,
+        "end": run.time[-1] if run.time.size else 0.0,
+        "data": to_json(drawing.series, subject.data if subject else {}),
+        "diagram": _diagram(run),
+        "provenance": provenance(run),
+        "connections": connected[:MOST_LISTED],
+        "unlisted": max(0, len(connected) - MOST_LISTED),
+        "starts": starts(run),
+        "warnings": texts(run.manifest.get("warnings")),
+        "repeat": shlex.join(["cosim", "run", "manifest.json"]),
+        "version": str(run.manifest.get("cosim_version") or ""),
+        "own": bool(subject and subject.shown),
+        **(subject.values if subject else {}),
+    }
+
+
+def _diagram(run: Run) -> str:
+    """Components and connections as a picture; "" where nothing is connected, or more than anyone could follow."""
+    if len(mappings(run.scenario.get("connections"))) > MOST_WIRES:
+        return ""
+    graph = graph_of_run(run)
+    return graph.svg(alone=False) if graph is not None and graph.links else ""
+
+
+def _goals(judged: Sequence[Criterion]) -> list[Row]:
+    """The scenario's own criteria, those that are missed first."""
+    first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
+    return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
+
+
+def _judgement(c: Criterion) -> list[str]:
+    return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
+
+
+def _speed(run: Run) -> list[Row]:
+    factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
+    if not math.isfinite(factor) or failed(run):
+        return []
+    return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
+
+
+def connection_panels(
+    run: Run, connected: Sequence[Connection], shown: frozenset[str] = frozenset()
+) -> dict[tuple[str, str], Panel]:
+    """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
+    panels: dict[tuple[str, str], Panel] = {}
+    items = items_of(run)
+    for link in connected:
+        ends = (link.source, link.target)
+        recorded = all(end in run.results and end not in shown for end in ends)
+        if not recorded or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MOST_CONNECTIONS:
+            continue
+        unit, factor = display(run.unit(link.target))
+        sent, arrived = (run.results[end] * factor for end in ends)
+        label, whole = f"{link.target}, {link.noise}" if link.noise else link.target, run.results.whole
+        as_sent = Trace(link.source, sent, "true", held=ends[0] in whole, items=items.get(ends[0], {}))
+        other = Trace(label, arrived, "estimate", held=ends[1] in whole, items=items.get(ends[1], {}))
+        traces = [as_sent] if np.array_equal(sent, arrived, equal_nan=True) else [other, as_sent]
+        title = f"{link.source} → {link.target}"
+        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _marked(run, ends, traces))
+    return panels
+
+
+def _left(run: Run, shown: frozenset[str]) -> list[str]:
+    return [column for column in run.results.columns if column not in shown]
+
+
+def _undrawn(signals: int) -> str:
+    return f"The first {MOST_DRAWN} of {signals} signals; results.csv has all." if signals > MOST_DRAWN else ""
+
+
+def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
+    """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
+    panels, items, whole = [], items_of(run), run.results.whole
+    for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
+        shown_unit, factor = display(unit)
+        traces = [
+            Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))
+            for i, column in enumerate(columns)
+        ]
+        components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
+        panels.append(
+            Panel(", ".join(components), shown_unit or unit or "no unit", traces, _marked(run, columns, traces))
+        )
+    return panels
+
+
+def _marked(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Band | None:
+    """The times at which faults act on these signals, over the height of their panel."""
+    faults, around = faults_on(run, columns), extent([trace.values for trace in traces])
+    if not faults or around is None:
+        return None
+    acting = np.zeros(run.time.size, bool)
+    for fault in faults:
+        begin, end = number(fault.get("from"), -math.inf), number(fault.get("to"), math.inf)
+        acting |= (run.time >= begin) & (run.time <= end)
+    lower, upper = (np.where(acting, edge, np.nan) for edge in around)
+    return Band("; ".join(fault_text(fault) for fault in faults), lower, upper)

@@ -1,0 +1,162 @@
+"""The system of a run as a picture: components in the order in which they step, signals, units, noise and faults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+from cosim.base.text import counted, written
+from cosim.report.diagram import Box, Port, Wire, diagram
+from cosim.simulation.report.recorded import Run, mapping, mappings
+from cosim.simulation.report.run_rows import connections
+from cosim.storage.results import Results
+from cosim.storage.yaml_file import short
+
+LONGEST = 34  # characters of a name in the picture
+
+
+@dataclass(frozen=True)
+class Link:
+    """A connection: its ends, their units, what acts on it, and whether it passes on the value of the step's start."""
+
+    source: str
+    target: str
+    units: tuple[str, str]
+    acting: tuple[str, ...]
+    held: bool
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """Components that it connects."""
+        return self.source.partition(".")[0], self.target.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Components in the order in which they step, what each is, and the connections between them."""
+
+    name: str
+    about: Mapping[str, str]
+    links: Sequence[Link]
+    jacobi: bool
+
+    def svg(self, *, alone: bool = True) -> str:
+        """The picture; `alone` in a file of its own."""
+        ports: dict[str, tuple[dict[str, Port], dict[str, Port]]] = {name: ({}, {}) for name in self.about}
+        for link in self.links:
+            for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
+                owner, _, variable = end.partition(".")
+                notes = tuple((text, "bad" if text.startswith("fault") else "warn") for text in link.acting)
+                port = Port(_cut(variable), written(unit), notes if side == 0 else ())
+                ports[owner][side].setdefault(variable, port)
+        boxes = [
+            Box(f"{k} {name}", self.about[name], tuple(inputs.values()), tuple(outputs.values()))
+            for k, (name, (inputs, outputs)) in enumerate(ports.items(), 1)
+        ]
+        place = {name: k for k, name in enumerate(ports)}
+        wires = [self._wire(link, ports, place) for link in self.links]
+        what = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step, "
+        return diagram(boxes, wires, f"{what}{counted(len(wires), 'connection')}", self._keys(), alone=alone)
+
+    def _wire(self, link: Link, ports: Mapping[str, Any], place: Mapping[str, int]) -> Wire:
+        ends = []
+        for side, end in ((1, link.source), (0, link.target)):
+            owner, _, variable = end.partition(".")
+            ends.append((place[owner], list(ports[owner][side]).index(variable)))
+        return Wire(ends[0], ends[1], link.held, _title(link))
+
+    def _keys(self) -> list[str]:
+        held = [link.held for link in self.links]
+        if self.jacobi:
+            return ["Jacobi: every component sees the values of the step's start."] if held else []
+        order = "Numbers are the order in which components step."
+        if not any(held):
+            return [order]
+        return [f"{order} A dashed line passes on the value of the step's start, all others that of its end."]
+
+    def mermaid(self) -> str:
+        """The picture as text that GitHub, GitLab and many editors draw."""
+        place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
+        lines = ["flowchart LR"]
+        lines += [
+            f'  {place[name]}["{k} · {_safe(name)}<br/>{_safe(about)}"]'
+            for k, (name, about) in enumerate(self.about.items(), 1)
+        ]
+        pairs: dict[tuple[str, str, bool], list[str]] = {}
+        for link in self.links:
+            pairs.setdefault((*link.ends, link.held), []).append(_safe(_label(link)))
+        for (source, target, held), labels in pairs.items():
+            start, end = ("-. ", " .->") if held else ("-- ", " -->")
+            lines.append(f'  {place[source]} {start}"{"<br/>".join(labels)}"{end} {place[target]}')
+        return "\n".join(lines) + "\n"
+
+
+def graph_of_run(run: Run) -> Graph | None:
+    """The picture of a run, of its manifest; None where that does not say enough."""
+    order, held = run.manifest.get("order"), run.manifest.get("held")
+    components = mapping(run.scenario.get("components"))
+    if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(components):
+        return None
+    return graph_from(run.scenario, [str(name) for name in order], {str(h) for h in held}, run.results.units)
+
+
+def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]) -> Graph:
+    """The picture of a scenario's mapping, with the order of its components and the inputs that are held."""
+    components = mapping(scenario.get("components"))
+    about = {name: _about(mapping(components.get(name))) for name in order}
+    alone = Run(_no_rows(units), {"scenario": scenario})
+    acting = {c.target: tuple(c.noise.split("; ")) if c.noise else () for c in connections(alone)}
+    silent = scenario.get("noise") is False
+    arrays = {name.partition("[")[0] for name in held}
+    found = []
+    for link in mappings(scenario.get("connections")):
+        source, target = str(link.get("from")), str(link.get("to"))
+        what = tuple(
+            text if text.startswith("fault") else f"noise {text}"
+            for text in acting.get(target, ())
+            if text.startswith("fault") or not silent
+        )
+        pair = units.get(source, ""), units.get(target, "")
+        found.append(Link(source, target, pair, what, target in held or target in arrays))
+    links = [link for link in found if all(end in about for end in link.ends)]
+    return Graph(str(scenario.get("name") or ""), about, links, scenario.get("algorithm") == "jacobi")
+
+
+def _no_rows(units: Mapping[str, str]) -> Results:
+    import numpy as np
+
+    return Results(np.empty(0), (), np.empty((0, 0)), units)
+
+
+def _about(component: Mapping[str, Any]) -> str:
+    file = PurePath(str(component.get("fmu") or component.get("file") or "")).name
+    parts = [str(component["block"])] if component.get("block") else []
+    parts += [file] if file else []
+    parts += [f"step {component['step']:g} s"] if component.get("step") else []
+    parts += [f"{component['rate']:g} Hz"] if component.get("rate") else []
+    parts += [f"{component['latency']:g} s late"] if component.get("latency") else []
+    parts += [f"{component['dropout']:.2g} lost"] if component.get("dropout") else []
+    return ", ".join(_cut(part) for part in parts)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+
+
+def _title(link: Link) -> str:
+    parts = [f"{link.source} → {link.target}", *link.acting, "the value of the step's start" if link.held else ""]
+    return "; ".join(filter(None, parts))
+
+
+def _label(link: Link) -> str:
+    names = [end.partition(".")[2] for end in (link.source, link.target)]
+    name = names[0] if names[0] == names[1] else " → ".join(names)
+    units = list(dict.fromkeys(written(u) for u in link.units if u))
+    return short(name) + (f" [{' → '.join(units)}]" if units else "") + "".join(f", {text}" for text in link.acting)
+
+
+def _safe(text: str) -> str:
+    """Text within quotes of mermaid."""
+    return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")

@@ -1,0 +1,94 @@
+"""The files of a system: an SSP archive, or an SSD that lies in a folder with what it names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.scratch import temporary_folder
+from cosim.ssp.elements import Element, parse
+from cosim.ssp.schema import slips
+from cosim.storage.archive import SSP, STRUCTURE, BadArchive, unpack
+from cosim.storage.kinds import SSP as SSP_FILE
+from cosim.storage.kinds import check_form
+
+
+@dataclass(frozen=True)
+class Package:
+    """Where its files lie.
+
+    shown:  the file that the user named
+    folder: against which names in it are resolved; packed: they must not lead out of it
+    slips:  where what has been read breaks the schema
+    """
+
+    shown: Path
+    folder: Path
+    structure: Path
+    packed: bool
+    slips: list[Fault] = field(default_factory=list)
+
+    def label(self, path: Path) -> Path:
+        """What a file within is called in messages."""
+        if not self.packed:
+            return path
+        return self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
+
+    def resolve(self, source: str) -> Path | str:
+        """The file at a relative URI; why there is none."""
+        shown = f'"{source[:80]}"'
+        try:
+            uri = urlsplit(source)
+            if uri.scheme not in {"", "file"} or uri.netloc:
+                return f"{shown} is not in the package; put the file into resources/ and name it so"
+            within = self.folder.resolve()
+            path = (within / unquote(uri.path)).resolve()
+            if self.packed and not path.is_relative_to(within):
+                return f"{shown} leads out of the package; put the file into resources/ and name it so"
+            return path if path.is_file() else f"no file {shown} in it{self._hint(path)}"
+        except (OSError, ValueError):  # a name that no file may have
+            return f"{shown} is no name of a file"
+
+    def _hint(self, path: Path) -> str:
+        """A file of this name but for its case, beside it or among the resources."""
+        folders = dict.fromkeys((path.parent, self.folder / "resources"))
+        beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
+        found = next((p for p in beside if p.name.lower() == path.name.lower()), None)
+        if found is None or not found.is_relative_to(self.folder):
+            return ""
+        return f'; did you mean "{found.relative_to(self.folder).as_posix()}"?'
+
+    def element(self, path: Path) -> Element:
+        """The root element of a file within; InputError."""
+        label = self.label(path)
+        try:
+            text = path.read_bytes()
+            root = parse(label, text)
+            self.slips.extend(slips(label, text))
+            return root
+        except BadArchive as error:
+            raise InputError([Fault(label, 0, 0, str(error))]) from None
+        except OSError as error:
+            raise InputError([Fault(label, 0, 0, f"cannot be read: {error.strerror}")]) from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Package]:
+    """A package whose archive is unpacked as long as the block lasts; InputError where it is none that is safe."""
+    check_form(path, SSP_FILE)
+    if path.suffix.lower() == ".ssd":
+        yield Package(path, path.parent, path, packed=False)
+        return
+    with temporary_folder("ssp") as made:
+        folder = made.resolve()
+        try:
+            unpack(path, folder, SSP)
+        except BadArchive as error:
+            raise InputError([Fault(path, 0, 0, f"is no SSP: {error}")]) from None
+        except OSError as error:
+            raise InputError([Fault(path, 0, 0, f"cannot be unpacked: {error.strerror}")]) from None
+        yield Package(path, folder, folder / STRUCTURE, packed=True)

@@ -1,0 +1,424 @@
+"""YAML read with the place of every key and value, and validated so that every fault is reported at once."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core.core_schema import (
+    CoreSchema,
+    no_info_before_validator_function,
+    no_info_wrap_validator_function,
+)
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.units import allowed_quantity, has_unit, read_quantity
+from cosim.storage.yaml_nodes import Location, NotYaml, document_of
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+
+
+@dataclass(frozen=True)
+class InUnit:
+    """A number of a file in a unit, or text such as `4 min`, which is converted to it."""
+
+    unit: str
+    difference: bool = False
+
+    def number(self, value: Any) -> Any:
+        """Return the number of a text; another value as it is."""
+        if not isinstance(value, str):
+            return value
+        if not has_unit(value):
+            raise ValueError(allowed_quantity(self.unit))
+        return read_quantity(value, self.unit, difference=self.difference)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_before_validator_function(self.number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {**handler(schema), "type": ["number", "string"]}
+
+
+Seconds = Annotated[Number, InUnit("s")]
+PositiveSeconds = Annotated[Positive, InUnit("s")]
+NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
+# In the unit of a signal, which only the whole scenario says: `simulation.quantities` converts text.
+NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
+Amount = Annotated[Number, NUMBER_OR_TEXT]
+PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
+NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
+
+
+class UnitOfKey:
+    """A number in the unit of what its key names: text with a unit stays text until `YamlFile.in_units` converts it."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_wrap_validator_function(self.number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        found = handler(schema)
+        if "anyOf" in found:
+            return {**found, "anyOf": [*found["anyOf"], {"type": "string"}]}
+        return {**found, "type": ["number", "string"]}
+
+    @staticmethod
+    def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+        """Return text with a unit as it is, a number as `inner` takes it."""
+        return value if isinstance(value, str) and has_unit(value) else inner(value)
+
+
+UNIT_OF_KEY = UnitOfKey()
+Share = InUnit("1")  # of a number, or text such as `5 %`
+
+MOST_BYTES = 8_000_000  # of a file
+MOST_FAULTS = 200  # shown of a file
+LONGEST = 80  # characters of a name or value that are shown
+WORDS, LONGEST_WORD = 2000, 100  # among which one is sought that was meant
+M = TypeVar("M", bound=BaseModel)
+Origin = Callable[[Location, str, int], Fault]
+
+
+def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
+    """The known word that is closest, "" where none is `alike` (1 is equal)."""
+    if len(word) > LONGEST_WORD:
+        return ""
+    likely = [w for w in islice(known, WORDS) if len(w) <= LONGEST_WORD]
+    return next(iter(difflib.get_close_matches(word, likely, n=1, cutoff=alike)), "")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """`; did you mean "…"?` where a known word is close, else an empty string."""
+    close = closest(word, known)
+    return f'; did you mean "{close}"?' if close else ""
+
+
+class YamlFile:
+    """A YAML document and where each of its parts stands; `root` is its data, not to be changed.
+
+    origin: of a document that was made from another file, where there the fault of a part stands
+    """
+
+    def __init__(self, path: Path, origin: Origin | None = None) -> None:
+        self.path, self.origin = path, origin
+        self.overrides: dict[Location, str] = {}  # parts that the file does not say: `--set "step=0"`
+        text = _text(path)
+        try:
+            self._document = document_of(text)
+        except NotYaml as error:
+            raise InputError([Fault(path, error.line, error.column, str(error))]) from None
+        self.root: Any = self._document.data
+        self._within: Location = ()
+        if not isinstance(self.root, dict):
+            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
+
+    def enter(self, key: str) -> None:
+        """Take the part under a key for the document."""
+        self.root, self._within = self.root[key], (*self._within, key)
+
+    def place(self, location: Location, key: bool = False) -> tuple[int, int]:
+        """Line and column of the value at `location`, of its key if asked, or of the nearest part that exists."""
+        return self._document.place((*self._within, *location), key)
+
+    def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
+        """A fault at a place of this file, of the one from which it was made, or of the option that set the part."""
+        if (option := self._override_of(location)) is not None:
+            return Fault(self.path, 0, 0, f"{option}: {message}".removeprefix(": "), exit_code)
+        if self.origin is not None:
+            return self.origin((*self._within, *location), message, exit_code)
+        return Fault(self.path, *self.place(location, key), message, exit_code)
+
+    def in_units(
+        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[dict[str, Any], list[Fault]]:
+        """Return values below a key, text such as `400 kg` as a number in the unit of its name, and the faults.
+
+        A faulty value is left out; one whose name is not known becomes a number, for the name is the fault.
+        """
+        numbers: dict[str, Any] = {}
+        faults = []
+        for name, value in values.items():
+            if not isinstance(value, str) or name not in units:
+                numbers[name] = 1.0 if isinstance(value, str) else value
+                continue
+            try:
+                numbers[name] = read_quantity(value, units[name], difference=difference)
+            except ValueError as error:
+                faults.append(self.fault((*at, name), f"{name} is {shown(value)}: {error}"))
+        return numbers, faults
+
+    def _override_of(self, location: Location) -> str | None:
+        """The last option that set a part, or a part around it; for one that the file lacks, an option within it."""
+        for at, option in reversed(self.overrides.items()):
+            if location[: len(at)] == at or (at[: len(location)] == location and not self._holds(location)):
+                return option
+        return None
+
+    def _holds(self, location: Location) -> bool:
+        data = self.root
+        for step in location:
+            try:
+                data = data[step]
+            except (KeyError, IndexError, TypeError):
+                return False
+        return True
+
+    def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
+        """The document, or what stands `at` a place of it, as a pydantic model; InputError with every fault."""
+        data = self.root if data is None else data
+        try:
+            return model.model_validate(data)
+        except ValidationError as error:
+            raise InputError(self._faults(model, error, data, at)) from None
+
+    def partly(self, model: type[M], first: str) -> tuple[M | None, list[Fault]]:
+        """The document without its faulty parts, so that the rest can be checked too, and their faults.
+
+        None where it cannot do without them, or where a key at its top is at fault, on which the rest may depend. On a
+        key that nobody knows it does not, unless `first` is meant, by which the rest is read.
+        """
+        data = copy.deepcopy(self.root)
+        try:
+            return model.model_validate(data), []
+        except ValidationError as error:
+            wrong = error
+        faults = self._faults(model, wrong, data)
+        places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in wrong.errors(include_url=False)]
+        for place, kind in places:
+            of_none = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
+            if len(place) < 2 and not of_none:
+                return None, faults
+        for place, _ in places:
+            _leave_out(data, place)
+        try:
+            return model.model_validate(data), faults
+        except ValidationError:
+            return None, faults
+
+    def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
+        errors = _of_the_branch_meant(error.errors(include_url=False), data)
+        faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
+        if len(errors) > MOST_FAULTS:
+            faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
+        return faults
+
+    def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location = ()) -> Fault:
+        kind, given = error["type"], error.get("input")
+        within = location_in(data, error["loc"], kind)
+        location = (*at, *within)
+        name = ".".join(short(part) for part in location)
+        if kind == "extra_forbidden":
+            known, takers = _known_keys(model, error["loc"])
+            hint = f": {takers}" if takers else did_you_mean(str(location[-1]), known)
+            message = f'unknown key "{short(location[-1])}"{hint}'
+            return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
+        if kind == "missing":
+            return self.fault(location[:-1], f'"{name}" is missing; add it')
+        of_key = "[key]" in error["loc"][len(within) :]
+        each = [error, *error.get("else", ())]
+        detail = ", or ".join(dict.fromkeys(_in_words(e["type"], str(e["msg"]), e.get("ctx") or {}) for e in each))
+        detail = detail.replace(", or it should be ", " or ")
+        return self.fault(location, f"{name or 'it'} is {shown(given)}: {detail}", key=of_key)
+
+
+def _text(path: Path) -> str:
+    """The text of a file; InputError where there is none."""
+    try:
+        if not path.is_file():
+            raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+        if (size := path.stat().st_size) > MOST_BYTES:
+            most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
+            raise InputError([Fault(path, 0, 0, f"has {size / 1e6:.0f} MB, {most}")])
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError([Fault(path, 0, 0, "is not UTF-8 text")]) from None
+    except OSError as error:
+        raise InputError([Fault(path, 0, 0, f"cannot be read: {error.strerror}")]) from None
+    except ValueError:  # a name that no file may have
+        raise InputError([Fault(Path(shown(str(path))), 0, 0, "no such file")]) from None
+
+
+def shown(value: Any) -> str:
+    """A value as one writes it, shortened where it is long."""
+    match value:
+        case None:
+            return "empty"
+        case bool():
+            return str(value).lower()
+        case str():
+            return repr(short(value))
+        case float():
+            return repr(value)
+        case int():
+            return str(value) if abs(value) < 10**LONGEST else "a very large number"
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+    return "of another kind"
+
+
+def short(text: object) -> str:
+    """A text that may be long, for a message."""
+    whole = str(text)
+    return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
+
+
+def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
+    """Pydantic's message without the names of Python."""
+    if kind.startswith("bool"):
+        return "it is on or off"
+    if kind == "string_pattern_mismatch":  # of the two patterns there are
+        dotted = "component.variable, the component's name" if "\\." in str(more.get("pattern")) else "a name"
+        return f"it should be {dotted} of letters, digits and _ that begins with no digit"
+    if kind in _WORDS:
+        return _WORDS[kind]
+    if kind in _LENGTHS and more.get("field_type") in {"List", "Tuple"}:
+        bound, key = _LENGTHS[kind]
+        return f"it should have {bound} {more.get(key)} entries, not {more.get('actual_length')}"
+    detail = message.removeprefix("Value error, ").replace("Input should be", "it should be")
+    detail = re.sub(r"Input should have", "it should have", detail)
+    return detail[:1].lower() + detail[1:]
+
+
+_WORDS = {
+    "dict_type": "it should be a mapping of keys to values",
+    "model_type": "it should be a mapping of keys to values",
+    "model_attributes_type": "it should be a mapping of keys to values",
+    "list_type": "it should be a list",
+    "tuple_type": "it should be a list",
+    "string_type": "it should be text",
+    "float_type": "it should be a valid number",
+    "int_type": "it should be a whole number",
+    "int_parsing_size": "it should be a smaller number",
+    "string_unicode": "it should be text",
+}
+
+_LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
+
+
+def _of_the_branch_meant(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Faults of a union as of the branch that was meant: where one looks inside a value, its form fits that one.
+
+    Where a value has the form of none the first holds the others as `else`.
+    """
+    found: dict[Location, Any] = {}
+    kept = []
+    places = [location_in(data, e["loc"], e["type"]) for e in errors]
+    looked_into = {place[:k] for place in places for k in range(len(place))}
+    for error, place in zip(errors, places, strict=True):
+        if error["type"] not in _FORMS:
+            kept.append(error)
+        elif place in found:
+            found[place]["else"].append(error)
+        elif place not in looked_into:
+            found[place] = {**error, "else": []}
+            kept.append(found[place])
+    return kept
+
+
+_FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
+
+
+def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
+    """Where in the data a fault is: pydantic puts names of a union's branches between, which are no part of it.
+
+    kind: of the fault; a key that is missing is not in the data either.
+    """
+    found: list[str | int] = []
+    for k, part in enumerate(places):
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and _among(part, data)
+        if inside:
+            data = data[part]
+            found.append(part)
+        elif kind in {"missing", "extra_forbidden"} and k == len(places) - 1:
+            found.append(part)
+    return tuple(found)
+
+
+def _among(part: str | int, data: list[Any]) -> bool:
+    return isinstance(part, int) and 0 <= part < len(data)
+
+
+def _leave_out(data: Any, location: Location) -> None:
+    """Take a part out of plain data; a list goes as a whole, or those behind would move up."""
+    for step in location[:-1]:
+        if not isinstance(data, dict):
+            return
+        if not isinstance(data.get(step), dict):
+            data.pop(step, None)
+            return
+        data = data[step]
+    data.pop(location[-1], None)
+
+
+def _known_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
+    """Keys allowed where pydantic finds one that is not, and which of a union's other branches take that one."""
+    annotation: Any = model
+    branches: dict[str, Any] = {}
+    here = ""
+    for step in places[:-1]:
+        inner, found = _plain(annotation), _branches(annotation)
+        if step in found:
+            annotation, branches, here = found[str(step)], found, str(step)
+            continue
+        field = getattr(inner, "model_fields", {}).get(step)
+        annotation = field.annotation if field is not None else (get_args(inner) or (inner,))[-1]
+        branches = {}
+    keys = _keys(annotation)
+    takers = [tag.strip("«»") for tag, branch in branches.items() if places[-1] in _keys(branch)]
+    said = f"{' and '.join(takers)} {'take' if takers[1:] else 'takes'} it, {here.strip('«»')} does not"
+    return keys, said if takers else ""
+
+
+def _keys(annotation: Any) -> list[str]:
+    fields = getattr(_inner_model(annotation), "model_fields", {})
+    return [f.alias or name for name, f in fields.items()]
+
+
+def _plain(annotation: Any) -> Any:
+    """An annotation without what is said beside it."""
+    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+
+
+def _branches(annotation: Any) -> dict[str, Any]:
+    """Branches of a union by their tags."""
+    return {
+        mark.tag: branch
+        for branch in get_args(_plain(annotation))
+        for mark in getattr(branch, "__metadata__", ())
+        if isinstance(mark, Tag)
+    }
+
+
+def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        if found := _inner_model(inner):
+            return found
+    return None
+
+
+class Part(BaseModel):
+    """A part of a scenario: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

@@ -1,0 +1,28 @@
+"""Kinds of files of this room."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+from cosim.storage.kinds import SWEEP, TABLE
+
+ARTEFACTS = (
+    Artefact(
+        SWEEP,
+        "`cosim sweep {file}` runs it",
+        keys=(frozenset({"vary"}),),
+        without=frozenset({"components", "connections"}),
+        schema="cosim.sweeps.sweep_file:SweepFile",
+        schema_name="sweep",
+        title="cosim sweep",
+    ),
+    Artefact(
+        "an answer of `cosim sweep`",
+        "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
+        keys=(frozenset({"schema_version", "sweep", "runs"}),),
+        verb="cosim sweep",
+        marks=("sweep.json",),
+        folder="the folder of a sweep",
+        folder_step="`cosim.read` reads it in Python",
+    ),
+    Artefact(TABLE, "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one"),
+)

@@ -1,0 +1,121 @@
+"""The equations of a model printed as C for many runs at once, by the one generator, and compiled."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.fmi.native.compiler import compiler, loaded
+from cosim.model.integrate import substeps
+from cosim.model.symbolic.functions import Body
+from cosim.model.symbolic.languages import Lanes, Unprintable
+from cosim.storage.cache import fingerprint, kept
+
+WIDTH = 16  # runs side by side: numbers of runs are multiples of it
+SOURCE = Path(__file__).with_name("lanes.c")
+PRINTING = ("cosim.model.symbolic", "cosim.model")
+
+
+class Stepping:
+    """A model bound to its compiled equations, with a value of each parameter for each of `runs`."""
+
+    def __init__(self, function: Any, model: Any, parameters: tuple[str, ...], runs: int) -> None:
+        self._function, self._longest, self._runs = function, model.substep, runs
+        values = _values(model)
+        self._parameters = np.empty((len(parameters), runs))
+        for row, name in zip(self._parameters, parameters, strict=True):
+            row[:] = values[name]
+
+    def substeps(self, h: float) -> int:
+        """Of a communication step [s]."""
+        return substeps(h, self._longest)
+
+    def step(self, t: float, dt: float, count: int, state: Array, command: Array, outputs: Array | None) -> None:
+        """`count` substeps of `dt` [s] from `t`; then the outputs, where they are asked for."""
+        end = t + count * dt
+        arrays = (state, command, self._parameters, outputs)
+        addresses = (None if a is None else a.ctypes.data for a in arrays)
+        self._function(self._runs, t, dt, count, end, *addresses)
+
+    def output(self, t: float, state: Array, command: Array, outputs: Array) -> None:
+        """The outputs alone."""
+        self.step(t, 0.0, 0, state, command, outputs)
+
+
+def stepping(model: Any, runs: int) -> Stepping | None:
+    """The model compiled; None without a compiler, and where C cannot say it or the compiler fails."""
+    if compiler() is None or runs % WIDTH or not model.base_states:
+        return None
+    awake = tuple(effect.name for effect in model.awake)
+    flags = tuple(sorted((p.name, getattr(model, p.name)) for p in model.parameters if isinstance(p.default, bool)))
+    made = _function(type(model), model if flags else type(model)(), awake, flags)
+    return None if made is None else Stepping(made[0], model, made[1], runs)
+
+
+def _values(model: Any) -> dict[str, Any]:
+    """Every parameter of the base model and of the effects that act, by name."""
+    found = {p.name: getattr(model, p.name) for p in model.parameters}
+    for effect in model.awake:
+        found |= {name: getattr(effect, name.partition(".")[2]) for name in _of(effect, model)}
+    return found
+
+
+def _of(effect: Any, model: Any) -> list[str]:
+    return [name for name in model.declared if name.startswith(f"{effect.name}.")]
+
+
+@cache
+def _compiled(source: str) -> Any:
+    library = loaded(source)
+    function = library.steps
+    number, address = ctypes.c_double, ctypes.c_void_p
+    function.argtypes = [ctypes.c_long, number, number, ctypes.c_int, number, address, address, address, address]
+    function.restype = None
+    return function
+
+
+_FUNCTIONS: dict[Any, tuple[Any, tuple[str, ...]] | None] = {}
+
+
+def _function(
+    kind: type, model: Any, awake: tuple[str, ...], flags: tuple[tuple[str, bool], ...]
+) -> tuple[Any, tuple[str, ...]] | None:
+    """The compiled function and the names of the parameters that it takes."""
+    key = kind, awake, flags
+    if key not in _FUNCTIONS:
+        try:
+            source, names = _printed(model, awake, dict(flags))
+            _FUNCTIONS[key] = _compiled(source), tuple(names)
+        except (Unprintable, OSError, subprocess.SubprocessError, TypeError, AttributeError):
+            _FUNCTIONS[key] = None
+    return _FUNCTIONS[key]
+
+
+def _printed(model: Any, awake: tuple[str, ...], flags: dict[str, bool]) -> tuple[str, list[str]]:
+    body = Body.of(model, effects=awake, flags=flags)
+    names = list(body.parameters)
+    derivative, outputs = list(body.derivative.values()), list(body.outputs.values())
+    content = repr((fingerprint(PRINTING), [str(e) for e in (*derivative, *outputs)], names))
+
+    def make() -> str:
+        language = Lanes()
+        functions = "\n".join(
+            body.function(language, name, of) for name, of in (("deriv", derivative), ("measure", outputs))
+        )
+        sizes = {
+            "W": WIDTH,
+            "NX": len(derivative),
+            "NU": len(body.symbols.command),
+            "NY": len(outputs),
+            "NP": len(names),
+        }
+        defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+        return defined + SOURCE.read_text(encoding="utf-8").replace("/*LANES*/", functions)
+
+    return kept(content + SOURCE.read_text(encoding="utf-8"), make), names

@@ -1,0 +1,114 @@
+"""What many runs say together: shares with their intervals, bands over time, what an outcome is sensitive to."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from cosim.base.arrays import Array
+from cosim.base.extras import optional
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+FEWEST, MOST = 50, 2000  # runs of which a sensitivity is estimated
+RESAMPLES = 50
+SENSITIVITY_USE = "the sensitivity of a sweep"
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of how many, and the interval that holds the true share in 95 % of cases (Wilson's)."""
+
+    hits: int
+    of: int
+    low: float
+    high: float
+
+
+def share(hits: int, of: int) -> Share:
+    """The share, and its interval; 0 … 1 of nothing."""
+    if not of:
+        return Share(0, 0, 0.0, 1.0)
+    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    return Share(hits, of, float(interval.low), float(interval.high))
+
+
+def quantiles(values: Array) -> Array:
+    """5, 25, 50, 75 and 95 % of runs, shape (5, …) of values of shape (runs, …)."""
+    found: Array = np.quantile(values, QUANTILES, axis=0)
+    return found
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How much an outcome depends on each factor, most important first.
+
+    first:    share of the variance that each makes alone (first-order index), and its half-width at 95 %
+    total:    likewise with all that it does together with others; only of a sampling that allows it
+    pawn:     without that, how far the distribution of the outcome moves with the factor (PAWN, median of 10 slices)
+    chance:   what PAWN gives of a factor that does nothing
+    """
+
+    outcome: str
+    factors: tuple[str, ...]
+    first: tuple[tuple[float, float], ...]
+    total: tuple[tuple[float, float], ...] = ()
+    pawn: tuple[float, ...] = ()
+    chance: float = 0.0
+
+
+def sensitivity(
+    outcome: str, values: Array, factors: Mapping[str, Sequence[Any]], *, saltelli: bool, seed: int
+) -> Sensitivity | None:
+    """By SALib; None where there is nothing to tell: too few runs, or an outcome that does not vary.
+
+    values: of the outcome, shape (runs,), NaN where a run has none
+    """
+    varied = {n: np.array(v, float) for n, v in factors.items() if _numbers(v) and len(set(v)) > 1}
+    good = np.isfinite(values)
+    spread = np.ptp(values[good]) if good.any() else 0.0
+    if not varied or good.sum() < FEWEST or spread <= 1e-12 * np.max(np.abs(values[good])):
+        return None
+    names, X = list(varied), np.column_stack(list(varied.values()))
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        if saltelli and good.all():
+            return _sobol(outcome, values, names, X, seed)
+        rows = np.flatnonzero(good)
+        if rows.size > MOST:
+            rows = np.sort(np.random.default_rng(seed).choice(rows, MOST, replace=False))
+        return _given(outcome, values[rows], names, X[rows], seed)
+
+
+def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
+    """Sobol indices, of runs that were drawn for them."""
+    sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
+    found = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
+    order = np.argsort(-np.asarray(found["ST"]))
+    pairs = [tuple((float(found[n][k]), float(found[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
+    return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], total=pairs[1])
+
+
+def _given(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
+    """Of any runs: RBD-FAST, and PAWN with a factor more that does nothing."""
+    pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
+    first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
+    idle = np.random.default_rng([seed, 1]).random((len(X), 1))
+    both = np.hstack((X, idle))
+    moved = np.asarray(pawn.analyze(_problem([*names, ""], both), both, values, seed=seed)["median"], float)
+    order = np.argsort(-moved[:-1])
+    pairs = tuple((float(first["S1"][k]), float(first["S1_conf"][k])) for k in order)
+    shown = tuple(float(moved[k]) for k in order)
+    return Sensitivity(outcome, tuple(names[k] for k in order), pairs, pawn=shown, chance=float(moved[-1]))
+
+
+def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:
+    return {"num_vars": len(names), "names": list(names), "bounds": [[c.min(), c.max()] for c in X.T]}
+
+
+def _numbers(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)

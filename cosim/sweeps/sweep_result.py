@@ -1,0 +1,90 @@
+"""What a sweep left, in words; and how far runs that were made in two ways are apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.text import counted, plain
+from cosim.sweeps.reading import Sweep
+from cosim.sweeps.run_chunks import Made
+
+
+@dataclass(frozen=True)
+class Swept:
+    """What a sweep left.
+
+    record: content of sweep.json
+    made:   runs that were made by this call
+    """
+
+    sweep: Sweep
+    folder: Path
+    record: Mapping[str, Any]
+    made: int
+
+    @property
+    def sentences(self) -> list[str]:
+        """What it came to, a line each."""
+        r = self.record
+        lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
+        lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
+        lines.append(r["check"]["sentence"])
+        return lines
+
+
+def _how(record: Mapping[str, Any]) -> str:
+    rate = record["runs_a_second"]
+    way = way_of(record)
+    return f", {way}" + (f", {rate:.3g} runs a second" if rate else "")
+
+
+def way_of(record: Mapping[str, Any]) -> str:
+    """How the runs were made; some may be made through the FMUs where the others are on arrays."""
+    through, runs = record["through_fmus"], record["runs"]
+    if record["way"] != "arrays" or through == runs:
+        return "through the FMUs"
+    return "on arrays" if not through else f"{runs - through} on arrays and {through} through the FMUs"
+
+
+def _interval(criterion: Mapping[str, Any]) -> str:
+    if not criterion["of"]:
+        return "no run"
+    part = 100.0 * criterion["met"] / criterion["of"]
+    low, high = (100.0 * end for end in criterion["ci95"])
+    return f"{plain(part, 3)} %, 95 % interval {plain(low, 3)} … {plain(high, 3)} %"
+
+
+def criterion_names(study: Sweep) -> list[str]:
+    """Each criterion in words, all different: columns of the table."""
+    names: list[str] = []
+    for kind, _, goal in study.scenario.goals:
+        ends = (("after", goal.after), ("until", goal.until))
+        window = "".join(f" {word} {at:g} s" for word, at in ends if at)
+        name = f"{kind.replace('_', ' ')} of {goal.of}{window}"
+        same = sum(n == name or n.startswith(f"{name} (") for n in names)
+        names.append(f"{name} ({same + 1})" if same else name)
+    return names
+
+
+def apart(one: Made, other: Made) -> float:
+    """The largest difference of a signal, of max(1, its largest value), or of a criterion's value, likewise."""
+    if one.status != "ok" or other.status != "ok":
+        return 0.0 if (one.status == "ok") == (other.status == "ok") else float("inf")
+    if one.signals.shape != other.signals.shape:
+        return float("inf")
+    parts = [*zip(one.signals, other.signals, strict=True)]
+    parts += [(np.array([a]), np.array([b])) for a, b in zip(one.values, other.values, strict=True)]
+    return max((_difference(a, b) for a, b in parts), default=0.0)
+
+
+def _difference(a: Array, b: Array) -> float:
+    if not np.array_equal(np.isfinite(a), np.isfinite(b)):
+        return float("inf")
+    a, b = a[np.isfinite(a)], b[np.isfinite(b)]
+    return float(np.max(np.abs(a - b)) / max(1.0, float(np.max(np.abs(b))))) if a.size else 0.0

@@ -1,0 +1,154 @@
+"""The components of a scenario: FMUs with their start values, references, recordings and fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FmuError, InputError
+from cosim.base.registry import BASE, is_model, model_entry
+from cosim.blocks.component import Component
+from cosim.blocks.description import read_description, state_names, ways
+from cosim.blocks.fixes import COUNT, Fixes, Sensor
+from cosim.blocks.fmu import FmuBlock, named
+from cosim.blocks.sources import playback, reference
+from cosim.scenario.diagnosis import Diagnosis, Place
+from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.start_values import Misfit, kind_of, settable, typed, with_elements
+from cosim.storage.yaml_file import did_you_mean
+
+Designed = Mapping[str, Mapping[str, float]]  # component → start values
+
+
+def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
+    """Every component by name, in the order of the file; one with a fault is left out."""
+    found: dict[str, Component] = {}
+    read = cache(read_description)  # several components may be of one FMU
+    for name, component in file.scenario.components.items():
+        try:
+            block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
+        except InputError as error:
+            diagnosis.found += error.faults
+        except FmuError as error:
+            diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
+        else:
+            found |= {name: block} if block is not None else {}
+    return found
+
+
+def _component(
+    file: ScenarioFile,
+    name: str,
+    component: FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent,
+    designed: Mapping[str, float],
+    read: Callable[[Path], Any],
+    diagnosis: Diagnosis,
+) -> Component | None:
+    if isinstance(component, ReferenceComponent):
+        return reference(name, component.signals)
+    if isinstance(component, PlaybackComponent):
+        sources = (connection.source.partition(".") for connection in file.scenario.connections)
+        return playback(name, file.resolve(component.file), {v for owner, _, v in sources if owner == name})
+    if isinstance(component, FixComponent):
+        return _fixes(file.scenario, name, component, diagnosis)
+    return _fmu(file, name, component, designed, read, diagnosis)
+
+
+def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
+    """A sensor of fixes; None, faults noted, where it is faster than the scenario or a name is taken."""
+    signals = {}
+    for signal, about in component.signals.items():
+        noise = about.noise if scenario.noise else None
+        signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
+    sensor = Sensor(component.rate, component.latency, component.dropout, signals)
+    taken = [n for n in signals if n in sensor.outputs()]
+    for signal in taken:
+        what = "their number goes out" if signal == COUNT else "the fixes of another signal go out"
+        where: Place = ("components", name, "signals", signal)
+        diagnosis.note(where, f'"{signal}" is the name under which {what}; give the signal another')
+    fastest = 1.0 / scenario.step
+    fast = component.rate > fastest * (1.0 + 1e-9)
+    if fast:
+        cure = f"use at most {fastest:g} Hz, or a shorter step"
+        message = f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; {cure}"
+        diagnosis.note(("components", name, "rate"), message)
+    return None if fast or taken else Fixes(name, sensor, scenario.step, scenario.seed)
+
+
+def _fmu(
+    file: ScenarioFile,
+    name: str,
+    component: FmuComponent,
+    designed: Mapping[str, float],
+    read: Callable[[Path], Any],
+    diagnosis: Diagnosis,
+) -> FmuBlock | None:
+    path = file.resolve(component.fmu)
+    if not path.is_file():
+        made = is_model(BASE) and path.name in model_entry().built
+        cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
+        if file.manifest is not None:
+            cure += f"; put it there, or {path.name} beside {file.path.name}"
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
+        return None
+    description = read(path)
+    given = {**designed, **component.start}
+    variables = {v.name: v for v in description.modelVariables} if given else {}
+    given = with_elements(given, variables)
+    typed_values = {
+        variable: _start(name, description, variables, variable, value, diagnosis) for variable, value in given.items()
+    }
+    start = {variable: value for variable, value in typed_values.items() if value is not None}
+    targets = (connection.target.partition(".") for connection in file.scenario.connections)
+    connected = frozenset(variable for owner, _, variable in targets if owner == name)
+    if component.interface is not None and component.interface not in (offered := ways(description)):
+        diagnosis.note(("components", name, "interface"), f"{path.name} offers {' and '.join(offered)} only")
+        return None
+    scenario = file.scenario
+    return FmuBlock(
+        name,
+        path,
+        description,
+        start,
+        connected,
+        way=component.interface,
+        tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
+        recorded=recorded(scenario.record, name, description),
+        logging=component.logging,
+        solver=component.solver,
+    )
+
+
+def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
+    """Variables that patterns such as `plant.*` name, beside inputs and outputs; without outputs its states."""
+    found = {
+        v.name
+        for v in description.modelVariables
+        if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
+    }
+    if not any(v.causality == "output" for v in description.modelVariables):  # as FMPy does
+        found |= set(state_names(description))
+    return frozenset(found)
+
+
+def _start(
+    name: str, description: Any, variables: Mapping[str, Any], variable_name: str, given: Any, diagnosis: Diagnosis
+) -> Any:
+    """A start value in the type and unit of its variable; a fault and None where it does not fit."""
+    where: Place = ("components", name, "start", variable_name)
+    variable = variables.get(variable_name)
+    if variable is None:
+        known = [v.name for v in variables.values() if settable(v)]
+        diagnosis.note(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
+        return None
+    if not settable(variable):
+        diagnosis.note(where, f"{name}.{variable_name} is {kind_of(variable)}; it takes no start value")
+        return None
+    value = typed(description, variable, given)
+    if isinstance(value, Misfit):
+        diagnosis.note(where, f"{name}.{variable_name} is {given!r}; {value.reason}")
+        return None
+    return value

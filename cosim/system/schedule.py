@@ -1,0 +1,101 @@
+"""The order in which components step, and which transfers are made right before each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cosim.blocks.component import Component
+from cosim.blocks.faults import steps_in
+from cosim.scenario.diagnosis import Diagnosis
+from cosim.scenario.scenario import Connection, Scenario
+from cosim.storage.yaml_file import did_you_mean
+from cosim.system.order import AlgebraicLoop, Edge, stages
+from cosim.system.wiring import Components, Transfer
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A component and the transfers made right before it steps; `every`: it does so at each so-many-th point."""
+
+    component: Component
+    pulls: tuple[Transfer, ...] = ()
+    every: int = 1
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Stages in the order in which they step, and transfers made at the end of a step."""
+
+    stages: tuple[Stage, ...] = ()
+    held: tuple[Transfer, ...] = ()
+
+
+def schedule(
+    scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
+) -> Schedule:
+    """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none.
+
+    transfers: of each connection
+    """
+    every = {name: _every(scenario, name, diagnosis) for name in components}
+    if scenario.algorithm == "jacobi":
+        stages_ = tuple(Stage(c, every=every[name]) for name, c in components.items())
+        return Schedule(stages_, tuple(t for each in transfers for t in each))
+    if scenario.order is not None and not _names_all(scenario.order, components, diagnosis):
+        return Schedule()
+    try:
+        order, immediate, notes = stages(components, [_edge(c) for c in scenario.connections], scenario.order)
+    except AlgebraicLoop as loop:
+        message = (
+            f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the "
+            f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
+        )
+        diagnosis.note(("connections",), message)
+        return Schedule()
+    diagnosis.warnings += notes
+    both = list(zip(transfers, immediate, strict=True))
+    now = [t for each, is_now in both if is_now for t in each]
+    held = tuple(t for each, is_now in both if not is_now for t in each)
+    pulls = {name: tuple(t for t in now if t.name.partition(".")[0] == name) for name in order}
+    return Schedule(tuple(Stage(components[name], pulls[name], every[name]) for name in order), held)
+
+
+def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
+    """How many steps of the scenario make one of the component; a fault noted where that is no whole number."""
+    step: float | None = getattr(scenario.components[name], "step", None)
+    if step is None:
+        return 1
+    count = steps_in(step, scenario.step)
+    if round(count) < 1 or abs(count - round(count)) > 1e-9 * count:
+        cure = f"use a whole multiple, {max(1, round(count)) * scenario.step:g} s for one"
+        message = f"step is {step:g} s, that of the scenario {scenario.step:g} s; {cure}"
+        diagnosis.note(("components", name, "step"), message)
+        return max(1, round(count))
+    every = round(count)
+    if every > scenario.steps:
+        message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
+        diagnosis.note(("components", name, "step"), message)
+    elif left := scenario.steps % every:
+        still = f"its last {left * scenario.step:g} s of the run make no whole step: it stands still there"
+        diagnosis.warnings.append(f"{name}: step is {step:g} s; {still}")
+    return every
+
+
+def _edge(connection: Connection) -> Edge:
+    target, _, variable = connection.target.partition(".")
+    source, _, output = connection.source.partition(".")
+    return source, target, variable, output
+
+
+def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
+    """Does an order given by the user name every component with inputs once, and no other?"""
+    missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
+    unknown = [name for name in order if name not in components]
+    twice = len(set(order)) != len(order)
+    for name in unknown:
+        diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+    if missing or twice:
+        message = f"order names every component with inputs once; missing: {', '.join(missing) or 'none'}"
+        diagnosis.note(("order",), message)
+    return not (unknown or missing or twice)

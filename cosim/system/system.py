@@ -1,0 +1,123 @@
+"""From a scenario to components laid out in one row of signals, in the order in which they step.
+
+Every check that needs the FMUs' descriptions is made here; all faults are reported at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.blocks.component import Component, Signal
+from cosim.blocks.fmu import FmuBlock
+from cosim.scenario.diagnosis import Diagnosis, Place
+from cosim.scenario.scenario import FmuComponent, Scenario
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.yaml_file import did_you_mean
+from cosim.system.components import Designed, build_components
+from cosim.system.events import Events, changes
+from cosim.system.feasible import check_feasible
+from cosim.system.schedule import Schedule, Stage, schedule
+from cosim.system.wiring import Transfer, connect, lay_out, unconnected
+
+
+@dataclass(frozen=True)
+class System:
+    """Everything the master needs.
+
+    stages: in the order in which they step
+    held:   transfers made at the end of a step: their targets see the values of the step's start
+    beside: columns whose values no double holds exactly
+    events: communication point → component → values that it gets there
+    apart:  names of components that have a process of their own
+    halved: its rows are what halves of each step change, not what it does
+    """
+
+    stages: tuple[Stage, ...]
+    held: tuple[Transfer, ...]
+    columns: tuple[str, ...]
+    units: Mapping[str, str]
+    seed: int = 0
+    start: float = 0.0
+    warnings: tuple[str, ...] = ()
+    fmus: Mapping[str, tuple[Path, Any]] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    events: Events = field(default_factory=dict)
+    apart: frozenset[str] = frozenset()
+    halved: bool = False
+
+
+def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
+    """System of a scenario; `start_values` by component are put under the scenario's own (designed gains)."""
+    scenario, diagnosis = file.scenario, Diagnosis(file)
+    components = build_components(file, start_values or {}, diagnosis)
+    whole = len(components) == len(scenario.components) and not file.broken
+    layout = lay_out(components)
+    transfers = connect(file, components, layout, diagnosis)
+    _check_design(file, diagnosis)
+    check_feasible(components.values(), diagnosis)
+    if whole:
+        _check_criteria(scenario, layout.columns, diagnosis)
+    plan = Schedule()
+    if whole and all(transfers):
+        plan = schedule(scenario, components, transfers, diagnosis)
+    blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
+    events = changes(file, blocks, diagnosis)
+    _check_record(file, components, diagnosis)
+    diagnosis.raise_any()
+    warnings = [*diagnosis.warnings, *unconnected(file, components), *(w for c in blocks.values() for w in c.warnings)]
+    return System(
+        plan.stages,
+        plan.held,
+        layout.columns,
+        layout.units,
+        scenario.seed,
+        scenario.start_time,
+        tuple(warnings),
+        {name: (c.path, c.description) for name, c in blocks.items()},
+        layout.beside,
+        layout.signals,
+        events,
+        frozenset(n for n, c in scenario.components.items() if isinstance(c, FmuComponent) and c.process == "own"),
+    )
+
+
+def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
+    """What is recorded on request are variables that there are; what nothing is recorded of is told."""
+    for k, pattern in enumerate(file.scenario.record):
+        name = pattern.partition(".")[0]
+        component = components.get(name)
+        if "*" not in name and name not in file.scenario.components:
+            hint = did_you_mean(name, file.scenario.components)
+            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
+        elif isinstance(component, FmuBlock) and not component.names_any(pattern):
+            known = [f"{name}.{v.name}" for v in component.description.modelVariables]
+            diagnosis.note(("record", k), f'no variable "{pattern}"{did_you_mean(pattern, known)}')
+    for name, component in components.items():
+        if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
+            diagnosis.warnings.append(
+                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
+            )
+
+
+def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
+    """What is designed is an FMU of the scenario."""
+    design = file.scenario.design
+    if design is None or design.component in file.broken:
+        return
+    if not isinstance(file.scenario.components.get(design.component), FmuComponent):
+        diagnosis.note(
+            ("design", "component"), f'design is for component "{design.component}", which is no FMU of components'
+        )
+
+
+def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:
+    """Criteria look at signals that there are."""
+    for kind, k, criterion in scenario.goals:
+        where: Place = ("criteria", kind, *(() if k is None else (k,)))
+        for key, signal in (("of", criterion.of), ("to", criterion.to)):
+            if isinstance(signal, str) and signal not in columns:
+                diagnosis.note((*where, key), f'no signal "{signal}"{did_you_mean(signal, columns)}')

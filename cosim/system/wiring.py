@@ -1,0 +1,336 @@
+"""Signals laid out in one row, and the connections between them as transfers from place to place."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from cosim.base.errors import SimulationError
+from cosim.base.units import Taken, taken
+from cosim.blocks.component import Component, Signal
+from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, whole
+from cosim.blocks.fmi_types import goes
+from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.stepping import Does, Link, link
+from cosim.scenario.diagnosis import Diagnosis, Place
+from cosim.scenario.scenario import (
+    Connection,
+    Disturbance,
+    FixComponent,
+    FmuComponent,
+    Noise,
+    PlaybackComponent,
+    ReferenceComponent,
+)
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.yaml_file import did_you_mean
+
+Components = Mapping[str, Component]
+MOST_NAMED = 20  # signals in a message
+PASSING = {"freeze", "dropout", "delay"}  # faults that let values through as they are, whatever their type
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Where signals stand: component after component, inputs before outputs; in the row of doubles, or beside it.
+
+    columns: `component.variable`, one a place of the row
+    units:   column → unit, "" where it has none
+    beside:  as columns, of what no double holds exactly
+    place:   column → whether it stands beside the row, and its place there
+    signals: column → its signal
+    """
+
+    columns: tuple[str, ...]
+    units: Mapping[str, str]
+    beside: tuple[str, ...]
+    place: Mapping[str, tuple[bool, int]]
+    signals: Mapping[str, Signal]
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A connection: from one place to another, through a change of unit, noise and injected faults.
+
+    name:   of the target, `component.variable`; it also names the random stream
+    items:  of a target that is an enumeration; `origin` is the name of what it comes from
+    beside: whether the place that it comes from, and the one that it goes to, stand beside the row
+    """
+
+    source: int
+    target: int
+    name: str
+    noise: Noise | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+    faults: tuple[Disturbance, ...] = ()
+    beside: tuple[bool, bool] = (False, False)
+    items: Mapping[str, int] | None = None
+    origin: str = ""
+
+    @property
+    def plain(self) -> bool:
+        """Values go from place to place in the row, at most with noise added."""
+        changed = self.factor != 1.0 or self.offset != 0.0 or self.faults or self.items is not None
+        return not changed and self.beside == (False, False)
+
+    def check_item(self, value: Any, t: float) -> None:
+        """SimulationError where a value is no item of the enumeration that it goes to."""
+        if self.items is not None and value not in self.items.values():
+            said = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
+            raise SimulationError(self.name, t, said)
+
+    def samples(self, seed: int, count: int) -> array[float] | None:
+        """What noise adds at each of `count` communication points; None adds nothing."""
+        if self.noise is None:
+            return None
+        return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
+
+    def through(self, seed: int, start: float, step: float, count: int) -> tuple[Linked, ...]:
+        """What becomes of a value at each of `count` communication points: unit, then noise, then each fault."""
+        chain: list[Linked] = []
+        if self.factor != 1.0 or self.offset != 0.0:
+            chain.append(Scaled(self.factor, self.offset))
+        if (samples := self.samples(seed, count)) is not None:
+            chain.append(Added(samples))
+        for number, fault in enumerate(self.faults):
+            window = points(fault.begin, fault.end, start, step, count)
+            rng = stream(seed, f"{self.name} {fault.kind} {number}")
+            delay = 0 if fault.delay is None else whole(fault.delay, step)
+            given = {"value": fault.value, "probability": fault.probability, "delay": delay}
+            chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
+        if self.items is not None:
+            chain.append(_Checked(self, start, step))
+        return tuple(chain)
+
+
+class _Checked:
+    """A value that is an item of the enumeration it goes to."""
+
+    def __init__(self, transfer: Transfer, start: float, step: float) -> None:
+        self.transfer, self.start, self.step = transfer, start, step
+
+    def __call__(self, k: int, v: Any) -> Any:
+        if k:  # until initialization has ended values may be those of nothing yet
+            self.transfer.check_item(v, self.start + k * self.step)
+        return v
+
+    def link(self) -> Link:
+        items = array("d", (self.transfer.items or {}).values())
+        return link(Does.ITEMS, values=items, count=len(items))
+
+
+def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
+    """All of them, one after the other, as one function of (communication point, value)."""
+
+    def value(k: int, v: Any) -> Any:
+        for one in chain:
+            v = one(k, v)
+        return v
+
+    return chain[0] if len(chain) == 1 else value
+
+
+def lay_out(components: Components) -> RowLayout:
+    """The row of these components' signals, and what stands beside it."""
+    row: dict[str, Signal] = {}
+    beside: dict[str, Signal] = {}
+    for name, component in components.items():
+        row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
+        beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
+    units = {column: signal.unit for column, signal in row.items()}
+    place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
+    return RowLayout(tuple(row), units, tuple(beside), place, row | beside)
+
+
+def connect(
+    file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
+) -> list[tuple[Transfer, ...]]:
+    """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
+    _check_sources(file, diagnosis)
+    _check_faults(file, diagnosis)
+    lines = zip(file.places["connections"], file.scenario.connections, strict=True)
+    ends = _Ends(file, components, diagnosis)
+    faults: dict[str, list[Disturbance]] = {}
+    for fault in file.scenario.faults:
+        faults.setdefault(fault.on, []).append(fault)
+    return [_transfers(ends, layout, k, connection, faults) for k, connection in lines]
+
+
+def _transfers(
+    found_ends: _Ends, layout: RowLayout, k: int, connection: Connection, disturbances: Mapping[str, list[Disturbance]]
+) -> tuple[Transfer, ...]:
+    file, diagnosis = found_ends.file, found_ends.diagnosis
+    sources = found_ends.of(("connections", k, "from"), connection.source, "outputs")
+    targets = found_ends.of(("connections", k, "to"), connection.target, "inputs")
+    if not sources or not targets:
+        return ()
+    ends = f"{connection.source} to {connection.target}"
+    if len(sources) != len(targets):
+        diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
+        return ()
+    noise = connection.noise if file.scenario.noise else None
+    owners = connection.source.partition(".")[0], connection.target.partition(".")[0]
+    found = []
+    for source, target in zip(sources, targets, strict=True):
+        if misfit := _misfit(connection, source, target):
+            diagnosis.note(("connections", k), misfit)
+            return ()
+        conversion = connection.conversion or source.conversion(target)
+        if (assumed := taken_for(file, connection, source, target)) is not None:
+            conversion = assumed.factor, assumed.offset
+            told = f"{connection.target} {assumed.sentence}"
+            if assumed.sentence and told not in diagnosis.warnings:  # of an array once
+                diagnosis.warnings.append(told)
+        origin, name = (f"{owner}.{end.name}" for owner, end in zip(owners, (source, target), strict=True))
+        (from_beside, at), (to_beside, to) = layout.place[origin], layout.place[name]
+        faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
+        if from_beside or to_beside:
+            counts = [f.kind for f in faults if f.kind not in PASSING]
+            if noise or conversion != (1.0, 0.0) or counts:
+                what = f"{' or '.join(counts)} fault" if counts else "noise or factor"
+                diagnosis.note(("connections", k), f"{ends}: no {what} on {source.kind or target.kind}")
+                return ()
+        factor, offset = conversion or (1.0, 0.0)
+        sides = from_beside, to_beside
+        found.append(Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin))
+    return tuple(found)
+
+
+def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
+    """How an input without a unit takes numbers whose unit people wrote; None where it declares one."""
+    component = file.scenario.components.get(connection.source.partition(".")[0])
+    written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
+    if not written or target.unit or target.whole or connection.conversion is not None:
+        return None
+    return taken(source.unit, "its FMU", f"give {connection.source} no unit")
+
+
+def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
+    """Why the values of a signal do not go to another, "" where they do."""
+    if not goes(source.kind, target.kind):
+        what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
+        return f"types do not agree: {what}"
+    if source.declared and source.declared == target.declared and source.items != target.items:
+        ends = ((connection.source, source), (connection.target, target))
+        what = ", ".join(f"{name} has {_numbers(signal.items)}" for name, signal in ends)
+        return f"enumerations of one name, {source.declared}, with other items: {what}"
+    if connection.conversion is None and source.conversion(target) is None:
+        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
+        return f"unit mismatch: {units}; where they are the same all the same, say so by factor: 1"
+    return ""
+
+
+class _Ends:
+    """Finds the ends of connections: a signal, or the elements of an array."""
+
+    def __init__(self, file: ScenarioFile, components: Components, diagnosis: Diagnosis) -> None:
+        self.file, self.components, self.diagnosis = file, components, diagnosis
+        self._known: dict[tuple[str, str], dict[str, list[Signal]]] = {}
+
+    def of(self, where: Place, text: str, side: str) -> list[Signal]:
+        """One end among a component's `side`, its inputs or outputs; none, a fault noted, where there is none."""
+        name, _, variable = text.partition(".")
+        if name not in self.file.scenario.components and name not in self.file.broken:
+            hint = did_you_mean(name, self.file.scenario.components)
+            self.diagnosis.note(where, f'no component "{name}"{hint}')
+            return []
+        component = self.components.get(name)
+        if component is None or name in self.file.broken:  # its own fault is told already
+            return []
+        known = self._signals(component, side)
+        if variable in known:
+            return known[variable]
+        other = "inputs" if side == "outputs" else "outputs"
+        if variable in self._signals(component, other):
+            message = f"{text} is one of the {other} of {name}; an output goes to an input"
+        elif any(s.local and s.name == variable for s in _signals(component, side)):
+            message = f"{text} is recorded, but no output of {name}; an output goes to an input"
+        else:
+            message = f'{name} has no {side[:-1]} "{variable}"{did_you_mean(variable, known)}'
+            message += f" (its {side}: {_some(known)})"
+        self.diagnosis.note(where, message)
+        return []
+
+    def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
+        """Name → signal, and name of an array → its elements."""
+        key = component.name, side
+        if key not in self._known:
+            found = self._known[key] = {}
+            for signal in _signals(component, side):
+                if not signal.local:
+                    found.setdefault(signal.name, []).append(signal)
+                    if signal.array:
+                        found.setdefault(signal.array, []).append(signal)
+        return self._known[key]
+
+
+def _numbers(items: Mapping[str, int] | None) -> str:
+    return _some([f"{name} {number}" for name, number in (items or {}).items()])
+
+
+def _some(names: Collection[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"{', '.join(islice(names, MOST_NAMED)) or 'none'}{more}"
+
+
+def _signals(component: Component, side: str) -> tuple[Signal, ...]:
+    both: tuple[Signal, ...] = (*getattr(component, side), *getattr(component, f"exact_{side}"))
+    return both
+
+
+def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
+    """An injected fault is on a connection, has what its kind needs, and acts within the run."""
+    scenario = file.scenario
+    targets = dict.fromkeys(c.target for c in scenario.connections)
+    needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
+    needs["dropout"] = "probability"
+    for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
+        if fault.on not in targets and fault.on.partition("[")[0] not in targets:
+            hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
+            diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+        if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
+            cure = "faults act on components that step with the scenario"
+            diagnosis.note(("faults", k, "on"), f"{fault.on} is of a component with a step of its own; {cure}")
+        needed = needs.get(fault.kind)
+        if needed is not None and getattr(fault, needed) is None:
+            diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
+        made = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
+        if fault.delay is not None and abs(made - fault.delay) > 1e-9 * made:
+            rounded = f"no whole number of steps: it is {made:g} s"
+            diagnosis.warnings.append(f"a delay of {fault.delay:g} s on {fault.on} is {rounded}")
+        first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
+        if not max(0, first) <= min(last, scenario.steps):
+            end = scenario.start_time + scenario.duration
+            diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
+
+
+def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
+    """An input has one source."""
+    seen: dict[str, str] = {}
+    for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
+        if connection.target in seen:
+            both = f"{seen[connection.target]} and {connection.source}"
+            diagnosis.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
+        seen.setdefault(connection.target, connection.source)
+
+
+def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
+    """A warning for each component with inputs that nothing feeds and the scenario gives no value."""
+    fed = {c.target for c in file.scenario.connections}
+    fed |= {target for event in file.scenario.events for target in event.set}
+    for name, component in components.items():
+        declared = file.scenario.components[name]
+        given = declared.start if isinstance(declared, FmuComponent) else {}
+        free = [
+            s.name
+            for s in _signals(component, "inputs")
+            if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
+        ]
+        if free and isinstance(declared, FixComponent):
+            yield f"not connected, so its fixes are of 0: {_some([f'{name}.{s}' for s in free])}"
+        elif free:
+            yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"

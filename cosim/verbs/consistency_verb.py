@@ -1,0 +1,60 @@
+"""`cosim consistency`: are the estimators as good as they believe?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.storage.folder_lock import folder_locks
+from cosim.verbs.terminal import Force, Json, Open, Report, judged, progress_bar, say, say_json, show, table
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command."""
+    app.command()(consistency)
+
+
+@folder_locks()
+def consistency(
+    runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
+    steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
+    ] = Path("results/consistency"),
+    report: Report = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
+    from cosim.estimators.consistency import CONSISTENT, headline
+    from cosim.estimators.workflow import check_folder, check_size, write
+    from cosim.estimators.workflow import consistency as over_runs
+
+    check_size(runs, steps)
+    check_folder(out, force=force)
+    with progress_bar("estimating") as progress:
+        rows = over_runs(runs, steps, seed, progress)
+    write(out, rows, steps, seed, report=report)
+    if report and open_:
+        show(out / "report.html")
+    if as_json:
+        say_json([row.as_json() for row in rows])
+        return
+    for flight, motion in {row.flight: row.motion for row in rows}.items():
+        say(f"{flight}: {motion}")
+    header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
+    lines = [
+        (row.case, row.flight, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}",
+         f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}", r.sentence)
+        for row in rows for r in (row.result,)
+    ]  # fmt: skip
+    head, *body = table(header, lines)
+    say(head)
+    for row, line in zip(rows, body, strict=True):
+        say(judged(row.result.verdict == CONSISTENT, line))
+    say(headline(rows))
+    say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

@@ -1,0 +1,255 @@
+"""What the verbs return in Python: signals by name, data frames, pictures, a short text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.arrays import Array
+from cosim.base.text import MISSING, counted, plain
+from cosim.storage.results import Results
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+SHOWN = 8  # signals in the short text of a run; further ones are counted
+
+
+@dataclass(frozen=True, repr=False)
+class Signals:
+    """Rows of a run, `signals["plant.x"]` one column of them.
+
+    title:   what it is of
+    folder:  where files of it are, None where none were asked for
+    """
+
+    title: str
+    results: Results
+    folder: Path | None = None
+
+    @property
+    def time(self) -> Array:
+        """Communication points [s]."""
+        return self.results.time
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Signals that hold numbers, `component.variable`."""
+        return self.results.columns
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Signal → unit, "" where it has none."""
+        return self.results.units
+
+    def __len__(self) -> int:
+        return len(self.results.time)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.results.columns or name in self.results.exact
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.results.columns:
+            from cosim.storage.yaml_file import did_you_mean
+
+            raise KeyError(f'no signal "{name}"{did_you_mean(name, self.results.columns)}')
+        return self.results[name]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame of all signals, its index the time [s]; ImportError where pandas is not installed."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        index = pandas.Index(self.time, name="time")
+        frame = pandas.DataFrame(self.results.values, index=index, columns=list(self.results.columns))
+        for name, column in self.results.exact.items():
+            frame[name] = list(column)
+        frame.attrs["units"] = dict(self.results.units)
+        return frame
+
+    def plot(self, *names: str) -> Figure:
+        """A matplotlib figure of signals, those of one unit over each other; of all without names."""
+        for name in names:
+            self[name]
+        from cosim.simulation.report.figures import figure_of
+
+        return figure_of(self.results, names or self.results.columns)
+
+    def __repr__(self) -> str:
+        shown = [self._line(name) for name in self.names[:SHOWN]]
+        more = [f"  … and {len(self.names) - SHOWN} more"] if len(self.names) > SHOWN else []
+        return "\n".join([self._heading(), *shown, *more])
+
+    def _heading(self) -> str:
+        end = f", {plain(float(self.time[0]))} … {plain(float(self.time[-1]))} s" if len(self) else ""
+        return f"{self.title}: {counted(len(self.names), 'signal')}, {counted(len(self), 'row')}{end}"
+
+    def _line(self, name: str) -> str:
+        first, last = self._ends(name)
+        return f"  {name} [{self.units.get(name) or '1'}] {first} → {last}"
+
+    def _ends(self, name: str) -> tuple[str, str]:
+        values = self.results[name]
+        return (plain(float(values[0])), plain(float(values[-1]))) if len(values) else (MISSING, MISSING)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in self.names[: 2 * SHOWN]]
+        cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        more = len(self.names) - len(rows)
+        note = f"<p>… and {more} more</p>" if more > 0 else ""
+        head = "<tr><th>signal</th><th>unit</th><th>first</th><th>last</th></tr>"
+        return f"<p><b>{escape(self._heading())}</b></p>{self._html_more()}<table>{head}{cells}</table>{note}"
+
+    def _html_more(self) -> str:
+        return ""
+
+
+@dataclass(frozen=True, repr=False)
+class Run(Signals):
+    """A run: its signals, its manifest, criteria and warnings."""
+
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def criteria(self) -> list[dict[str, Any]]:
+        """Each criterion with its value, limit and whether it is met."""
+        return list(self.manifest.get("criteria") or ())
+
+    @property
+    def missed(self) -> list[dict[str, Any]]:
+        """Criteria that are not met."""
+        return [c for c in self.criteria if not c["met"]]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be known of the run."""
+        return list(self.manifest.get("warnings") or ())
+
+    @property
+    def report(self) -> Path | None:
+        """Its page, None where none was written."""
+        page = None if self.folder is None else self.folder / "report.html"
+        return page if page is not None and page.is_file() else None
+
+    @cached_property
+    def _sentences(self) -> list[str]:
+        from cosim.simulation.criteria import sentence
+
+        return [sentence(c) for c in self.criteria]
+
+    def __repr__(self) -> str:
+        return "\n".join([super().__repr__(), *(f"  {line}" for line in self._sentences)])
+
+    def _html_more(self) -> str:
+        from html import escape
+
+        lines = "".join(f"<li>{escape(line)}</li>" for line in self._sentences)
+        return f"<ul>{lines}</ul>" if lines else ""
+
+
+@dataclass(frozen=True, repr=False)
+class Replay(Signals):
+    """A replay: what the FMU and the log show, and what the model misses of it, by horizon, in `residual`."""
+
+    residual: Signals | None = None
+    sentence: str = ""
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()}\n  {self.sentence}".rstrip()
+
+
+@dataclass(frozen=True, repr=False)
+class Refined:
+    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`."""
+
+    record: Mapping[str, Any]
+    folder: Path
+
+    @property
+    def verdict(self) -> str:
+        """effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
+        return str(self.record.get("verdict", ""))
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """What was added, most important first, with values and intervals."""
+        return list(self.record.get("effects") or ())
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        return str(self.record.get("sentence", ""))
+
+    @property
+    def model(self) -> Path:
+        """The refined model."""
+        return self.folder / "model.yaml"
+
+    @property
+    def fmu(self) -> Path:
+        """Its FMU."""
+        return self.folder / "plant.fmu"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Errors before and after by part and channel; ImportError where pandas is not installed."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        rows = [
+            {"model": model, "part": part, "channel": channel, "rmse": value}
+            for model, parts in dict(self.record.get("error") or {}).items()
+            if isinstance(parts, Mapping)
+            for part, channels in parts.items()
+            if isinstance(channels, Mapping)
+            for channel, value in channels.items()
+        ]
+        return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
+
+    def plot(self, part: str = "validation") -> Figure:
+        """A matplotlib figure of the errors of each channel before and after, of the `validation` or `estimation` logs.
+
+        ValueError where the record holds none of that part.
+        """
+        from cosim.refinement.report.error_figure import errors_figure
+
+        return errors_figure(self.record, part)
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.sentence}"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<p><b>{escape(self.verdict)}</b>: {escape(self.sentence)}</p>"
+
+
+@dataclass(frozen=True, repr=False)
+class Runs:
+    """Runs of a sweep: `record` is sweep.json; sweep.parquet is in `folder`."""
+
+    record: Mapping[str, Any]
+    folder: Path
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        from cosim.sweeps.store import read_table
+
+        frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()
+        return frame
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.record.get('name', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
+        )

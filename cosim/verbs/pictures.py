@@ -1,0 +1,65 @@
+"""`cosim graph` and `cosim schema`: a scenario as a picture, the keys of files for editors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.verbs.streams import echo
+from cosim.verbs.terminal import Json, Open, say, say_json, show
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands."""
+    app.command()(graph)
+    app.command()(schema)
+
+
+def graph(
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or the manifest.json of a run.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; NAME.svg of the file without."),
+    ] = None,
+    mermaid: Annotated[
+        bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")
+    ] = False,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="path=value, over the scenario's own.")] = None,
+    open_: Open = False,
+    force: Annotated[bool, typer.Option("--force", help="Also over a file that is no picture of it.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Draw a scenario: components in the order in which they step, signals, units, noise and faults."""
+    from cosim.authoring.graph import check_picture, graph_of
+    from cosim.storage.files import atomic_write
+
+    found = graph_of(scenario, set_ or ())
+    if mermaid:
+        say_json({"mermaid": found.mermaid()}) if as_json else echo(found.mermaid(), nl=False)
+        return
+    path = Path(f"{scenario.stem}.svg") if out is None else out
+    if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):
+        from cosim.base.errors import Fault, InputError
+
+        why = "name an .svg or .mmd file" if path.parent.is_dir() else "its folder is not there; make it first"
+        raise InputError([Fault(path, 0, 0, why)])
+    if not force:
+        check_picture(path, found)
+    with atomic_write(path) as stream:
+        stream.write(found.mermaid() if path.suffix.lower() == ".mmd" else found.svg())
+    say(f"graph: {path}")
+    if as_json:
+        say_json({"graph": str(path)})
+    if open_:
+        show(path)
+
+
+def schema(
+    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
+) -> None:
+    """Print the JSON schema of a file, for the completion of an editor."""
+    from cosim.verbs.schemas import schema_of
+
+    say_json(schema_of(kind))

@@ -1,0 +1,66 @@
+"""JSON schemas of the files that people write, for the completion and the marks of an editor."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import resolve
+from cosim.storage.artefact import Artefact, artefacts
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
+
+
+def schemas() -> dict[str, Artefact]:
+    """Return the kinds of files that have a schema, by the name of the schema."""
+    return {a.schema_name: a for a in artefacts() if a.schema}
+
+
+def schema_of(name: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of file, each key with its meaning; InputError where there is no such kind."""
+    known = schemas()
+    if name not in known:
+        allowed = ", ".join(sorted(known))
+        raise InputError([Fault(Path(name), 0, 0, f"is no kind of file that has a schema; give one of {allowed}")])
+    model: type[BaseModel] = resolve(known[name].schema)
+    schema = model.model_json_schema(by_alias=True)
+    for part in (schema, *schema.get("$defs", {}).values()):
+        _described(part)
+    limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
+    for key, content in limits.items():  # 10 s, 2 GB
+        limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
+    return {"$schema": DIALECT, **_switched(schema), "title": known[name].title}
+
+
+def _described(part: dict[str, Any]) -> None:
+    """Move what a docstring says of each key, `key: meaning`, to the key."""
+    keys: dict[str, Any] = part.get("properties", {})
+    kept, last = [], ""
+    for line in str(part.get("description", "")).splitlines():
+        found = KEY.match(line)
+        if found and found[1] in keys:
+            last = found[1]
+            keys[last]["description"] = found[2]
+        elif last and line.strip():
+            keys[last]["description"] += f" {line.strip()}"
+        elif not last:
+            kept.append(line)
+    if kept:
+        part["description"] = "\n".join(kept).strip()
+
+
+def _switched(node: Any) -> Any:
+    """With `on` and `off`, as in YAML 1.1, wherever true and false may stand."""
+    if isinstance(node, list):
+        return [_switched(value) for value in node]
+    if not isinstance(node, dict):
+        return node
+    inner = {key: _switched(value) for key, value in node.items()}
+    if inner.get("type") != "boolean":
+        return inner
+    return {**{k: v for k, v in inner.items() if k != "type"}, "anyOf": [{"type": "boolean"}, {"enum": ["on", "off"]}]}

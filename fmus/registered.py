@@ -1,0 +1,42 @@
+"""Everything that the worked example registers with the framework; examples/hovercraft/pyproject.toml names it."""
+
+from __future__ import annotations
+
+from cosim.base.registry import Extension, ModelEntry, Page
+
+LAWS = {  # the controller under another law, with the same ports
+    "controller-pole.fmu": "fmus.recipes:poles_recipe",
+    "controller-lqi.fmu": "fmus.recipes:integral_recipe",
+    "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
+    "controller-ltv-mpc.fmu": "fmus.recipes:time_variant_recipe",
+}
+HOVERCRAFT = ModelEntry(
+    name="hovercraft",
+    model="plant.hovercraft:Hovercraft",
+    recipe="fmus.recipes:plant_recipe",
+    built={
+        "plant.fmu": "fmus.recipes:plant_recipe",
+        "controller.fmu": "fmus.recipes:controller_recipe",
+        "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
+        **LAWS,
+        "filter.fmu": "fmus.estimator_recipes:filter_recipe",
+        "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
+    },
+    beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
+    native={"controller": "fmus.controller_native:controller_native"},
+    rig="controller.closed_loop:ClosedLoop",
+    design="controller.designer:DESIGNER",
+    cases="controller.monte_carlo:CASES",
+    estimators="controller.monte_carlo:squares_of",
+)
+BENCH = ModelEntry(name="bench", model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe")
+RUN_PAGE = Page(
+    variables=frozenset({"x_world", "y_world", "psi"}),
+    subject="fmus.report.craft_page:subject",
+    figures="fmus.report.png_figures:figures",
+)
+IDENTIFY = Extension(
+    command="plant.identification.command:register",
+    function="plant.identification.workflow:identify",
+    artefacts="plant.identification.artefacts:ARTEFACTS",
+)

@@ -1,0 +1,106 @@
+"""The sections about a craft."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.text import MISSING, plain
+from cosim.report.chart_data import rounded
+from cosim.report.drawing import Drawing
+from cosim.report.html_tables import Grid
+from cosim.report.panels import Panel
+from cosim.report.svg import Plot
+from cosim.simulation.report.recorded import Run
+from cosim.simulation.report.subject import Subject
+from fmus.report import account
+from fmus.report.figures_of_merit import ResponseRow, error_grid, response_rows, tiles, tilt_grid
+from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
+from fmus.report.roles import Craft, find_crafts
+from fmus.report.topview import last_row, make_view, poses, true_track
+
+TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
+
+
+@dataclass(frozen=True)
+class Readout:
+    """One state beside the picture: keys of its series and its values at the end of the run."""
+
+    symbol: str
+    title: str
+    unit: str
+    cells: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class CraftPage:
+    """The sections about one craft."""
+
+    name: str
+    estimator: str
+    motion: str
+    states: list[Plot]
+    errors: list[Plot]
+    tilts: list[Plot]
+    belief: str | None
+    integral: str | None
+    band: str | None
+    tilt: str | None
+    readouts: list[Readout]
+    responses: list[ResponseRow]
+    grids: list[Grid]
+
+
+def subject(run: Run, drawing: Drawing) -> Subject:
+    """The page about the crafts of a run: motion, states, estimation, tilts."""
+    crafts = find_crafts(run)
+    called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
+    rows = drawing.few
+    view = make_view(crafts, rows) if run.time.size else None
+    drawn = [craft for craft in crafts if view and last_row(true_track(craft)) is not None]
+    pages = [craft_page(*pair, drawing) for pair in zip(crafts, called, strict=True)] if run.time.size else []
+    return Subject(
+        template=TEMPLATE,
+        values={"pages": pages, "view": view},
+        tiles=tiles(run, crafts),
+        shown=frozenset(shown_columns(crafts)),
+        data={"few": rounded(run.time[rows], 6), "crafts": [poses(craft, rows, drawing.series) for craft in drawn]},
+    )
+
+
+def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
+    """The sections about `craft`, drawn."""
+    panels = state_panels(craft)
+    states = drawing.plots(panels)
+    return CraftPage(
+        name=craft.name,
+        estimator=craft.estimator or "",
+        motion=account.motion_sentence(craft, called),
+        states=states,
+        errors=drawing.plots(error_panels(craft)),
+        tilts=drawing.plots(tilt_panels(craft)),
+        belief=account.belief_sentence(craft),
+        integral=account.integral_sentence(craft),
+        band=account.band_sentence(craft),
+        tilt=account.tilt_sentence(craft),
+        readouts=[readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
+        responses=response_rows(craft),
+        grids=[grid for grid in (error_grid(craft), tilt_grid(craft)) if grid],
+    )
+
+
+def readout(panel: Panel, plot: Plot) -> Readout:
+    """Truth, estimate and reference of a state, as far as they exist."""
+    cells = []
+    for style in ("true", "estimate", "reference"):
+        found = [
+            (curve.key, trace) for curve, trace in zip(plot.curves, panel.traces, strict=True) if trace.style == style
+        ]
+        finite = [float(v) for _, trace in found for v in trace.values[-1:] if np.isfinite(v)]
+        cells.append(
+            (found[0][0] if found else "", plain(finite[0]) if finite and not math.isnan(finite[0]) else MISSING)
+        )
+    return Readout(panel.symbol, panel.title, panel.unit, tuple(cells))

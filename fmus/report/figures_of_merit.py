@@ -1,0 +1,119 @@
+"""The craft's tables: answers to steps, errors, effort."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.text import MISSING, amount, length, percent
+from cosim.report.html_tables import Grid, Row
+from cosim.simulation.report.recorded import Run, mappings, number
+from cosim.simulation.report.verdicts import failed
+from fmus.report.account import SYMBOLS
+from fmus.report.figures_of_run import BAND, Response, effort, error_rms, responses, saturation
+from fmus.report.lines import QUANTITIES
+from fmus.report.roles import SIDES, Craft
+
+SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
+MOST_RESPONSES = 16
+SETTLING = "settling_time"  # the criterion
+
+
+@dataclass(frozen=True)
+class ResponseRow:
+    """One reference step as text."""
+
+    symbol: str
+    time: str
+    step: str
+    settling: str
+    believed: str
+    overshoot: str
+    rms: str
+    final: str
+
+
+def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
+    """The handful of numbers a reader looks for first; of the first craft."""
+    found: list[Row] = []
+    for variable in ("x", "psi"):
+        answers = responses(crafts[0], variable) if crafts and not failed(run) else []
+        if answers:
+            found.append(_settling_asked(run, crafts[0], variable) or _settling_here(answers[-1]))
+    if found and crafts and (answers := responses(crafts[0], "x")):
+        found.append(
+            Row("Final error of x", length(answers[-1].final).replace("less than", "<"), "craft against reference")
+        )
+    shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
+    if shares and all(map(math.isfinite, shares)):
+        found.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
+    return found
+
+
+def _settling_asked(run: Run, craft: Craft, variable: str) -> Row | None:
+    """The last settling that the scenario itself asks of a signal, in its own band; None where it asks none."""
+    column = f"{craft.name}.{variable}"
+    asked = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
+    if not asked:
+        return None
+    value, band = asked[-1].get("value"), amount(number(asked[-1].get("band")), SI[variable], None)
+    told = amount(number(value), "s") if value is not None else f"not within ±{band}"
+    return Row(f"Settling of {SYMBOLS[variable]}", told, f"last criterion, ±{band}")
+
+
+def _settling_here(answer: Response) -> Row:
+    unit = "m" if answer.variable == "x" else "rad"
+    return Row(
+        f"Settling of {SYMBOLS[answer.variable]}", _settling(answer.settling, unit), f"last step, ±{BAND:g} {unit}"
+    )
+
+
+def _settling(value: float, unit: str) -> str:
+    """The time; where the last row is outside, that it is, for a wider band may be met all the same."""
+    if math.isnan(value):
+        return MISSING
+    return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
+
+
+def response_rows(craft: Craft) -> list[ResponseRow]:
+    """Answers of x and ψ to their references in order of time; the last ones where there are many."""
+    answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
+    return [_response_row(answer) for answer in answers[-MOST_RESPONSES:]]
+
+
+def _response_row(answer: Response) -> ResponseRow:
+    unit = SI[answer.variable]
+    target = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}"
+    ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+    sizes = (amount(value, unit, 2) for value in (answer.overshoot, answer.rms, answer.final))
+    return ResponseRow(
+        SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, _settling(answer.settling, unit),
+        _settling(answer.believed, unit), *sizes,
+    )  # fmt: skip
+
+
+def error_grid(craft: Craft) -> Grid | None:
+    """RMS errors over the whole run: craft against reference, estimate against craft."""
+    rows = []
+    for quantity in QUANTITIES:
+        true, unit = craft.signal(quantity.name), SI[quantity.name]
+        tracking = error_rms(true, craft.reference(quantity.name))
+        estimation = error_rms(craft.estimate(f"{quantity.name}_hat"), true)
+        if math.isfinite(tracking) or math.isfinite(estimation):
+            rows.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
+    return Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(rows)) if rows else None
+
+
+def tilt_grid(craft: Craft) -> Grid | None:
+    """Effort and saturation over the whole run."""
+    rows = []
+    for side in SIDES:
+        command = craft.command(f"tilt_{side}")
+        good = np.abs(command[np.isfinite(command)]) if command is not None else np.zeros(0)
+        if good.size:
+            used = amount(effort(craft, side), "rad.s")
+            rows.append((side, used, amount(float(good.max()), "rad"), percent(saturation(craft, side))))
+    return Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(rows)) if rows else None

@@ -1,0 +1,173 @@
+"""What the run amounts to: answers to reference steps, errors, effort, saturation, belief against truth.
+
+Everything here uses every row of the run; only drawings are thinned. SI throughout.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.simulation import metrics
+from fmus.report.roles import Craft
+
+BAND = 0.02  # m and rad: 2 % of the unit steps the thesis shows
+MERGE = 0.1  # s; changes of a reference closer than this are one ramp
+WANDERED = 0.05  # m; a craft this far off has not arrived, whatever its estimator says
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change of a reference: rows where it begins, where it has arrived, and where the next one begins."""
+
+    begin: int
+    arrived: int
+    end: int
+
+    @property
+    def is_ramp(self) -> bool:
+        """Whether the change took more than one row."""
+        return self.arrived > self.begin
+
+
+@dataclass(frozen=True)
+class Response:
+    """How a signal answered one change of its reference, in SI."""
+
+    variable: str
+    time: float
+    start: float
+    target: float
+    ramp: float
+    settling: float
+    believed: float
+    overshoot: float
+    rms: float
+    final: float
+
+
+def reference_steps(time: Array, reference: Array) -> list[Step]:
+    """Changes of a reference; row 0 counts as one, changes within MERGE as one ramp."""
+    changes = [0, *(int(k) for k in np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1)]
+    groups: list[list[int]] = [[0, 0]]
+    for previous, row in pairwise(changes):
+        near = row - previous <= 1 or time[row] - time[previous] <= MERGE
+        if near and previous > 0:
+            groups[-1][1] = row
+        else:
+            groups.append([row, row])
+    ends = [group[0] for group in groups[1:]] + [reference.size]
+    return [Step(begin, arrived, end) for (begin, arrived), end in zip(groups, ends, strict=True)]
+
+
+def responses(craft: Craft, variable: str) -> list[Response]:
+    """Answers to every change of the reference of `x` or `psi`, each measured until the next change."""
+    signal, reference = craft.signal(variable), craft.reference(variable)
+    if signal is None or reference is None:
+        return []
+    good = np.isfinite(signal) & np.isfinite(reference)
+    if not good.any():
+        return []
+    estimate = craft.estimate(f"{variable}_hat")
+    rows = [line[good] for line in (craft.run.time, signal, reference)]
+    seen = None if estimate is None else estimate[good]
+    steps = reference_steps(rows[0], rows[2])
+    # A start on target answers nothing, unless nothing else is asked of the craft.
+    if len(steps) > 1 and abs(rows[1][0] - rows[2][0]) <= BAND:
+        steps = steps[1:]
+    return [_response(variable, rows, seen, step) for step in steps]
+
+
+def _response(variable: str, rows: list[Array], estimate: Array | None, step: Step) -> Response:
+    time, signal, reference = (line[step.begin : step.end] for line in rows)
+    held = slice(step.arrived, step.end)
+    target = float(reference[-1])
+    moving = step.end - step.arrived < 2  # a ramp still on its way, or a change in the last row
+    settling = math.nan if moving else metrics.settling_time(rows[0][held], rows[1][held], target, BAND)
+    believed = math.nan
+    if estimate is not None and not moving:
+        believed = metrics.settling_time(rows[0][held], estimate[held], target, BAND)
+    before = float(rows[2][step.begin - 1]) if step.begin else float(signal[0])
+    ramp = float(rows[0][step.arrived] - rows[0][step.begin]) if step.is_ramp else 0.0
+    return Response(
+        variable, float(time[0]), before, target, ramp, settling, believed,
+        metrics.overshoot(signal, target), metrics.rms_error(signal, reference), metrics.final_error(signal, reference),
+    )  # fmt: skip
+
+
+def error_rms(signal: Array | None, target: Array | None) -> float:
+    """Root mean square over the rows where both are finite; NaN where there are none."""
+    if signal is None or target is None:
+        return math.nan
+    good = np.isfinite(signal) & np.isfinite(target)
+    return metrics.rms_error(signal[good], target[good]) if good.any() else math.nan
+
+
+def effort(craft: Craft, side: str) -> float:
+    """Integral of the magnitude of a tilt command [rad s]."""
+    command = craft.command(f"tilt_{side}")
+    if command is None:
+        return math.nan
+    good = np.isfinite(command)
+    return metrics.effort(craft.run.time[good], command[good]) if good.any() else math.nan
+
+
+def saturation(craft: Craft, side: str) -> float:
+    """Share of the time a tilt command stood at its limit, each command held until the next."""
+    command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
+    if command is None or limit is None or time.size < 2:
+        return math.nan
+    held = np.diff(time)
+    at_limit = np.abs(command[:-1]) >= limit * (1 - 1e-6)
+    return float(held[at_limit].sum() / held.sum())
+
+
+@dataclass(frozen=True)
+class Belief:
+    """How far craft and estimate stood from the target, and apart, at the end of a run; σ there [m]."""
+
+    true: float
+    estimated: float
+    apart: float
+    sigma: float
+
+    @property
+    def wanders(self) -> bool:
+        """The craft has not arrived, and the estimator puts it nearer by half or more."""
+        return self.true > max(WANDERED, 2 * self.estimated)
+
+
+def belief(craft: Craft) -> Belief | None:
+    """Median distances over the last second or tenth of the run, whichever is longer, after the last step."""
+    x, x_hat, target = craft.signal("x"), craft.estimate("x_hat"), craft.reference("x")
+    if x is None or x_hat is None or target is None:
+        return None
+    good = np.isfinite(x) & np.isfinite(x_hat) & np.isfinite(target)
+    time, x, x_hat, target = craft.run.time[good], x[good], x_hat[good], target[good]
+    if time.size < 3:
+        return None
+    arrived = reference_steps(time, target)[-1].arrived
+    begin = max(float(time[arrived]), float(time[-1]) - max(1.0, 0.1 * float(time[-1] - time[0])))
+    last = time >= begin
+    sigma = craft.estimate("x_sigma")
+    claimed = math.nan if sigma is None else float(sigma[good][-1])
+    true, estimated, apart = (
+        float(np.median(np.abs(one - other)[last])) for one, other in ((x, target), (x_hat, target), (x, x_hat))
+    )
+    # A craft whose last sample is inside the band has settled by the settling time's own rule.
+    return Belief(min(true, float(np.abs(x - target)[-1])), estimated, apart, claimed)
+
+
+def inside_band(craft: Craft, variable: str) -> float:
+    """Share of the rows in which the truth lies within the estimator's own ±2σ."""
+    true, estimate = craft.signal(variable), craft.estimate(f"{variable}_hat")
+    sigma = craft.estimate(f"{variable}_sigma")
+    if true is None or estimate is None or sigma is None:
+        return math.nan
+    good = np.isfinite(true) & np.isfinite(estimate) & np.isfinite(sigma)
+    # At the start P = 0 and the estimate is exact: rounding alone must not count as outside.
+    return float(np.mean(np.abs(estimate - true)[good] <= 2 * sigma[good] + 1e-9)) if good.any() else math.nan

@@ -1,0 +1,101 @@
+"""Panels of the craft: states, errors of the estimate, tilts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.text import DEGREES
+from cosim.report.panels import Band, Panel, Trace
+from fmus.report.roles import COLOURS, SIDES, Craft
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A state that is steered and estimated: names of its variables, unit as displayed."""
+
+    name: str
+    title: str
+    symbol: str
+    unit: str
+    factor: float = 1.0
+
+
+QUANTITIES = (
+    Quantity("x", "Distance along the craft's axis", "x", "m"),
+    Quantity("psi", "Heading, positive to the left", "ψ", "°", DEGREES),
+    Quantity("vx", "Forward speed", "v", "m/s"),
+    Quantity("psi_dot", "Yaw rate, positive to the left", "ψ̇", "°/s", DEGREES),
+)
+
+
+def state_panels(craft: Craft) -> list[Panel]:
+    """True states against their references and estimates with ±2σ."""
+    panels = (_state_panel(craft, quantity) for quantity in QUANTITIES)
+    return [panel for panel in panels if panel is not None]
+
+
+def _state_panel(craft: Craft, quantity: Quantity) -> Panel | None:
+    true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
+    sigma, reference = craft.estimate(f"{quantity.name}_sigma"), craft.reference(quantity.name)
+    if true is None:
+        return None
+    lines = [("reference", reference, "reference", True), ("estimate", estimate, "estimate", False)]
+    lines.append(("craft", true, "true", False))
+    traces = [
+        Trace(label, line * quantity.factor, style, held) for label, line, style, held in lines if line is not None
+    ]
+    band = _band(estimate, sigma, quantity.factor, "estimate ±2σ")
+    return Panel(quantity.title, quantity.unit, traces, band, symbol=quantity.symbol)
+
+
+def error_panels(craft: Craft) -> list[Panel]:
+    """Estimate minus truth, against what the estimator claims: ±2σ about zero."""
+    panels = []
+    for quantity in QUANTITIES:
+        true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
+        if true is None or estimate is None:
+            continue
+        zero = np.zeros(true.size)
+        band = _band(zero, craft.estimate(f"{quantity.name}_sigma"), quantity.factor, "±2σ claimed")
+        trace = Trace("estimate − craft", (estimate - true) * quantity.factor, "error")
+        panels.append(Panel(f"Error of {quantity.symbol}", quantity.unit, [trace], band))
+    return panels
+
+
+def _band(centre: Array | None, sigma: Array | None, factor: float, label: str) -> Band | None:
+    if centre is None or sigma is None:
+        return None
+    return Band(label, (centre - 2 * sigma) * factor, (centre + 2 * sigma) * factor)
+
+
+def tilt_panels(craft: Craft) -> list[Panel]:
+    """Tilt commands with their limits, and the tilt that followed."""
+    panels = []
+    for side in SIDES:
+        command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
+        lines = [("command", command, COLOURS[side], True), ("actual", actual, "actual", False)]
+        traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
+        limit = craft.tilt_limit
+        limits = () if limit is None else (-limit * DEGREES, limit * DEGREES)
+        label = "" if limit is None else f"limit ±{limit * DEGREES:.4g}°"
+        if traces:
+            panels.append(Panel(f"Tilt, {side} propeller", "°", traces, None, limits, label))
+    return panels
+
+
+def shown_columns(crafts: Sequence[Craft]) -> set[str]:
+    """Columns the sections about a craft already show."""
+    shown: set[str] = set()
+    for craft in crafts:
+        for quantity in QUANTITIES:
+            shown.add(f"{craft.name}.{quantity.name}")
+            shown.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
+            shown.add(craft.reference_column(quantity.name) or "")
+        for side in SIDES:
+            shown.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
+            shown.add(f"{craft.estimator}.tilt_{side}")
+    return shown

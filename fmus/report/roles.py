@@ -1,0 +1,109 @@
+"""Who is who in a run: which component is the craft, which its estimator, what they were told to follow.
+
+Component names are the user's, so roles are found by structure: a craft has `x_world`, `y_world` and `psi`,
+an estimator has `x_hat` and `x_sigma`; the connections say which of them belong together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from controller.gains import Settings
+from cosim.base.arrays import Array
+from cosim.base.units import read_quantity
+from cosim.simulation.report.recorded import Run, number
+
+SIDES = ("right", "left")
+COLOURS = {"right": "warm", "left": "cool"}
+TILT_MAX = Settings().tilt_max  # [rad], what a controller FMU uses unless told otherwise
+
+
+def angle(value: Any) -> float:
+    """An angle [rad], given as a number or as text such as `12 deg`; NaN where it is neither."""
+    if not isinstance(value, str):
+        return number(value)
+    try:
+        return read_quantity(value, "rad")
+    except ValueError:
+        return math.nan
+
+
+@dataclass(frozen=True)
+class Craft:
+    """A craft, and what estimates and steers it."""
+
+    run: Run
+    name: str
+    estimator: str | None
+
+    def signal(self, variable: str) -> Array | None:
+        """A variable of the craft."""
+        return self.run.signal(f"{self.name}.{variable}")
+
+    def tilt(self, side: str) -> Array | None:
+        """The tilt of a propeller as it followed its command [rad]."""
+        return self.signal(f"tilt_{side}_actual")
+
+    def estimate(self, variable: str) -> Array | None:
+        """A variable of its estimator."""
+        return self.run.signal(f"{self.estimator}.{variable}") if self.estimator else None
+
+    def reference_column(self, variable: str) -> str | None:
+        """The column that `x` or `psi` had to follow: what is connected to the controller's input, else the input."""
+        if self.estimator is None:
+            return None
+        wanted = f"{self.estimator}.{variable}_ref"
+        columns = (self.run.source(wanted), wanted)
+        return next((column for column in columns if column is not None and column in self.run.results), None)
+
+    def reference(self, variable: str) -> Array | None:
+        """What `x` or `psi` had to follow: a recorded signal, else a constant start value."""
+        column = self.reference_column(variable)
+        if column is not None:
+            return self.run.results[column]
+        told = number(self.run.start(self.estimator).get(f"{variable}_ref"))
+        return np.full(self.run.time.size, told) if np.isfinite(told) else None
+
+    def command(self, variable: str) -> Array | None:
+        """A tilt command: at the craft's own input, else as the controller gave it."""
+        here = self.signal(variable)
+        return self.estimate(variable) if here is None else here
+
+    @property
+    def tilt_limit(self) -> float | None:
+        """Largest tilt command [rad]; the usual one only where no command exceeds it."""
+        told = angle(self.run.start(self.estimator).get("tilt_max"))
+        if np.isfinite(told) and told > 0:
+            return told
+        commands = [self.command(f"tilt_{side}") for side in SIDES]
+        if self.estimator is None or any(c is None for c in commands):
+            return None
+        largest = max(float(np.max(np.abs(c), initial=0.0, where=np.isfinite(c))) for c in commands if c is not None)
+        return TILT_MAX if largest <= TILT_MAX * 1.001 else None
+
+
+def find_crafts(run: Run) -> list[Craft]:
+    """Every craft of the run with the estimator its signals reach."""
+    names = [name for name, has in run.variables.items() if {"x_world", "y_world", "psi"} <= has]
+    estimators = [name for name, has in run.variables.items() if {"x_hat", "x_sigma"} <= has]
+    # One of each belongs together whatever the manifest still knows of the connections.
+    alone = len(names) == len(estimators) == 1
+    return [Craft(run, name, estimators[0] if alone else _reached(run, name, estimators, names)) for name in names]
+
+
+def _reached(run: Run, start: str, wanted: Iterable[str], blocked: Iterable[str]) -> str | None:
+    """The first of `wanted` downstream of `start`, by connections that do not lead through a `blocked` component."""
+    edges = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
+    seen, front = {start, *blocked}, [start]
+    while front:
+        front = list(dict.fromkeys(target for source, target in edges if source in front and target not in seen))
+        seen.update(front)
+        for component in front:
+            if component in wanted:
+                return component
+    return None

@@ -1,0 +1,278 @@
+"""The craft from above: world X forward is up, Y left is to the left, a left turn turns left.
+
+Drawn in whole millimetres: right = −Y, down = −X. One scale for path and craft; where the path is so long
+that the craft would vanish it is magnified, and the page says by how much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.base.text import DEGREES
+from cosim.report.chart_data import Series, rounded
+from cosim.report.svg import Axis, extent, make_axis, polyline, round_step, runs
+from cosim.simulation.report.recorded import number
+from fmus.report.roles import SIDES, Craft
+from plant.hovercraft import Hovercraft
+
+CRAFT = Hovercraft()
+ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], unless its start values say otherwise
+MARGIN = 0.42  # m around the path: half a craft and some air
+NARROWEST, WIDEST = 1.25, 1.9  # width / height of the picture
+SMALLEST = 0.06  # of the picture's width; below it the craft is magnified
+ARROW = 250  # mm, about the longest arrow
+FARTHEST = 1e9  # m; whole millimetres of more do not fit
+ON_TARGET = 0.02  # m; the reference has a path of its own only if the craft begins on it
+
+
+@dataclass(frozen=True)
+class Track:
+    """Poses over all rows: world position [m] and heading [rad]."""
+
+    x: Array
+    y: Array
+    psi: Array
+
+    @property
+    def right(self) -> Array:
+        """Place across the picture [mm]."""
+        return -1000 * self.y
+
+    @property
+    def down(self) -> Array:
+        """Place down the picture [mm]."""
+        return -1000 * self.x
+
+    @property
+    def turn(self) -> Array:
+        """Turn with the clock [°] of a craft that is drawn with its nose up."""
+        return -DEGREES * self.psi
+
+
+@dataclass(frozen=True)
+class Body:
+    """A craft in the picture: its paths, poses to draw without a script, and its own size [mm]."""
+
+    name: str
+    path: str
+    estimate: str
+    reference: str
+    start: str
+    pose: str
+    ghost: str
+    arm: int
+    radius: int
+    right: float
+    left: float
+    arrows: tuple[str, str]
+    limit: float
+    marks: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """The whole picture: its box [mm], grid, scale bar and bodies."""
+
+    box: tuple[int, int, int, int]
+    across: Axis
+    up: Axis
+    bar_share: float
+    bar_label: str
+    magnified: float
+    thrust_note: str
+    mark_note: str
+    bodies: tuple[Body, ...]
+
+
+def make_track(x: Array, y: Array, psi: Array) -> Track:
+    """A track without the poses of a craft that has left the world."""
+    gone = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < FARTHEST)
+    return Track(*(np.where(gone, np.nan, line) for line in (x, y, psi)))
+
+
+def true_track(craft: Craft) -> Track:
+    """Where the craft was."""
+    results = craft.run.results
+    return make_track(*(results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")))
+
+
+def estimated_track(craft: Craft) -> Track | None:
+    """Where the estimator believes the craft is: its distance laid out along its own heading."""
+    x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
+    return None if x_hat is None or psi_hat is None else _laid_out(craft, x_hat, psi_hat)
+
+
+def reference_track(craft: Craft) -> Track | None:
+    """The path the references describe, where the craft begins on it."""
+    x, x_ref, psi_ref = craft.signal("x"), craft.reference("x"), craft.reference("psi")
+    if x is None or x_ref is None or psi_ref is None or not x.size or not abs(x_ref[0] - x[0]) <= ON_TARGET:
+        return None
+    return _laid_out(craft, x_ref, psi_ref)
+
+
+def _laid_out(craft: Craft, way: Array, heading: Array) -> Track:
+    """Distances travelled along a changing heading, from where the craft was at the start."""
+    begin, x = true_track(craft), craft.signal("x")
+    moved = np.diff(way, prepend=way[0] if x is None else x[0])
+    along, left = np.cumsum(moved * np.cos(heading)), np.cumsum(moved * np.sin(heading))
+    return make_track(begin.x[0] + along, begin.y[0] + left, heading)
+
+
+def horizontal_thrust(craft: Craft, side: str) -> Array | None:
+    """Thrust along the craft's axis, T·sin α [N]; sin α alone where thrust is not recorded."""
+    tilt, thrust = craft.tilt(side), craft.signal(f"thrust_{side}")
+    if tilt is None:
+        return None
+    return np.sin(tilt) if thrust is None else thrust * np.sin(tilt)
+
+
+def pose(track: Track, row: int) -> str:
+    """An SVG transform."""
+    values = (track.right[row], track.down[row], track.turn[row])
+    if not all(map(math.isfinite, values)):
+        return ""
+    return f"translate({values[0]:.0f} {values[1]:.0f}) rotate({values[2]:.2f})"
+
+
+def last_row(track: Track) -> int | None:
+    """The last row that can be drawn."""
+    rows = np.flatnonzero(np.isfinite(track.x) & np.isfinite(track.y) & np.isfinite(track.psi))
+    return int(rows[-1]) if rows.size else None
+
+
+def path(track: Track | None, rows: Rows) -> str:
+    """A track in the picture's millimetres, broken where it cannot be drawn."""
+    if track is None:
+        return ""
+    right, down = track.right[rows], track.down[rows]
+    good = np.isfinite(right) & np.isfinite(down)
+    u, v = (np.rint(np.where(good, line, 0.0)).astype(np.int64) for line in (right, down))
+    return "".join(polyline(u[part], v[part]) for part in runs(good))
+
+
+def arrow(force: float, per_newton: float) -> str:
+    """An arrow along the craft's axis, forward up; nothing where it would be a dot."""
+    reach = force * per_newton
+    if not abs(reach) >= 8:
+        return ""
+    barb = math.copysign(min(34.0, abs(reach)), reach)
+    return f"M0 0V{-reach:.0f}M-20 {-reach + barb:.0f}L0 {-reach:.0f}L20 {-reach + barb:.0f}"
+
+
+def newtons_per_decimetre(craft: Craft) -> float:
+    """Scale of the arrows, a round number."""
+    reach = extent([force for side in SIDES if (force := horizontal_thrust(craft, side)) is not None])
+    largest = max(map(abs, reach)) if reach else 0.0
+    return 1.0 if largest < 1e-9 else round_step(100 * largest / ARROW)
+
+
+def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
+    """The picture of all crafts; None where none has a pose that can be drawn."""
+    crafts = [craft for craft in crafts if last_row(true_track(craft)) is not None]
+    if not crafts:
+        return None
+    box = _box([track for craft in crafts for track in (true_track(craft), *_companions(craft)) if track is not None])
+    left, top, width, height = box
+    across = make_axis(-(left + width) / 1000, -left / 1000, 6)
+    up = make_axis(-(top + height) / 1000, -top / 1000, 4)
+    bar = round_step(width / 1000 / 8)
+    magnified = max(1.0, SMALLEST * width / (2000 * (ARM + RADIUS)))
+    every = _mark_interval(crafts[0])
+    bodies = tuple(_body(craft, rows, every) for craft in crafts)
+    return View(
+        box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, _thrust_note(crafts[0]),
+        f"a dot every {every:g} s" if bodies[0].marks else "", bodies,
+    )  # fmt: skip
+
+
+def _companions(craft: Craft) -> list[Track | None]:
+    """Other tracks worth seeing, unless they lead far away from the craft's own."""
+    true = true_track(craft)
+    own = extent([true.x, true.y]) or (0.0, 0.0)
+    reach = 2 * (own[1] - own[0]) + 2
+    kept = []
+    for track in (estimated_track(craft), reference_track(craft)):
+        span = extent([track.x, track.y]) if track is not None else None
+        near = span is not None and span[0] > own[0] - reach and span[1] < own[1] + reach
+        kept.append(track if near else None)
+    return kept
+
+
+def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
+    """Left, top, width and height [mm] of a picture that holds all tracks in a pleasant shape."""
+    nowhere = (0.0, 0.0)
+    x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere
+    height, width = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
+    room = 0.03 * max(width, height) if max(width, height) > 4 else 0.0
+    height, width = height + 2 * room, width + 2 * room
+    width, height = max(width, NARROWEST * height), max(height, width / WIDEST)
+    left, top = -(y[0] + y[1]) / 2 - width / 2, -(x[0] + x[1]) / 2 - height / 2
+    return math.floor(1000 * left), math.floor(1000 * top), math.ceil(1000 * width), math.ceil(1000 * height)
+
+
+def _body(craft: Craft, rows: Rows, every: float) -> Body:
+    true, (estimate, reference) = true_track(craft), _companions(craft)
+    last, start = last_row(true) or 0, craft.run.start(craft.name)
+    forces = [horizontal_thrust(craft, side) for side in SIDES]
+    tilts = [craft.tilt(side) for side in SIDES]
+    scale = 100 / newtons_per_decimetre(craft)
+    right, left = (0.0 if tilt is None else number(tilt[last], 0.0) * DEGREES for tilt in tilts)
+    arrows = tuple("" if force is None else arrow(float(force[last]), scale) for force in forces)
+    return Body(
+        craft.name, path(true, rows), path(estimate, rows), path(reference, rows), pose(true, 0), pose(true, last),
+        pose(estimate, last) if estimate else "", _millimetres(start, "arm", ARM),
+        _millimetres(start, "propeller_radius", RADIUS), right if math.isfinite(right) else 0.0,
+        left if math.isfinite(left) else 0.0, (arrows[0], arrows[1]), (craft.tilt_limit or 0.0) * DEGREES,
+        _marks(true, craft.run.time, every),
+    )  # fmt: skip
+
+
+def _millimetres(start: Any, name: str, usual: float) -> int:
+    told = number(start.get(name), usual)
+    return round(1000 * (told if 0 < told < 100 else usual))
+
+
+def _mark_interval(craft: Craft) -> float:
+    span = extent([craft.run.time]) or (0.0, 1.0)
+    return round_step(max(span[1] - span[0], 1e-6) / 24)
+
+
+def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ...]:
+    """Places the craft passed at equal intervals of time."""
+    good = np.isfinite(track.x) & np.isfinite(track.y)
+    if good.sum() < 2:
+        return ()
+    first, last = time[good][0], time[good][-1]
+    at = np.arange(math.ceil(first / every - 1e-9), math.floor(last / every + 1e-9) + 1) * every
+    u, v = (np.interp(at, time[good], line[good]) for line in (track.right, track.down))
+    return tuple((round(a), round(b)) for a, b in zip(u.tolist(), v.tolist(), strict=True))
+
+
+def _thrust_note(craft: Craft) -> str:
+    if horizontal_thrust(craft, "right") is None:
+        return ""
+    recorded = craft.signal("thrust_right") is not None
+    scale = f"10 cm = {newtons_per_decimetre(craft):g} N"
+    return f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
+
+
+def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
+    """What moves in the picture: millimetres and degrees of craft and ghost, arrows, tilts (every row of these)."""
+    entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
+    for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
+        if track is not None:
+            for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
+                entry[f"{prefix}{key}"] = rounded(line[rows], digits)
+    for side in SIDES:
+        force, tilt = horizontal_thrust(craft, side), craft.tilt(side)
+        if force is not None and tilt is not None:
+            entry[f"force_{side}"] = rounded(force[rows], 4)
+            entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)
+            entry[f"tilt_{side}_key"] = series.column(tilt * DEGREES)
+    return entry

@@ -1,0 +1,107 @@
+"""Columns of a recording: unit, possible range and meaning of each, declared once, and the check against them.
+
+A range is wide: it tells another unit or another column from a reading, not a good reading from a poor one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from plant.bench import Bench
+from plant.identification.protocol import HeightTest, Test
+from plant.powertrain import servo_angle
+
+MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm is beyond it
+MAX_TILT = np.radians(120.0)  # a servo turns by ±90° and some degrees; a duty in other units gives whole turns
+MIN_HEIGHT_RATIO = 0.5  # height over radius of the propeller, where eq 4.28 ends
+MAX_LOWEST_HEIGHT_RATIO = 3.0  # of the lowest height of Test 2; above it Γ − 1 is below 1 %
+MAX_HEIGHT_CHANGE = 0.1  # share of the height in a window; the height is that of a fixed bench
+PULSE = "a pulse of 1500 µs in a frame of 20 ms is 7.5 %"
+
+
+@dataclass(frozen=True)
+class BenchColumn:
+    """A column of a recording; `high` None: the bench's `converter_range`.
+
+    cure: what to do about a value outside the range
+    """
+
+    unit: str
+    low: float
+    high: float | None
+    meaning: str
+    cure: str
+
+
+VOLTAGE_CURE = "say its unit in the column's name, {name} [mV], or `converter_range` under `parameters`"
+COLUMNS = {
+    "duty": BenchColumn("%", 0.0, 100.0, "duty of the speed controller", f"write it in % of the frame: {PULSE}"),
+    "servo_duty": BenchColumn("%", 0.0, 100.0, "duty of the servo", f"write it in % of the frame: {PULSE}"),
+    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "height of the propeller over the ground",
+                          f"say its unit, {{name}} [mm]; {MAX_HEIGHT:g} m is as good as no ground"),
+    "volts_z": BenchColumn("V", 0.0, None, "vertical cell", VOLTAGE_CURE),
+    "volts_x": BenchColumn("V", 0.0, None, "horizontal cell", VOLTAGE_CURE),
+    "volts_m": BenchColumn("V", 0.0, None, "cell of the moment about the tilting axis", VOLTAGE_CURE),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OutOfRange:
+    """A value that its column cannot have, with its row and the cure."""
+
+    row: int
+    message: str
+
+
+def out_of_range(known: Bench, values: dict[str, Array]) -> Iterator[OutOfRange]:
+    """Yield the first value of each column outside its range, and a servo duty that no servo follows."""
+    step = known.converter_range / known.converter_levels
+    duty_found = False
+    for name, column in COLUMNS.items():
+        slack, high = (step, known.converter_range) if column.high is None else (0.0, column.high)
+        low = column.low - slack
+        outside = (values[name] < low) | (values[name] > high + slack)
+        if name == "height":
+            outside |= values[name] <= 0.0
+        if not outside.any():
+            continue
+        duty_found |= name == "servo_duty"
+        row = _first(outside)
+        value = f"{name} is {values[name][row]:.4g} {column.unit} here"
+        allowed = f"beyond the converter's 0 to {high:g} V" if column.high is None else (
+            f"beyond {column.low:g} to {high:g} {column.unit} ({column.meaning})"
+        )  # fmt: skip
+        yield OutOfRange(row, f"{value}, {allowed}; {column.cure.format(name=name)}")
+    angle = servo_angle(values["servo_duty"], known.servo_neutral, known.servo_slope)
+    if not duty_found and (outside := np.abs(angle) > MAX_TILT).any():
+        row = _first(outside)
+        what = f"servo_duty of {values['servo_duty'][row]:.4g} % is a tilt of {np.degrees(angle[row]):.0f}°"
+        allowed = f"beyond ±{np.degrees(MAX_TILT):.0f}°"
+        cure = f"write it in % ({PULSE}), or give `servo_neutral` and `servo_slope` of this servo under `parameters`"
+        yield OutOfRange(row, f"{what}, {allowed}; {cure}")
+
+
+def wrong_height(known: Bench, name: str, test: Test, height: Array, window: Flags) -> Iterator[OutOfRange]:
+    """Yield a height that moves, that is not the protocol's, or that is below what eq 4.28 covers."""
+    inside, row = height[window], _first(window)
+    middle = float(np.median(inside))
+    if np.ptp(inside) > MAX_HEIGHT_CHANGE * middle:
+        cure = "a run has one height; is another column called height?"
+        yield OutOfRange(row, f"height goes from {inside.min():.4g} to {inside.max():.4g} m in `window`; {cure}")
+        return
+    stated = "height" in test.model_fields_set and not isinstance(test, HeightTest)
+    if stated and abs(middle - test.height) > MAX_HEIGHT_CHANGE * test.height:
+        what = f"height is {middle:.4g} m, and {test.height:g} m in the protocol (tests.{name}.height)"
+        yield OutOfRange(row, f"{what}; name its unit, height [mm], or correct one of them")
+    lowest = MIN_HEIGHT_RATIO * known.propeller_radius
+    if name in ("thrust_line", "ground_effect") and middle < lowest * (1.0 - 1e-6):
+        what = f"height is {middle:.4g} m, below half the propeller's radius ({lowest:.4g} m), where eq 4.28 ends"
+        yield OutOfRange(row, f"{what}; measure it from the ground to the propeller, or correct `propeller_radius`")
+
+
+def _first(rows: Flags) -> int:
+    return int(np.flatnonzero(rows)[0])

@@ -1,0 +1,43 @@
+"""The page of what logs of a craft tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.base.text import counted
+from cosim.base.version import __version__
+from cosim.report.drawing import Charts
+from cosim.report.html_tables import Badge
+from cosim.report.template import render
+from plant.identification.craft import CraftOutcome
+from plant.identification.report import number, plot_of
+
+TEMPLATE = Path(__file__).with_name("templates") / "craft_logs.html.j2"
+TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance covered, §5.5"}
+
+
+def page(outcome: CraftOutcome) -> str:
+    """One self-contained page."""
+    craft, charts = outcome.craft, Charts()
+    rows = [
+        {
+            "name": e.name, "value": number(e.value, e.unit, 0.5 * (e.high - e.low)), "origin": e.origin,
+            "interval": " … ".join(number(v, e.unit, 0.5 * (e.high - e.low)) for v in (e.low, e.high)),
+            "thesis": number(e.thesis, e.unit, 0.5 * (e.high - e.low)),
+        }
+        for e in outcome.estimates.values()
+    ]  # fmt: skip
+    return render(
+        TEMPLATE,
+        {
+            "name": craft.file.name, "rows": rows, "version": __version__,
+            "badges": [Badge(craft.loaded.model.title), Badge(counted(len(craft.rest) + len(craft.runs), "log"))],
+            "parts": [
+                {"name": r.test, "title": TITLES[r.test], "notes": r.notes,
+                 "plots": [(plot_of(f, charts), f.x_label) for f in r.figures]}
+                for r in outcome.results
+            ],
+            "repeat": f"cosim identify {craft.yaml.path}",
+            "data": charts.data(),  # after all that is drawn
+        },
+    )  # fmt: skip

@@ -1,0 +1,44 @@
+"""Logs of a craft analysed: model.yaml, identify.json and a report written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cosim.storage.files import check_writable
+from cosim.storage.yaml_file import YamlFile
+from plant.identification.craft import CraftOutcome, read_craft
+from plant.identification.craft_report import page
+from plant.identification.distance import distance
+from plant.identification.rest_noise import noise
+from plant.identification.write import RECORD, REPORT, model_text, write
+
+FILES = ("model.yaml", RECORD, REPORT)
+
+
+def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True) -> CraftOutcome:
+    """Leave model.yaml, identify.json and report.html in `out`; raises InputError."""
+    craft = read_craft(yaml)
+    check_writable(out, FILES, craft.files)
+    outcome, file = CraftOutcome(craft), craft.file
+    if file.rest is not None:
+        outcome.results.append(noise(craft.rest, craft.loaded.model, file.rest.window))
+    if file.distance is not None:
+        asked = file.distance
+        outcome.results.append(distance(craft.runs, craft.loaded, asked.parameter, asked.output, craft.covered))
+    write(
+        out,
+        (FILES[0], _model(outcome)),
+        {"name": file.name},
+        outcome.results,
+        (lambda: page(outcome)) if report else None,
+    )
+    return outcome
+
+
+def _model(outcome: CraftOutcome) -> str:
+    loaded = outcome.craft.loaded
+    found = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
+    values: Mapping[str, Any] = {**loaded.parameters, **{n: e.value for n, e in found.items()}}
+    return model_text(loaded.source, values, loaded.sensors, found, "runs")

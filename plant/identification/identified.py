@@ -1,0 +1,73 @@
+"""What comes of a protocol: every number with both estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.storage.kinds import as_typed
+from plant.identification.cells import Cells
+from plant.identification.estimates import Estimate, Result
+from plant.identification.protocol import Protocol
+from plant.identification.recordings import Recording
+
+
+@dataclass
+class Outcome:
+    """What came of a protocol."""
+
+    protocol: Protocol
+    cells: Cells
+    results: list[Result]
+    recordings: dict[str, list[Recording]] = field(default_factory=dict)
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Every number by test and name."""
+        return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
+
+    @property
+    def chosen(self) -> dict[str, Estimate]:
+        """By name; the lag is that of the step where there is one."""
+        found: dict[str, Estimate] = {}
+        for r in self.results:
+            for e in r.estimates:
+                found.setdefault(e.name, e)
+        return found
+
+    @property
+    def warnings(self) -> list[str]:
+        """What its numbers are to be taken with care for, by test."""
+        return [f"{r.test}: {text}" for r in self.results for text in r.warnings]
+
+    def closing(self, out: Path) -> str:
+        """Where the power-train is, and what builds it."""
+        file = out / "powertrain.yaml"
+        return f"power-train: {file}, built by: cosim build --model {as_typed(file)}"
+
+    @property
+    def sentences(self) -> list[str]:
+        """A line a number."""
+        lines = []
+        for key, e in self.estimates.items():
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            thesis = "no value" if np.isnan(e.thesis) else f"{e.thesis:.5g}"
+            truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
+            lines.append(
+                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})"
+            )
+        return lines
+
+
+def plain_values(value: Any) -> Any:
+    """Numbers that JSON knows: what is missing is null."""
+    if isinstance(value, dict):
+        return {str(k): plain_values(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_values(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value

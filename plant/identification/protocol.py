@@ -1,0 +1,355 @@
+"""A protocol: what is known of a bench, its cells, and the tests that are played on it or were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.text import counted
+from cosim.base.units import factor
+from cosim.storage.kinds import check_given
+from cosim.storage.yaml_file import (
+    UNIT_OF_KEY,
+    Amount,
+    InUnit,
+    NotNegative,
+    NotNegativeSeconds,
+    Number,
+    Part,
+    Positive,
+    PositiveAmount,
+    PositiveSeconds,
+    Share,
+    YamlFile,
+    did_you_mean,
+)
+from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
+from plant.identification.artefacts import PROTOCOL
+
+LEAST = 3  # repetitions: intervals come from the scatter between them
+CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is computed
+BENCH = "bench"  # our own
+MAX_OVERLOAD = 1.5  # of full scale, which a cell may be loaded to for its calibration
+MIN_SPAN = 10.0  # errors of a load that the loads of a calibration span, at least
+LONGEST = 3600.0  # [s] of a run that is played
+
+Metres = Annotated[Positive, InUnit("m")]
+Volts = Annotated[NotNegative, InUnit("V", difference=True)]
+Percent = InUnit("%")
+Window = tuple[NotNegativeSeconds, NotNegativeSeconds]
+# time [s], duty [%], tilt [deg]
+Phase = tuple[NotNegativeSeconds, Annotated[NotNegative, Percent], Annotated[Number, InUnit("deg")]]
+
+
+class CellFile(Part):
+    """A load cell: the loads hung on it, or points as measured.
+
+    unit:       of full scale and loads
+    full_scale: what it measures at most
+    error:      standard deviation, a share of full scale
+    loads:      hung on it for its calibration, played
+    points:     load and voltage [V] each, as measured, in place of loads
+    """
+
+    unit: str = "N"
+    full_scale: PositiveAmount
+    error: Annotated[NotNegative, Share, Field(le=0.1)] = 0.0025
+    loads: list[Amount] = Field(default=[])
+    points: list[tuple[Amount, Annotated[Number, InUnit("V")]]] = Field(default=[])  # load, voltage
+
+    @field_validator("full_scale", "loads", "points", mode="before")
+    @classmethod
+    def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
+        """Loads in the unit of the cell."""
+        unit = InUnit(str(info.data.get("unit", "")))
+        if info.field_name == "points" and isinstance(value, list):
+            return [[unit.number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
+        return [unit.number(v) for v in value] if isinstance(value, list) else unit.number(value)
+
+
+class Draws(Part):
+    """What differs from run to run on a bench that is played; standard deviations.
+
+    thrust: of the battery's state, a share
+    tare:   of each cell [V]
+    noise:  of each reading of each cell [V]
+    """
+
+    thrust: Annotated[NotNegative, Share] = 0.0
+    tare: dict[str, Volts] = Field(default={})
+    noise: dict[str, Volts] = Field(default={})
+
+
+class Test(Part):
+    """A test: played in `phases`, or read from `files`."""
+
+    repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000, description="runs that are played")] = 1
+    files: list[str] = Field(default=[], description="runs that were measured, a CSV each, in place of phases")
+    low_pass: NotNegativeSeconds = Field(
+        default=0.0, description="time constant of the filter of readings [s]; 0: none"
+    )
+    height: Metres = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
+    phases: list[Phase] = Field(default=[], description="time [s], duty [%], tilt [deg] each, straight in between")
+    rest: Window = Field(description="from and to [s], without thrust: the tare")
+    window: Window = Field(description="from and to [s], what is looked at")
+
+
+class HeightTest(Test):
+    """Thrust at heights against that with nothing below.
+
+    heights:         radii of the propeller
+    free_height:     with nothing below [m]
+    validation_duty: duty of the set that is held against what is found [%]
+    """
+
+    heights: list[Positive] = Field(default=[])
+    free_height: Metres = FREE_HEIGHT
+    validation_duty: Annotated[Positive, Percent] | None = None
+
+
+class HoldTest(Test):
+    """Forces over the tilt.
+
+    hold: from and to [s], upright, under full thrust
+    """
+
+    hold: Window
+
+
+class StepTest(Test):
+    """A step.
+
+    at: time [s]
+    """
+
+    at: PositiveSeconds
+
+
+class SineTest(Test):
+    """Sines of the tilt.
+
+    frequencies: [rad/s]
+    periods:     of each, whole or in part
+    amplitude:   [deg]
+    duty:        [%]
+    lead:        before the sines [s]
+    skip:        first part of the sines that is left out [s]
+    thesis_skip: periods of each that the thesis leaves out
+    """
+
+    frequencies: list[Annotated[Positive, InUnit("rad/s")]]
+    periods: list[Positive]
+    amplitude: Annotated[Positive, InUnit("deg")] = 10.0
+    duty: Annotated[Positive, Percent]
+    lead: PositiveSeconds = 3.0
+    skip: PositiveSeconds = 1.0
+    thesis_skip: list[NotNegative] = Field(default=[])  # periods
+
+
+class Tests(Part):
+    """Those that are there are done.
+
+    thrust_line:   thrust over duty
+    ground_effect: thrust over height
+    projection:    forces over tilt
+    step:          lag of a step of the tilt
+    thrust_step:   lag of a step of the duty
+    frequency:     lag of sines of the tilt
+    moment:        moment of the weight over the tilt, motor off
+    """
+
+    thrust_line: Test | None = None
+    ground_effect: HeightTest | None = None
+    projection: HoldTest | None = None
+    step: StepTest | None = None
+    thrust_step: StepTest | None = None
+    frequency: SineTest | None = None
+    moment: Test | None = None
+
+    def given(self) -> Iterator[tuple[str, Test]]:
+        """Name and test."""
+        for name in type(self).model_fields:
+            if (test := getattr(self, name)) is not None:
+                yield name, test
+
+
+class ProtocolFile(Part):
+    """A protocol of a testing bench: its cells, the tests that are played on it or were measured.
+
+    schema_version: 1
+    name:       of the results
+    bench:      `bench`, which is built here; or the FMU of another; without, tests have files
+    model:      whose parameters powertrain.yaml sets
+    seed:       of every random stream
+    step:       between rows [s]
+    parameters: of the bench, over its own
+    draws:      what differs from run to run
+    cells:      z, x, m: what measures the forces and the moment
+    tests:      those that are done
+    """
+
+    schema_version: Literal[1] = 1
+    name: str
+    bench: str | None = None
+    model: str = "hovercraft"
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1
+    step: PositiveSeconds = 0.02
+    parameters: dict[str, Annotated[Number, UNIT_OF_KEY]] = Field(default={})
+    draws: Draws = Draws()
+    cells: dict[str, CellFile]
+    tests: Tests
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A protocol as read; `known` is the bench with what is known of it, its truth where ours is played."""
+
+    yaml: YamlFile
+    file: ProtocolFile
+    known: Bench
+
+    @property
+    def folder(self) -> Path:
+        """Where it stands."""
+        return self.yaml.path.parent
+
+    @property
+    def true_known(self) -> bool:
+        """Our own bench is played, whose parameters are known."""
+        return self.file.bench == BENCH
+
+
+def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
+    """A protocol and the faults of its keys and values; InputError where it cannot be read at all."""
+    check_given(path, PROTOCOL)
+    yaml = YamlFile(path)
+    content, faults = yaml.partly(ProtocolFile, "tests")
+    if content is None:
+        raise InputError(faults)
+    bench = Bench()
+    units = {n: p.unit for n, p in bench.declared.items()}
+    parameters, of_units = yaml.in_units(("parameters",), content.parameters, units)
+    content = content.model_copy(update={"parameters": parameters})
+    faults += [*of_units, *_parameter_faults(yaml, content, bench)]
+    faults += _cell_faults(yaml, content)
+    faults += [fault for name, test in content.tests.given() for fault in _test_faults(yaml, content, name, test)]
+    if not any(True for _ in content.tests.given()):
+        faults.append(yaml.fault(("tests",), f"holds no test; known are {', '.join(Tests.model_fields)}", key=True))
+    if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
+        message = f"no such FMU: {content.bench}; write {BENCH} for the one that is built here, or the path of yours"
+        faults.append(yaml.fault(("bench",), message))
+    if faults:
+        return Protocol(yaml, content, bench), faults
+    return Protocol(yaml, content, bench.with_values(content.parameters)), []
+
+
+def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
+    for name, value in content.parameters.items():
+        if name not in bench.declared:
+            yield yaml.fault(
+                ("parameters", name), f'a bench has no "{name}"{did_you_mean(name, bench.declared)}', key=True
+            )
+        elif fault := bench.declared[name].fault(value):
+            yield yaml.fault(("parameters", name), fault)
+
+
+def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
+    for name in CHANNELS.keys() - content.cells.keys():
+        yield yaml.fault(("cells",), f'cell "{name}" is missing; a bench has {", ".join(CHANNELS)}', key=True)
+    for name, cell in content.cells.items():
+        if name not in CHANNELS:
+            yield yaml.fault(("cells", name), f"no such cell; a bench has {', '.join(CHANNELS)}", key=True)
+            continue
+        if factor(cell.unit, CHANNELS[name]) is None:
+            yield yaml.fault(
+                ("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{_force_unit(cell.unit)}"
+            )
+        if not (cell.loads or cell.points) and _given(yaml, name):
+            continue  # what is wrong with them is told already
+        if bool(cell.loads) == bool(cell.points):
+            cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
+            yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
+        elif cell.loads and content.bench is None:
+            yield yaml.fault(("cells", name, "loads"), "no bench is played; give `points` [load, voltage] as measured")
+        elif twice := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
+            for k in twice:
+                yield yaml.fault(("cells", name, "loads", k), f"{cell.loads[k]:g} is hung twice; hang each load once")
+        elif len(cell.loads or cell.points) < 4:
+            key = "loads" if cell.loads else "points"
+            yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")
+        elif beyond := [k for k, load in enumerate(_loads(cell)) if abs(load) > MAX_OVERLOAD * cell.full_scale]:
+            load = _loads(cell)[beyond[0]]
+            message = f"{load:g} {cell.unit} is beyond the cell's full_scale of {cell.full_scale:g} {cell.unit}"
+            cure = "correct the unit, the load or full_scale"
+            key = "loads" if cell.loads else "points"
+            yield yaml.fault(("cells", name, key, beyond[0]), f"{message}; {cure}")
+        elif (span := max(_loads(cell)) - min(_loads(cell))) < MIN_SPAN * cell.error * cell.full_scale:
+            message = f"the loads span {span:.3g} {cell.unit}, where the error of each is "
+            message += f"{cell.error * cell.full_scale:.3g} {cell.unit} (`error` of `full_scale`)"
+            yield yaml.fault(("cells", name), f"{message}; correct the unit, or hang larger loads", key=True)
+
+
+def _force_unit(unit: str) -> str:
+    """Return the unit of force that a unit of mass stands for, as a hint."""
+    return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
+
+
+def _loads(cell: CellFile) -> list[float]:
+    """Return the loads of a calibration, in the cell's unit."""
+    return [float(load) for load in cell.loads] or [float(load) for load, _ in cell.points]
+
+
+def _given(yaml: YamlFile, cell: str) -> bool:
+    """Loads or points stand there, though they could not be read."""
+    written = yaml.root["cells"][cell]
+    return bool(written.get("loads") or written.get("points"))
+
+
+def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
+    at = ("tests", name)
+    if not test.files and content.bench is None:
+        cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
+        yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
+    elif not test.files:
+        if not test.phases and not isinstance(test, SineTest):
+            yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
+        if test.repetitions < LEAST:
+            message = f"{test.repetitions} are too few: intervals come from scatter between {LEAST} or more"
+            yield yaml.fault((*at, "repetitions"), message)
+        times = [p[0] for p in test.phases]
+        if times != sorted(times) or (times and times[-1] > LONGEST):
+            yield yaml.fault((*at, "phases"), f"times of phases increase, up to {LONGEST:g} s")
+        elif times and not isinstance(test, SineTest):
+            yield from _missing_phases(yaml, at, test, times[-1])
+    elif len(test.files) < LEAST:
+        few = f"{counted(len(test.files), 'recording')}, too few"
+        yield yaml.fault((*at, "files"), f"{few}: intervals come from scatter between {LEAST} or more")
+    for k, file in enumerate(test.files):
+        if file in test.files[:k]:
+            yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
+    for key in ("rest", "window", "hold"):
+        window = getattr(test, key, None)
+        if window is not None and window[0] >= window[1]:
+            yield yaml.fault((*at, key), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
+    if isinstance(test, SineTest) and len(test.periods) != len(test.frequencies):
+        yield yaml.fault((*at, "periods"), f"{len(test.periods)} for {len(test.frequencies)} frequencies; one each")
+    if isinstance(test, HeightTest) and not test.files and len(test.heights) < 2:
+        yield yaml.fault((*at, "heights"), "two heights at least")
+
+
+def _missing_phases(yaml: YamlFile, at: tuple[str, ...], test: Test, end: float) -> Iterator[Fault]:
+    for key in ("rest", "window", "hold"):
+        window = getattr(test, key, None)
+        if window is not None and window[1] > end + 1e-9:
+            yield yaml.fault((*at, key), f"ends at {window[1]:g} s, the phases at {end:g} s; move it or add a phase")
+    duty = [p[1] for p in test.phases if p[0] <= test.rest[1]]
+    if duty and duty[0] > REST_DUTY:
+        message = (
+            f"begins with duty {duty[0]:g} %: a phase at rest is missing ({REST_DUTY:g} % or less), cells have no tare"
+        )
+        yield yaml.fault((*at, "phases"), message)

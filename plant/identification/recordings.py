@@ -1,0 +1,334 @@
+"""Runs of a protocol and what was recorded of them: played on an FMU, by plain functions, or measured."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.base.errors import Fault, InputError
+from cosim.base.text import counted
+from cosim.base.units import factor
+from cosim.blocks.description import read_description
+from cosim.blocks.restartable import RestartableFmu
+from cosim.model import Stepper
+from cosim.model.namespaces import arrays
+from cosim.storage.table import Column, Faults, Heading, read_table
+from cosim.storage.yaml_file import did_you_mean
+from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
+from plant.identification.columns import COLUMNS, PULSE
+from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
+
+LANES = 1000  # runs at once
+SECONDS = 1.0  # of a load that hangs
+DEGREE = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run to be played; noise has a row a cell, added at each reading. `thrust`: factor by the battery's state."""
+
+    label: str
+    time: Array
+    duty: Array
+    servo_duty: Array
+    height: float
+    low_pass: float
+    noise: Array
+    loads: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    thrust: float = 1.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run as recorded: commands held from each row, voltages by cell; `path` and `lines` where it was read."""
+
+    label: str
+    time: Array
+    duty: Array
+    servo_duty: Array
+    height: Array
+    volts: Mapping[str, Array]
+    path: Path | None = None
+    lines: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def step(self) -> float:
+        """Median step [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    def rows(self, window: tuple[float, float]) -> Flags:
+        """Rows within a window of time."""
+        slack = 1e-6 * self.step
+        rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
+        return rows
+
+
+def alike(recordings: Sequence[Recording], window: tuple[float, float]) -> list[Recording]:
+    """Return the recordings with as many rows in a window as the first."""
+    count = recordings[0].rows(window).sum()
+    return [r for r in recordings if r.rows(window).sum() == count]
+
+
+# -- what a protocol plays --------------------------------------------------------------------
+
+
+def commands(test: Test, known: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
+    """Label, time, duty, servo duty and height of each different run of a test, in order."""
+    if isinstance(test, SineTest):
+        return [_sine(test, known, step, *pair) for pair in zip(test.frequencies, test.periods, strict=True)]
+    sets = [("", test.height, test.phases)]
+    if isinstance(test, HeightTest):
+        places = [test.free_height, *(h * known.propeller_radius for h in test.heights)]
+        sets = [(f" at {h:g} m", h, test.phases) for h in places]
+        if test.validation_duty is not None:
+            top = max(p[1] for p in test.phases)
+            other = [(t, test.validation_duty if d == top else d, a) for t, d, a in test.phases]
+            sets += [(f" at {h:g} m, validation", h, other) for h in places]
+    return [(label, *_played(phases, known, step), height) for label, height, phases in sets]
+
+
+def _played(phases: Sequence[tuple[float, float, float]], known: Bench, step: float) -> tuple[Array, Array, Array]:
+    """Straight lines from phase to phase; where two have one time, a step."""
+    times, duty, angle = np.array(phases, float).T
+    time = step * np.arange(round(times[-1] / step) + 1)
+    k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
+    gap = times[k + 1] - times[k]
+    share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
+    duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duty, angle))
+    return time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope
+
+
+def _sine(
+    test: SineTest, known: Bench, step: float, w: float, periods: float
+) -> tuple[str, Array, Array, Array, float]:
+    end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
+    time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
+    duty = np.asarray(
+        np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty]), dtype=np.float64
+    )
+    angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
+    return f" at {w:g} rad/s", time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope, test.height
+
+
+def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
+    """The runs of a test with what chance does to them; the same seed, the same bytes."""
+    file, runs = protocol.file, []
+    number = list(type(file.tests).model_fields).index(name)
+    for k, (label, time, duty, servo_duty, height) in enumerate(
+        commands(getattr(file.tests, name), protocol.known, file.step)
+    ):
+        test = getattr(file.tests, name)
+        for repetition in range(test.repetitions):
+            rng = np.random.default_rng([seed, number, k, repetition])
+            factor_ = 1.0 + file.draws.thrust * rng.standard_normal()
+            noise = _noise(protocol, rng, time.size)
+            label_ = f"{name}{label}, repetition {repetition + 1}"
+            runs.append(Run(label_, time, duty, servo_duty, height, test.low_pass, noise, thrust=max(0.1, factor_)))
+    return runs
+
+
+def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: bool = True) -> Array:
+    draws = protocol.file.draws
+    drift = np.array([draws.tare.get(c, 0.0) for c in CHANNELS]) * rng.standard_normal(3) * tare
+    spread = np.array([draws.noise.get(c, 0.0) for c in CHANNELS])
+    return np.asarray(drift[:, None] + spread[:, None] * rng.standard_normal((3, rows)))
+
+
+def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
+    """Calibration: each load hung for a second; it is off by the error of the scale."""
+    file, found = protocol.file, {}
+    time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
+    for place, (channel, unit) in enumerate(CHANNELS.items()):
+        cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
+        to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
+        off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
+        found[channel] = [
+            Run(f"load {load:g} {cell.unit}", time, np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY),
+                FREE_HEIGHT, 0.0, _noise(protocol, rng, time.size, tare=False),
+                tuple((load + e) * to_si * (c == channel) for c in CHANNELS))
+            for load, e in zip(cell.loads, off, strict=True)
+        ]  # fmt: skip
+    return found
+
+
+def _of_bench(unit: str, known: Bench) -> float:
+    """Gram-force is g/1000 here, g the bench's gravity, as in the thrust line."""
+    return known.gravity / 9.80665 if unit == "gf" else 1.0
+
+
+def load_in_si(protocol: Protocol, channel: str) -> float:
+    """What a load of a cell's unit is in N or N m."""
+    unit = protocol.file.cells[channel].unit
+    return (factor(unit, CHANNELS[channel]) or 1.0) * _of_bench(unit, protocol.known)
+
+
+# -- playing ----------------------------------------------------------------------------------
+
+Play = Callable[[Sequence[Run]], list[Recording]]
+
+
+def recorded(run: Run, volts: Array) -> Recording:
+    """A run with its voltages, shape (rows, cells)."""
+    by_cell = dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))
+    return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
+
+
+class FmuPlayer:
+    """Plays runs on an FMU with the variables of the bench."""
+
+    def __init__(
+        self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None
+    ) -> None:
+        self.parameters, self.progress, self.steps = dict(parameters), progress, 0
+        self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
+        inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
+        lacking = [n for n in (*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS))
+                   if n not in inputs and n not in outputs]  # fmt: skip
+        if lacking:
+            cure = f"it has {', '.join((*inputs, *outputs))}"
+            raise InputError([Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; {cure}') for n in lacking])
+        self.order = [[q.name for q in Bench.inputs].index(n) for n in inputs]
+        self.read = [len(inputs) + outputs.index(f"volts_{c}") for c in CHANNELS]
+        self.row = (ctypes.c_double * (len(inputs) + len(outputs)))()
+        self.block.bind(self.row, 0)
+
+    def __call__(self, runs: Sequence[Run]) -> list[Recording]:
+        """Play runs one after another."""
+        return [self._play(run) for run in runs]
+
+    def _play(self, run: Run) -> Recording:
+        """Row k holds what is read at t_k and the command from t_k on; noise is that of the reading at a step's end."""
+        block, time = self.block, run.time
+        own = {"thrust_factor": run.thrust, "filter_time": run.low_pass}
+        block.begin({**self.parameters, **own}, float(time[0]), float(time[-1]))
+        table = _inputs(run)[:, self.order]
+        volts = np.empty((time.size, 3))
+        count = len(self.order)
+        self.row[:count] = table[0].tolist()
+        block.put()
+        block.get()
+        block.start()
+        volts[0] = [self.row[k] for k in self.read]
+        step = float(np.median(np.diff(time)))
+        for k, command in enumerate(table[1:].tolist()):
+            self.row[:count] = command
+            block.put()
+            block.advance(float(time[k]), step)
+            block.get()
+            volts[k + 1] = [self.row[j] for j in self.read]
+        self.steps += time.size
+        if self.progress is not None:
+            self.progress(self.steps)
+        return recorded(run, volts)
+
+    def close(self) -> None:
+        """Free the FMU."""
+        self.block.close()
+
+
+def _inputs(run: Run) -> Array:
+    """Row k: the inputs over the step that ends at t_k, the noise of the reading there among them."""
+    before = np.maximum(np.arange(run.time.size) - 1, 0)
+    same = np.ones(run.time.size)
+    return np.column_stack(
+        (run.duty[before], run.servo_duty[before], run.height * same, *(load * same for load in run.loads), *run.noise)
+    )
+
+
+def play_plain(known: Bench) -> Play:
+    """Plays runs by the equations as arrays, those with the same commands at once."""
+
+    def play(runs: Sequence[Run]) -> list[Recording]:
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for k, run in enumerate(runs):
+            key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height, run.low_pass)
+            groups.setdefault(key, []).append(k)
+        played: dict[int, Recording] = {}
+        for group in groups.values():
+            for first in range(0, len(group), LANES):
+                chosen = group[first : first + LANES]
+                for k, recording in zip(chosen, _together(known, [runs[k] for k in chosen]), strict=True):
+                    played[k] = recording
+        return [played[k] for k in range(len(runs))]
+
+    return play
+
+
+def _together(known: Bench, runs: Sequence[Run]) -> list[Recording]:
+    m, first = arrays(), runs[0]
+    values = {"thrust_factor": np.array([r.thrust for r in runs]), "filter_time": first.low_pass}
+    stepper = Stepper(known.with_values(values), m)
+    noise = np.stack([r.noise for r in runs], axis=2)  # cell, row, lane
+    loads = tuple(np.array([r.loads[k] for r in runs]) for k in range(3))
+    moment, volts = stepper.start(float(first.time[0])), np.empty((first.time.size, 3, len(runs)))
+    step = float(np.median(np.diff(first.time)))
+    for k in range(first.time.size):
+        before = max(k - 1, 0)
+        command = (float(first.duty[before]), float(first.servo_duty[before]), first.height, *loads, *noise[:, k])
+        if k:
+            moment = stepper.step(moment, command, step)
+        volts[k] = stepper.output(moment.t, moment.state, command)[:3]
+    return [recorded(run, volts[:, :, j]) for j, run in enumerate(runs)]
+
+
+# -- measured ---------------------------------------------------------------------------------
+
+
+def read_recording(path: Path) -> Recording:
+    """A measured run: time, duty, servo_duty, height, volts_z, volts_x, volts_m; InputError with every fault."""
+    faults = Faults(path)
+
+    def choose(heading: Heading) -> Column | None:
+        if heading.name == "time":
+            if (scale := factor(heading.unit, "s")) is None:
+                faults.note(
+                    heading.line, heading.cell, f"{heading.unit} is no unit of time; write time [s] or time [ms]"
+                )
+            return Column(heading, scale or 1.0, known="the time")
+        if heading.name not in COLUMNS:
+            return None
+        wanted = COLUMNS[heading.name].unit
+        scale = factor(heading.unit, wanted)
+        if scale is None:
+            cure = f"; write {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
+            faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{wanted}]{cure}")
+        return Column(heading, scale or 1.0, known="a column of the bench")
+
+    table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
+    if table.whole:
+        for name in (n for n in COLUMNS if n not in table.columns):
+            hint = did_you_mean(name, table.columns)
+            faults.note(table.header, 1, f'column "{name}" [{COLUMNS[name].unit}] is missing{hint}; add it')
+        if table.rows < 10:
+            faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least")
+    faults.raise_any()
+    time = table["time"]
+    gaps = np.diff(time)
+    if gaps.max() > 1.5 * np.median(gaps):
+        row = int(np.argmax(gaps)) + 1
+        cure = "rows are missing, resample"
+        message = f"{gaps.max():.3g} s pass before this row, {np.median(gaps):.3g} s before others; {cure}"
+        raise InputError([Fault(path, int(table.lines[row]), 1, message)])
+    volts = {c: table[f"volts_{c}"] for c in CHANNELS}
+    return Recording(
+        path.name, time, table["duty"], table["servo_duty"], table["height"], volts, path, np.array(table.lines)
+    )
+
+
+def read_recordings(protocol: Protocol, name: str) -> list[Recording]:
+    """The recordings that a test names; InputError with the faults of all."""
+    faults: list[Fault] = []
+    found = []
+    for text in getattr(protocol.file.tests, name).files:
+        try:
+            found.append(read_recording(protocol.folder / text))
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return found

@@ -1,0 +1,272 @@
+"""Test 1: thrust out of ground effect over the duty (§4.5.1, eqs 4.15-4.22, App. D.3.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.model.namespaces import arrays
+from plant.bench import Bench
+from plant.identification.cells import Cell, Cells, at_rail, force_of
+from plant.identification.command_response import held_lag, low_pass
+from plant.identification.estimates import Figure, Result, made, shifts_of
+from plant.identification.protocol import Test
+from plant.identification.recordings import Recording
+from plant.powertrain import ground_effect
+
+DEGREES = (1, 2, 3)
+MARGIN = 0.02  # [%] of duty kept from where the cell leaves its range or thrust begins: a low pass remembers
+MEMORY = 5.0  # lags and low passes after which a reading no longer knows of a higher duty, to 1 %
+LEAST_ROWS, LEAST_DUTY = 50, 0.1  # of a repetition, [%] of its ramp: with thrust, for a line
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Readings that a line is fitted to: rows of each repetition, and the duty [%] whose thrust they have."""
+
+    end: float
+    dead_end: float
+    kept: Sequence[Flags]
+    delayed: Sequence[Array]
+    idle: int
+    whole: int
+
+    @property
+    def enough(self) -> bool:
+        """Every repetition has a ramp under thrust."""
+        return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
+
+
+def rows_with_thrust(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> Rows:
+    """Rows of the window within the cell's range where T = max(0, a + b·δ), eq 4.20, has thrust.
+
+    All by what was commanded: where the thrust begins is the kink of the equation that is nearest to all readings.
+    """
+    end = highest_duty(recordings, cells, known, test)
+    kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(recordings, known, test)]
+    gram = 1000.0 / known.gravity
+    thrust = [
+        gram * force_of(r, cells, "z", test.rest)[k] / _gain(r, k, known) for r, k in zip(recordings, kept, strict=True)
+    ]
+    delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(recordings, kept, strict=True)]
+    begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
+    following = [_delayed(r, known, test, begins) for r in recordings]
+    above = [k & (d > begins + MARGIN) for k, d in zip(kept, following, strict=True)]
+    whole = sum(int(k.sum()) for k in kept)
+    idle = whole - sum(int(k.sum()) for k in above)
+    return Rows(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
+
+
+def dead_end(duty: Array, thrust: Array) -> float:
+    """δ₀ [%] of T = b·max(0, δ − δ₀) by least squares; below all duties where a line alone is nearest."""
+    middle = float(duty.mean())
+    order = np.argsort(duty)
+    x, y = duty[order] - middle, thrust[order]
+    slope, offset = np.polyfit(x, y, 1)
+    edges = np.linspace(x[0], x[-1], 401)[:-1]
+
+    def above(values: Array) -> Array:
+        """Sums over what lies above each edge."""
+        sums = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+        return np.asarray(sums[np.searchsorted(x, edges, side="right")])
+
+    n, sx, sxx, sy, sxy = (above(v) for v in (np.ones_like(x), x, x * x, y, x * y))
+    square, product = sxx - 2.0 * edges * sx + edges**2 * n, sxy - edges * sy
+    gained = np.divide(product * np.maximum(product, 0.0), square, out=np.zeros_like(square), where=square > 1e-12)
+    best = int(np.argmax(gained))
+    crossing = -offset / slope if slope > 0 else -np.inf
+    if crossing <= x[0] and float(y @ y) - float(((y - offset - slope * x) ** 2).sum()) >= gained[best]:
+        return float(middle + crossing)
+    here = float(edges[best])
+    for _ in range(20):  # where the line through what is above it says none: least squares to the last digit
+        rows = x > here
+        if rows.sum() < 3:
+            break
+        slope, offset = np.polyfit(x[rows], y[rows], 1)
+        there = -offset / slope if slope > 0 else here
+        if not abs(there - here) > 1e-9 or not x[0] <= there < x[-1]:
+            break
+        here = float(there)
+    return middle + here
+
+
+def analyse(
+    recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test, truth: Bench | None, *, draw: bool = True
+) -> Result:
+    """Line a + b·δ [gf, gf/%]; degrees one to three, the lowest within one standard error of the best."""
+    rows = rows_with_thrust(recordings, cells, known, test)
+    gram, delayed = 1000.0 / known.gravity, rows.delayed
+    own = list(zip(recordings, rows.kept, strict=True))
+
+    bowed = [np.zeros_like(d) for d in delayed]  # [gf] by which a reading on a ramp misses its thrust
+
+    def thrusts(using: Cells) -> list[Array]:
+        forces = [gram * force_of(r, using, "z", test.rest)[k] / _gain(r, k, known) for r, k in own]
+        return [f - bow for f, bow in zip(forces, bowed, strict=True)]
+
+    def lines(using: Cells) -> Array:
+        return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
+
+    # the thesis: every sample alike against the duty as commanded, its cell as calibrated
+    duty = np.concatenate([r.duty[k] for r, k in own])
+    raw = np.concatenate([gram * force_of(r, cells, "z", None)[k] for r, k in own])
+    slope, offset = np.polyfit(duty, raw, 1)
+    names = [
+        ("thrust_offset", "gf", float(offset), truth.thrust_offset if truth else np.nan),
+        ("thrust_slope", "gf/%", float(slope), truth.thrust_slope if truth else np.nan),
+    ]
+    line = lines(cells).mean(axis=0)
+    begins = rows.dead_end
+    bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
+    if rows.idle and line[1] > 0:  # where the thrust begins was read from ramps that were bowed
+        line = lines(cells).mean(axis=0)
+        begins = -line[0] / line[1]
+        delayed = [_delayed(r, known, test, begins)[k] for r, k in own]
+        bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
+    each = lines(cells)
+    shifts = shifts_of(lines, cells, "z", each)
+    result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
+    thrust = thrusts(cells)
+    degree, errors = least_degree(delayed, thrust)
+    r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
+    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": rows.end,
+                   "readings_without_thrust": rows.idle}  # fmt: skip
+    result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
+    _tell_what_is_left_out(result, rows, recordings, test)
+    if degree > 1:
+        _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
+    if draw:
+        result.figures = _figures(result, duty, raw, known, each, shifts)
+    return result
+
+
+def _tell_what_is_left_out(result: Result, rows: Rows, recordings: Sequence[Recording], test: Test) -> None:
+    if rows.idle:
+        result.warnings.append(
+            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
+            "max(0, a + b·δ) is no line there, and they are left out"
+        )
+    top = max(float(r.duty[r.rows(test.window)].max()) for r in recordings)
+    if rows.end < top - 1e-9:
+        result.notes.append(
+            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
+            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
+        )
+
+
+def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
+    """Thrust that bends over the duty has no one line: intervals reach over its tangents at all duties seen."""
+    curve = np.poly1d(np.polyfit(duty - 6.0, thrust, degree))
+    grid = np.linspace(duty.min(), duty.max(), 101)
+    slopes = curve.deriv()(grid - 6.0)
+    spans = {"thrust_slope": slopes, "thrust_offset": curve(grid - 6.0) - slopes * grid}
+    told = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
+    told += f"{errors[1]:.3g} gf"
+    result.estimates = [
+        replace(e, low=min(e.low, float(spans[e.name].min())), high=max(e.high, float(spans[e.name].max())),
+                origin=f"{e.origin}; {told}, so the interval reaches over the tangents")
+        for e in result.estimates
+    ]  # fmt: skip
+    result.warnings.append(
+        f"{told}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
+        f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
+    )
+
+
+def _gain(r: Recording, rows: Flags, known: Bench) -> Array:
+    gain: Array = ground_effect(arrays(), r.height[rows], known.propeller_radius, known.ground_effect_exponent)
+    return gain
+
+
+def _delayed(r: Recording, known: Bench, test: Test, dead_end: float) -> Array:
+    """The duty whose thrust is read: behind lag and low pass, and none below where the thrust begins."""
+    return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, known.lag), r.step, test.low_pass)
+
+
+def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_end: float) -> Array:
+    """By how much [gf] a line's thrust is misread where it moves: volts are low-passed, and the cell's curve bends."""
+    effective = held_lag(np.maximum(r.duty, dead_end), r.step, known.lag)
+    steady = line[0] + line[1] * effective
+    everywhere = np.ones(r.time.size, dtype=bool)
+    gain, gram = _gain(r, everywhere, known), 1000.0 / known.gravity
+    grid = np.linspace(0.0, known.converter_range, 4001)
+    forces = cell.force(grid)
+    order = np.argsort(forces)
+    volts = np.interp(steady * gain / gram, forces[order], grid[order])
+    read = gram * cell.force(low_pass(volts, r.step, test.low_pass)) / gain
+    return np.asarray(read - low_pass(steady, r.step, test.low_pass))
+
+
+def _recent(recordings: Sequence[Recording], known: Bench, test: Test) -> Iterator[tuple[Recording, Array]]:
+    """Each recording and the highest duty that its readings still know of, behind lag and low pass."""
+    found: dict[bytes, Array] = {}
+    for r in recordings:
+        key = r.duty.tobytes()
+        if key not in found:
+            count = math.ceil(MEMORY * (known.lag + test.low_pass) / r.step)
+            before = np.pad(r.duty, (count, 0), mode="edge")
+            found[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
+        yield r, found[key]
+
+
+def highest_duty(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> float:
+    """The duty up to which no repetition is at the converter's end or beyond the calibration.
+
+    Chosen by what is commanded, alike for all: leaving out readings by their value would bend the line.
+    """
+    end, cell = np.inf, cells["z"]
+    for r, recent in _recent(recordings, known, test):
+        rows = r.rows(test.window)
+        v = r.volts["z"][rows]
+        beyond = at_rail(known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
+        if beyond.any():
+            end = min(end, float(recent[rows][beyond].min()) - MARGIN)
+    return min(end, max(float(r.duty[r.rows(test.window)].max()) for r in recordings))
+
+
+def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
+    """The lowest degree whose error on repetitions left out is within one standard error of the least."""
+    means, spreads = {}, {}
+    for degree in DEGREES:
+        x = [np.vander(d - 6.0, degree + 1) for d in duty]
+        gram = [a.T @ a for a in x]
+        side = [a.T @ y for a, y in zip(x, thrust, strict=True)]
+        rmse = []
+        for k, (a, y) in enumerate(zip(x, thrust, strict=True)):
+            theta = np.linalg.solve(sum(gram) - gram[k], sum(side) - side[k])
+            rmse.append(float(np.sqrt(np.mean((a @ theta - y) ** 2))))
+        means[degree], spreads[degree] = float(np.mean(rmse)), float(np.std(rmse, ddof=1) / np.sqrt(len(rmse)))
+    best = min(means, key=lambda d: means[d])
+    return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
+
+
+def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array, shifts: Array) -> list[Figure]:
+    from scipy import stats
+
+    grid = np.linspace(duty.min(), duty.max(), 60)
+    basis = np.stack((np.ones_like(grid), grid))
+    a, b = (e.value for e in result.estimates)
+    covariance = np.cov(each.T) / each.shape[0] + shifts.T @ shifts
+    half = stats.t.ppf(0.975, each.shape[0] - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
+    line, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
+    thesis = result.estimates[0].thesis + result.estimates[1].thesis * grid
+    printed = -2076.0 + 359.9 * grid
+    bins = np.linspace(duty.min(), duty.max(), 9)
+    place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
+    filled = [k for k in range(8) if (place == k).sum() > 1]
+    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
+    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
+    return [
+        Figure("Thrust over duty: data and lines", "duty [%]", "gf", [
+            ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"),
+            ("thesis' estimator", grid, thesis, "s1"),
+        ], counterpart="Fig 4.10"),
+        Figure("Thrust line with 95 % band", "duty [%]", "gf", [
+            ("unbiased", grid, line, "true"), ("printed, eq 4.20", grid, printed, "reference"),
+        ], band=("95 % of the line", grid, line - half, line + half),
+            bars=[(middle, a + b * middle - spread, a + b * middle + spread)], counterpart="Fig 4.11"),
+    ]  # fmt: skip

@@ -1,0 +1,234 @@
+"""`cosim identify`: a protocol played or read, its tests analysed, powertrain.yaml and a report written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.base.registry import model_entry, resolve
+from cosim.base.scratch import temporary_folder
+from cosim.base.settings import Seed
+from cosim.model import Model
+from cosim.storage.files import FilePath, check_writable, named_path
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left
+from cosim.storage.kinds import check_given
+from plant.bench import Bench
+from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
+from plant.identification.artefacts import PROTOCOL
+from plant.identification.cells import Cells, calibrated
+from plant.identification.craft import CraftOutcome
+from plant.identification.craft_workflow import identify_craft
+from plant.identification.estimates import Estimate, Result
+from plant.identification.identified import Outcome
+from plant.identification.input_kind import craft_file
+from plant.identification.plausible import result_faults
+from plant.identification.prepared import cell_fault, prepare
+from plant.identification.protocol import BENCH, CHANNELS, Protocol
+from plant.identification.recording_faults import recording_faults
+from plant.identification.recordings import FmuPlayer, Play, Recording, load_runs, runs_of
+from plant.identification.write import RECORD, REPORT, model_text, write
+
+FILES = ("powertrain.yaml", RECORD, REPORT)
+# in the order in which one needs another's number; the lag of a step is that of the model
+ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
+Progress = Callable[[str, float], None]
+
+
+@folder_locks()
+def identify(
+    path: FilePath,
+    out: FilePath,
+    progress: Progress | None = None,
+    *,
+    report: bool = True,
+    seed: Seed | None = None,
+    force: bool = True,
+) -> Outcome | CraftOutcome:
+    """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
+
+    Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
+    command left in `out`.
+    """
+    path, out = Path(path), named_path(out)
+    check_given(path, PROTOCOL)
+    check_left(out, "cosim identify", force=force)
+    if (yaml := craft_file(path)) is not None:
+        return identify_craft(yaml, out, report=report)
+    ready = prepare(path)
+    protocol, measured = ready.protocol, ready.measured
+    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
+    check_writable(out, FILES, named)
+    outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+
+    def page() -> str:
+        from plant.identification.report import page
+
+        return page(outcome)
+
+    write(
+        out, (FILES[0], powertrain(outcome, ready.model)), _record(outcome), outcome.results, page if report else None
+    )
+    return outcome
+
+
+def _outcome(
+    protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
+) -> Outcome:
+    """Played on the FMU where nothing was measured, then analysed."""
+    recordings = dict(measured)
+    hung: dict[str, list[Recording]] = {}
+    if protocol.file.bench is not None:
+        with temporary_folder("identify") as folder:
+            fmu = _fmu(protocol, folder)
+            runs = {n: runs_of(protocol, n, seed) for n, t in protocol.file.tests.given() if n not in measured}
+            loads = load_runs(protocol, seed)
+            total = sum(r.time.size for group in (*runs.values(), *loads.values()) for r in group) or 1
+            tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+            player = FmuPlayer(fmu, protocol.file.parameters, tell)
+            try:
+                hung = {c: player(group) for c, group in loads.items()}
+                recordings |= {n: player(group) for n, group in runs.items()}
+            finally:
+                player.close()
+    try:
+        cells = calibrated(protocol, hung)
+    except ValueError as error:
+        raise InputError([cell_fault(protocol, error)]) from None
+    faults = [
+        f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
+    ]
+    if faults:
+        raise InputError(faults)
+    if progress is not None:
+        progress("analysing", 0.0)
+    results = checked_results(protocol, cells, recordings)
+    return Outcome(protocol, cells, results, recordings)
+
+
+def _fmu(protocol: Protocol, folder: Path) -> Path:
+    """The bench's FMU: our own, built now, or the one that is named."""
+    if protocol.file.bench != BENCH:
+        return protocol.folder / str(protocol.file.bench)
+    from cosim.fmi.fmu_build import build
+
+    return build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
+
+
+def analyse(
+    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
+) -> list[Result]:
+    """Each test in the order in which one needs another's number; what is not known yet is taken from the protocol."""
+    known, truth = protocol.known, protocol.known if protocol.true_known else None
+    if truth is not None:  # what is to be found is not known
+        blank = Bench()
+        known = known.with_values(
+            {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
+        )
+    results = []
+    for name in (n for n in ORDER if n in recordings):
+        test: Any = getattr(protocol.file.tests, name)
+        result = _analysis(name)(recordings[name], cells, known, test, truth, draw=draw)
+        results.append(result)
+        # a lag in frequency is that of the step only where there is no step
+        fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
+        if not (name == "frequency" and "step" in recordings):
+            known = known.with_values(fresh)
+    return results
+
+
+def checked_results(
+    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
+) -> list[Result]:
+    """Return the results of all tests; raise InputError with every number that cannot be."""
+    results = analyse(protocol, cells, recordings, draw=draw)
+    if faults := result_faults(protocol, results):
+        raise InputError(faults)
+    return results
+
+
+def _within(known: Bench, e: Estimate) -> float:
+    low, high = known.declared[e.name].bounds
+    return float(np.clip(e.value, low, high))
+
+
+def _analysis(name: str) -> Callable[..., Result]:
+    if name == "thrust_step":
+        return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
+    ways: dict[str, Callable[..., Result]] = {
+        "step": lag.analyse, "frequency": frequency.analyse, "ground_effect": ground_effect.analyse,
+        "thrust_line": thrust_line.analyse, "projection": projection.analyse, "moment": moment.analyse,
+    }  # fmt: skip
+    return ways[name]
+
+
+def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
+    """Whole protocols, a seed each, by plain functions and without figures; those of all seeds are played at once."""
+    names = [n for n, _ in protocol.file.tests.given()]
+    hung: list[dict[str, list[Recording]]] = [{} for _ in seeds]
+    found: list[dict[str, list[Recording]]] = [{} for _ in seeds]
+    per_seed = [load_runs(protocol, seed) for seed in seeds]
+    for channel in CHANNELS:
+        for own, batch in zip(hung, _dealt(play, [runs[channel] for runs in per_seed]), strict=True):
+            own[channel] = batch
+    for name in names:
+        for own, batch in zip(found, _dealt(play, [runs_of(protocol, name, seed) for seed in seeds]), strict=True):
+            own[name] = batch
+    outcomes = []
+    for own_hung, own in zip(hung, found, strict=True):
+        cells = calibrated(protocol, own_hung)
+        outcomes.append(Outcome(protocol, cells, analyse(protocol, cells, own, draw=False)))
+    return outcomes
+
+
+def _dealt(play: Play, groups: Sequence[Sequence[Any]]) -> Iterable[list[Recording]]:
+    whole = play([run for group in groups for run in group])
+    first = 0
+    for group in groups:
+        yield whole[first : first + len(group)]
+        first += len(group)
+
+
+# -- what is left -----------------------------------------------------------------------------
+
+
+def _record(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "protocol": outcome.protocol.file.name,
+        "calibration": {
+            c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
+                "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
+            for c, cell in outcome.cells.items()
+        },
+    }  # fmt: skip
+
+
+def powertrain(outcome: Outcome, model: Model) -> str:
+    """A model.yaml with every number that was identified, its interval and where it comes from."""
+    protocol = outcome.protocol
+    declared = {p.name for p in model.parameters}
+    values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
+    chosen = {n: e for n, e in outcome.chosen.items() if n in declared}
+    values |= {n: e.value for n, e in chosen.items()}
+    values |= _hovering(model, values)
+    return model_text(protocol.file.model, values, {}, chosen, "repetitions")
+
+
+def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """The nominal duty at which the model has the thrust that it has now, solved for eq 4.20 and eq 4.28."""
+    needed = {"duty_nominal", "height", "propeller_radius", "ground_effect_exponent", "thrust_offset", "thrust_slope"}
+    base: Any = model
+    if not needed <= {p.name for p in model.parameters} or not needed & set(values):
+        return {}
+    from cosim.model import SCALAR
+    from plant.powertrain import ground_effect as gain
+
+    after: Any = model.with_values(values)
+    before_gain = gain(SCALAR, base.height, base.propeller_radius, base.ground_effect_exponent)
+    thrust = (base.thrust_offset + base.thrust_slope * base.duty_nominal) * before_gain  # [gf]
+    after_gain = gain(SCALAR, after.height, after.propeller_radius, after.ground_effect_exponent)
+    return {"duty_nominal": (thrust / after_gain - after.thrust_offset) / after.thrust_slope}
