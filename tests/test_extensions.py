@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import venv
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -87,10 +88,16 @@ def installed(project: Path, target: Path) -> Path:
     return target
 
 
+def need_setuptools() -> None:
+    """Skip where nothing can be installed; importing setuptools here would replace the process's distutils."""
+    if find_spec("setuptools") is None:
+        pytest.skip("setuptools, which installs the package, is not there")
+
+
 @pytest.fixture(scope="module")
 def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A package of a third party, installed."""
-    pytest.importorskip("setuptools")
+    need_setuptools()
     project, target = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("acme")
     (project / "acme").mkdir()
     (project / "pyproject.toml").write_text(PYPROJECT)
@@ -163,7 +170,7 @@ def test_two_packages_under_one_name_are_an_error_that_names_both(tmp_path: Path
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The Python of an environment that holds the framework and its dependencies, and no example."""
-    pytest.importorskip("setuptools")
+    need_setuptools()
     place = tmp_path_factory.mktemp("alone")
     source = place / "source"
     shutil.copytree(ROOT / "cosim", source / "cosim", ignore=shutil.ignore_patterns("__pycache__"))
