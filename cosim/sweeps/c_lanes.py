@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.fmi.native.compiler import compiler, loaded
+from cosim.fmi.native.compiler import CompilerFailed, compiler, loaded
 from cosim.model.integrate import substeps
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Lanes, Unprintable
@@ -92,7 +91,7 @@ def _function(
         try:
             source, names = _printed(model, awake, dict(flags))
             _FUNCTIONS[key] = _compiled(source), tuple(names)
-        except (Unprintable, OSError, subprocess.SubprocessError, TypeError, AttributeError):
+        except (Unprintable, CompilerFailed, TypeError, AttributeError):
             _FUNCTIONS[key] = None
     return _FUNCTIONS[key]
 
