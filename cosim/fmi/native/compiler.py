@@ -184,12 +184,12 @@ def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
-def loaded(source: str) -> ctypes.CDLL:
-    """Return the shared library of a source; one of another machine in the cache is compiled anew.
+def loaded(source: str, *headers: Path) -> ctypes.CDLL:
+    """Return the shared library of a source and its headers; one of another machine in the cache is compiled anew.
 
     Raises NoCompiler, and CompilerFailed if none of the compilers does its work.
     """
-    files = {"model.c": source.encode()}
+    files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
     reason: Exception | None = None
     for command in compilers():
         full = [*command, *OPTIONS, *_position()]

@@ -117,6 +117,7 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
         "all.c": every.encode(),
         "floating.h": part("floating.h"),
         "near.h": part("near.h"),
+        "rk4.h": part("rk4.h"),
         "model.h": part("model.h"),
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),
