@@ -27,7 +27,7 @@ from cosim.comparison.signals import (
     shared,
     sized,
     with_rows_between,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -145,12 +145,19 @@ class Compared:
             for d in self.differences
         ]
         return {
-            "a": str(self.a.path), "b": str(self.b.path), "tolerance": self.tolerance, "absolute": self.absolute,
-            "within": self.same if self.judged else None, "reasons": self.reasons if self.judged else None,
-            "shorter": self.shorter or None, "signals": found,
-            "only_a": list(self.only_a), "only_b": list(self.only_b), "same_times": self.aligned,
+            "a": str(self.a.path),
+            "b": str(self.b.path),
+            "tolerance": self.tolerance,
+            "absolute": self.absolute,
+            "within": self.same if self.judged else None,
+            "reasons": self.reasons if self.judged else None,
+            "shorter": self.shorter or None,
+            "signals": found,
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "same_times": self.aligned,
             "criteria": [{"what": w, "a": a, "b": b} for w, a, b in criteria_of(self)],
-        }  # fmt: skip
+        }
 
 
 def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:

@@ -70,9 +70,17 @@ def at_times(time: Array, times: Array, values: Array) -> Array:
 
 
 def of_numbers(
-    name: str, unit: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float,
-    *, rounded: bool, offset: float = 0.0,
-) -> Difference:  # fmt: skip
+    name: str,
+    unit: str,
+    time: Array,
+    first: Array,
+    second: Array,
+    tolerance: float | None,
+    absolute: float,
+    *,
+    rounded: bool,
+    offset: float = 0.0,
+) -> Difference:
     """How far numbers of one unit lie apart.
 
     rounded: one side was converted, to the last bit or two; offset: of that conversion, whose rounding is of its size

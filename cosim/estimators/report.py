@@ -50,20 +50,31 @@ def _summary(of: Judged, kinds: Sequence[str]) -> Mapping[str, Any]:
     """Return a case on a flight as one row: each mean over its degrees of freedom, and the verdict."""
     factors = {row.of: plain(row.result.factor, 3) for row in of.rows}
     return {
-        "case": of.rows[0].case, "flight": of.rows[0].flight, "factors": [factors.get(kind, "–") for kind in kinds],
-        "verdict": of.verdict, "good": of.consistent,
-    }  # fmt: skip
+        "case": of.rows[0].case,
+        "flight": of.rows[0].flight,
+        "factors": [factors.get(kind, "–") for kind in kinds],
+        "verdict": of.verdict,
+        "good": of.consistent,
+    }
 
 
 def _cells(row: Row) -> Mapping[str, Any]:
     r = row.result
     verdict, _, more = r.sentence.partition(": ")
     return {
-        "case": row.case, "flight": row.flight, "of": row.of, "degrees": str(r.degrees), "mean": plain(r.mean, 4),
-        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}", "above": percent(r.above),
-        "below": percent(r.below), "most": percent(r.most), "verdict": verdict, "more": more,
+        "case": row.case,
+        "flight": row.flight,
+        "of": row.of,
+        "degrees": str(r.degrees),
+        "mean": plain(r.mean, 4),
+        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
+        "above": percent(r.above),
+        "below": percent(r.below),
+        "most": percent(r.most),
+        "verdict": verdict,
+        "more": more,
         "good": verdict == CONSISTENT,
-    }  # fmt: skip
+    }
 
 
 def _plot(row: Row, charts: Charts) -> Plot:
@@ -71,8 +82,12 @@ def _plot(row: Row, charts: Charts) -> Plot:
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)
     panel = Panel(
-        row.of, "1", (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),),
-        Band("95 % of a consistent one", low, high), (float(r.degrees),), "its mean",
-    )  # fmt: skip
+        row.of,
+        "1",
+        (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),),
+        Band("95 % of a consistent one", low, high),
+        (float(r.degrees),),
+        "its mean",
+    )
     (plot,) = charts.over(row.at, 1).plots([panel])
     return plot

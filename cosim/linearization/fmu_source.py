@@ -181,11 +181,22 @@ class ExchangeSource(Source):
             method = GIVEN if own else differences
             made.append(
                 Linear(
-                    slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], self.states, self.inputs,
-                    self.outputs, Point(point.time, after, point.inputs), rates[:n], rates[n:], self.units, method,
-                    tuple(notes), tuple(kinks),
+                    slopes[:n, :n],
+                    slopes[:n, n:],
+                    slopes[n:, :n],
+                    slopes[n:, n:],
+                    self.states,
+                    self.inputs,
+                    self.outputs,
+                    Point(point.time, after, point.inputs),
+                    rates[:n],
+                    rates[n:],
+                    self.units,
+                    method,
+                    tuple(notes),
+                    tuple(kinks),
                 )
-            )  # fmt: skip
+            )
         return made
 
     def _call(self, function: Any, *more: Any) -> Any:

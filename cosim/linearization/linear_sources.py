@@ -98,9 +98,18 @@ class EquationSource(Source):
             raise SimulationError(self.name, point.time, "the equations or their slopes are not finite there")
         kinks, notes = self._kinks(point)
         return Linear(
-            *matrices, self.states, self.inputs, self.outputs, point, rates, values, self.units, EXACT,
-            (*self._memories(), *notes), tuple(kinks),
-        )  # fmt: skip
+            *matrices,
+            self.states,
+            self.inputs,
+            self.outputs,
+            point,
+            rates,
+            values,
+            self.units,
+            EXACT,
+            (*self._memories(), *notes),
+            tuple(kinks),
+        )
 
     def _at(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         state, command = tuple(x.tolist()), tuple(u.tolist())

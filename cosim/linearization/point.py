@@ -91,8 +91,15 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     for name, text in values.items():
         if name not in known:
             message = f'{source.title} has no state or input "{name}"{did_you_mean(name, known)}'
-            faults.append(Fault(AT, 0, 0, f"{message} (states: {', '.join(source.states) or 'none'}; "
-                                          f"inputs: {', '.join(source.inputs) or 'none'})"))  # fmt: skip
+            faults.append(
+                Fault(
+                    AT,
+                    0,
+                    0,
+                    f"{message} (states: {', '.join(source.states) or 'none'}; "
+                    f"inputs: {', '.join(source.inputs) or 'none'})",
+                )
+            )
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))

@@ -168,9 +168,11 @@ def _checked(source: Source, asked: Asked) -> Asked:
     """Names as they are in the model, all where none are given; InputError with every one that is not."""
     faults: list[Fault] = []
     for option, names, known in (
-        ("states", asked.states, source.states), ("inputs", asked.inputs, source.inputs),
-        ("outputs", asked.outputs, source.outputs), ("residualize", asked.fast, source.states),
-    ):  # fmt: skip
+        ("states", asked.states, source.states),
+        ("inputs", asked.inputs, source.inputs),
+        ("outputs", asked.outputs, source.outputs),
+        ("residualize", asked.fast, source.states),
+    ):
         for name in names:
             if name not in known:
                 told = f'{source.title} has no {option.removesuffix("s").replace("residualize", "state")} "{name}"'
@@ -190,7 +192,7 @@ def _checked(source: Source, asked: Asked) -> Asked:
     rest = [n for n in source.states if n not in asked.fast]
     return Asked(
         asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)
-    )  # fmt: skip
+    )
 
 
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:

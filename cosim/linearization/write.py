@@ -71,15 +71,20 @@ def content(
         "models": [
             {
                 "time": m.point.time,
-                "x0": m.point.states.tolist(), "u0": m.point.inputs.tolist(), "y0": m.values.tolist(),
+                "x0": m.point.states.tolist(),
+                "u0": m.point.inputs.tolist(),
+                "y0": m.values.tolist(),
                 "f0": m.rates.tolist(),
-                "A": m.A.tolist(), "B": m.B.tolist(), "C": m.C.tolist(), "D": m.D.tolist(),
+                "A": m.A.tolist(),
+                "B": m.B.tolist(),
+                "C": m.C.tolist(),
+                "D": m.D.tolist(),
                 "kinks": [k.as_json() for k in m.kinks],
             }
             for m in linear
         ],
         "structure": _plain(structure),
-    }  # fmt: skip
+    }
 
 
 def _plain(structure: Structure) -> dict[str, Any]:
@@ -88,12 +93,18 @@ def _plain(structure: Structure) -> dict[str, Any]:
 
     poles = [
         {
-            "real": p.value.real, "imag": p.value.imag, "count": p.count, "jordan_blocks": list(p.blocks),
-            "natural_frequency": p.natural_frequency, "damping_ratio": number(p.damping_ratio),
-            "time_constant": number(p.time_constant), "controllable": p.controllable, "observable": p.observable,
+            "real": p.value.real,
+            "imag": p.value.imag,
+            "count": p.count,
+            "jordan_blocks": list(p.blocks),
+            "natural_frequency": p.natural_frequency,
+            "damping_ratio": number(p.damping_ratio),
+            "time_constant": number(p.time_constant),
+            "controllable": p.controllable,
+            "observable": p.observable,
         }
         for p in structure.poles
-    ]  # fmt: skip
+    ]
     rest = {k: v for k, v in asdict(structure).items() if k != "poles"}
     return {"poles": poles, **rest, "condition": number(structure.condition)}
 
@@ -108,9 +119,11 @@ def mat(linear: Sequence[Linear]) -> bytes:
     first = linear[0]
     values: dict[str, Any] = {n: stacked([getattr(m, n) for m in linear]) for n in "ABCD"}
     columns = {
-        "x0": [m.point.states for m in linear], "u0": [m.point.inputs for m in linear],
-        "y0": [m.values for m in linear], "f0": [m.rates for m in linear],
-    }  # fmt: skip
+        "x0": [m.point.states for m in linear],
+        "u0": [m.point.inputs for m in linear],
+        "y0": [m.values for m in linear],
+        "f0": [m.rates for m in linear],
+    }
     values |= {n: np.array(rows).T for n, rows in columns.items()}
     values["time"] = np.array([[m.point.time for m in linear]])
     names = {"states": first.states, "inputs": first.inputs, "outputs": first.outputs}

@@ -123,6 +123,10 @@ def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -
 
 def _signals(scenario: Scenario, system: System) -> tuple[str, ...]:
     of_criteria = dict.fromkeys(criterion.of for _, _, criterion in scenario.goals)
-    outputs = [f"{s.component.name}.{o.name}" for s in system.stages for o in s.component.outputs
-               if isinstance(s.component, FmuBlock)]  # fmt: skip
+    outputs = [
+        f"{s.component.name}.{o.name}"
+        for s in system.stages
+        for o in s.component.outputs
+        if isinstance(s.component, FmuBlock)
+    ]
     return tuple(of_criteria) or tuple(outputs[:MOST_SIGNALS]) or tuple(system.columns[:MOST_SIGNALS])

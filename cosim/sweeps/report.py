@@ -64,9 +64,12 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     low, high = c["ci95"]
     return {
-        "name": c["name"], "max": joined(plain(c["max"] * factor, None), unit), "met": f"{c['met']} of {c['of']}",
-        "share": percent(c["met"] / c["of"]) if c["of"] else "–", "interval": f"{percent(low)} … {percent(high)}",
-    }  # fmt: skip
+        "name": c["name"],
+        "max": joined(plain(c["max"] * factor, None), unit),
+        "met": f"{c['met']} of {c['of']}",
+        "share": percent(c["met"] / c["of"]) if c["of"] else "–",
+        "interval": f"{percent(low)} … {percent(high)}",
+    }
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
@@ -92,10 +95,15 @@ def _factors(swept: Swept) -> list[Mapping[str, str]]:
         )
         if isinstance(said, dict):
             text = ", ".join(f"{key} {value}" for key, value in said.items())
-        found.append({
-            "name": factor.name, "unit": written(factor.unit), "way": varied.way.replace("_", " "), "said": str(text),
-            "different": counted(len(set(map(str, values))), "value"),
-        })  # fmt: skip
+        found.append(
+            {
+                "name": factor.name,
+                "unit": written(factor.unit),
+                "way": varied.way.replace("_", " "),
+                "said": str(text),
+                "different": counted(len(set(map(str, values))), "value"),
+            }
+        )
     return found
 
 
@@ -105,8 +113,10 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
         return Panel(name, unit or "1", ())
     q = quantiles(values) * factor
     traces = (
-        Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"),
-    )  # fmt: skip
+        Trace("median", q[2], "true"),
+        Trace("25 %", q[1], "reference"),
+        Trace("75 %", q[3], "reference"),
+    )
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 
 

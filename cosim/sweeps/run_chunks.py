@@ -203,8 +203,9 @@ def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
                     known[one.overrides] = None
             designed = known[one.overrides]
             if designed is not None:
-                starts = {name: {**designed.get(name, {}), **one.starts.get(name, {})}
-                          for name in (*designed, *one.starts)}  # fmt: skip
+                starts = {
+                    name: {**designed.get(name, {}), **one.starts.get(name, {})} for name in (*designed, *one.starts)
+                }
                 one = replace(one, overrides=rest, starts=starts)
         found.append(one)
     return found

@@ -42,9 +42,16 @@ Progress = Callable[[int, int], None]
 @one_stop()
 @folder_locks()
 def sweep(
-    path: FilePath, out: FilePath | None = None, *, workers: Count | None = None, dask: str | None = None,
-    report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
-) -> Swept:  # fmt: skip
+    path: FilePath,
+    out: FilePath | None = None,
+    *,
+    workers: Count | None = None,
+    dask: str | None = None,
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    progress: Progress | None = None,
+) -> Swept:
     """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
 
     What an earlier call that was stopped has made is gone on with; `force` begins anew.
@@ -220,11 +227,17 @@ class _Sweep:
             "times": [scenario.start_time + scenario.step * k for k in rows],
             "units": {name: study.system.units.get(name, "") for name in study.job.signals},
             "criteria": [
-                {"name": name, "max": goal.max, "unit": _unit(kind, goal, study),
-                 "met": s.hits, "of": s.of, "ci95": [s.low, s.high]}
+                {
+                    "name": name,
+                    "max": goal.max,
+                    "unit": _unit(kind, goal, study),
+                    "met": s.hits,
+                    "of": s.of,
+                    "ci95": [s.low, s.high],
+                }
                 for name, (kind, _, goal), s in zip(criterion_names(study), scenario.goals, shares, strict=True)
             ],
-        }  # fmt: skip
+        }
 
     def _checked(self, count: int, way: Way, why: str) -> dict[str, Any]:
         """How far the runs that are kept are from those repeated through the FMUs."""

@@ -135,9 +135,11 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
             raise ValueError(f"cells.{channel}: {message} or within their error of it; measure more points inside it")
         try:
             cells[channel] = cell_of(
-                [f for f, _ in kept], [v for _, v in kept], error,
+                [f for f, _ in kept],
+                [v for _, v in kept],
+                error,
                 [f for (f, _), out in zip(pairs, rail, strict=True) if out],
-            )  # fmt: skip
+            )
         except ValueError as fault:
             raise ValueError(f"cells.{channel}: {fault}") from None
     return cells

@@ -63,9 +63,12 @@ def lacks(known: Bench, name: str, test: Test, r: Recording, place: str, *, own:
         begins = f", and thrust begins above {see.idle:.2f} %" if own else ""
         begins += ", as of a share of one, duty [1]" if 0.0 < see.top <= 1.0 else ""
         yield Lack(
-            "duty" if isinstance(test, SineTest) else "phases", 0,
-            f"duty is {see.top:g} % at most{begins}: the phase with thrust is missing", "record it", "add it",
-        )  # fmt: skip
+            "duty" if isinstance(test, SineTest) else "phases",
+            0,
+            f"duty is {see.top:g} % at most{begins}: the phase with thrust is missing",
+            "record it",
+            "add it",
+        )
         return
     rested = see.duty[see.rest].max()
     if (name != "moment" and rested >= see.duty[~see.rest].max(initial=-np.inf)) or (
@@ -152,8 +155,13 @@ def _ramp(see: _Seen, place: str) -> Iterator[Lack]:
         yield Lack("window", see.first(see.seen), what, "record it", "move the window to it")
     elif not with_thrust.any() or np.ptp(see.duty[with_thrust]) < LEAST_DUTY:
         what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %, where "
-        yield Lack("window", see.first(see.seen), f"{what}thrust begins", "record a ramp that goes higher",
-                   "move the window, or let the ramp go higher")  # fmt: skip
+        yield Lack(
+            "window",
+            see.first(see.seen),
+            f"{what}thrust begins",
+            "record a ramp that goes higher",
+            "move the window, or let the ramp go higher",
+        )
     before = see.run.rows((start - (long := SETTLED * (see.known.lag + see.test.low_pass)), start))
     moved, ramp = (np.abs(np.diff(see.duty[rows])) for rows in (before, see.seen))
     at = float(see.run.time[before][1 + int(np.argmax(moved))]) if moved.size else -np.inf

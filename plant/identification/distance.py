@@ -49,12 +49,17 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
     value = estimate.value
     found = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
     figures = [
-        Figure(f"{run.path.name}: {output}", "time [s]", _unit(model, output), [
-            (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true"),
-            ("covered", run.time[-1:], np.array([wanted]), "dots"),
-        ])
+        Figure(
+            f"{run.path.name}: {output}",
+            "time [s]",
+            _unit(model, output),
+            [
+                (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true"),
+                ("covered", run.time[-1:], np.array([wanted]), "dots"),
+            ],
+        )
         for run, wanted in zip(runs, covered, strict=True)
-    ]  # fmt: skip
+    ]
     notes = []
     if observed and np.isnan(thesis):
         notes.append(f"the observer of App. F reaches the distance of some run with no {parameter}")

@@ -69,11 +69,14 @@ def analyse(
     (m_db, h_db, *_), (m_deg, h_deg, *_) = interval(db, none), interval(degrees, none)
     smoothing = DECIBEL * np.log10(abs(_mean_of_nine(frequencies[-1], recordings[0].step)))
     result.more = {
-        "frequency": frequencies.tolist(), "magnitude_db": m_db.tolist(), "magnitude_db_half": h_db.tolist(),
-        "phase_deg": m_deg.tolist(), "phase_deg_half": h_deg.tolist(),
+        "frequency": frequencies.tolist(),
+        "magnitude_db": m_db.tolist(),
+        "magnitude_db_half": h_db.tolist(),
+        "phase_deg": m_deg.tolist(),
+        "phase_deg_half": h_deg.tolist(),
         "thesis_magnitude_db": thesis_db.mean(axis=0).tolist(),
         "thesis_phase_deg": thesis_degrees.mean(axis=0).tolist(),
-    }  # fmt: skip
+    }
     result.notes.append(
         f"The mean of nine rows costs the thesis' points {-smoothing:.2f} dB at {frequencies[-1]:g} rad/s. Ours are "
         "held against the same commands through the bench's equations: hold, dead band, sine of the angle."
@@ -159,19 +162,34 @@ def _figures(
     found = []
     for title, unit, curve, by_hand, own, mean, half in (
         ("magnitude", "dB", curves[0], thesis[0], ours[0], m_db, h_db),
-        ("phase", "°", curves[1], thesis[1], ours[1], m_deg, h_deg)
-    ):  # fmt: skip
+        ("phase", "°", curves[1], thesis[1], ours[1], m_deg, h_deg),
+    ):
         found.append(
-            Figure(f"Bode {title}: single tests", "frequency [rad/s]", unit, [
-                ("thesis' estimator", x / apart, by_hand.ravel(), "dots pale"),
-                ("sines fitted", x * apart, own.ravel(), "dots"),
-                (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true"),
-            ], counterpart="Fig 4.17", log=True)
-        )  # fmt: skip
+            Figure(
+                f"Bode {title}: single tests",
+                "frequency [rad/s]",
+                unit,
+                [
+                    ("thesis' estimator", x / apart, by_hand.ravel(), "dots pale"),
+                    ("sines fitted", x * apart, own.ravel(), "dots"),
+                    (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true"),
+                ],
+                counterpart="Fig 4.17",
+                log=True,
+            )
+        )
         found.append(
-            Figure(f"Bode {title}: means with 95 % intervals", "frequency [rad/s]", unit, [
-                ("thesis' estimator, mean", w, by_hand.mean(axis=0), "s1"),
-                (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true"),
-            ], bars=[(w, mean - half, mean + half)], counterpart="Fig 4.18", log=True)
-        )  # fmt: skip
+            Figure(
+                f"Bode {title}: means with 95 % intervals",
+                "frequency [rad/s]",
+                unit,
+                [
+                    ("thesis' estimator, mean", w, by_hand.mean(axis=0), "s1"),
+                    (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true"),
+                ],
+                bars=[(w, mean - half, mean + half)],
+                counterpart="Fig 4.18",
+                log=True,
+            )
+        )
     return found

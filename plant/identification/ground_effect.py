@@ -77,9 +77,11 @@ def analyse(
         )
     k = result.estimates[0].value
     result.warnings += _misfit(
-        heights / radius, _gain(heights, radius, k) / _gain(np.array([free]), radius, k), gains(cells),
+        heights / radius,
+        _gain(heights, radius, k) / _gain(np.array([free]), radius, k),
+        gains(cells),
         shifts_of(gains, cells, "z"),
-    )  # fmt: skip
+    )
     result.more = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         f = forces(cells, chosen)
@@ -175,16 +177,34 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
     mean, half, _, _ = interval(pseudo, np.zeros((0, ratios.size)))
     band = (curve(estimate.high), curve(estimate.low))
     return [
-        Figure("Γ for several k", "height / radius", "Γ", [
-            (f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))
-        ], counterpart="Fig 4.6"),
-        Figure("Ground effect: single ratios and models", "height / radius", "Γ", [
-            ("single ratios", z, single.ravel(), "dots"),
-            (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
-            ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
-        ], counterpart="Fig 4.12"),
-        Figure("Ground effect with 95 % intervals", "height / radius", "Γ", [
-            (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
-            ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
-        ], band=("95 % of k", grid, *band), bars=[(ratios, mean - half, mean + half)], counterpart="Fig 4.13"),
-    ]  # fmt: skip
+        Figure(
+            "Γ for several k",
+            "height / radius",
+            "Γ",
+            [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))],
+            counterpart="Fig 4.6",
+        ),
+        Figure(
+            "Ground effect: single ratios and models",
+            "height / radius",
+            "Γ",
+            [
+                ("single ratios", z, single.ravel(), "dots"),
+                (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
+                ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
+            ],
+            counterpart="Fig 4.12",
+        ),
+        Figure(
+            "Ground effect with 95 % intervals",
+            "height / radius",
+            "Γ",
+            [
+                (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
+                ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
+            ],
+            band=("95 % of k", grid, *band),
+            bars=[(ratios, mean - half, mean + half)],
+            counterpart="Fig 4.13",
+        ),
+    ]

@@ -20,9 +20,15 @@ SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arang
 
 
 def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: StepTest, truth: Bench | None, *,
-    draw: bool = True,    thrust: bool = False,
-) -> Result:  # fmt: skip
+    recordings: Sequence[Recording],
+    cells: Cells,
+    known: Bench,
+    test: StepTest,
+    truth: Bench | None,
+    *,
+    draw: bool = True,
+    thrust: bool = False,
+) -> Result:
     """τ by a fit of F_x(t), behind the servo that is known; beside it by 63 %, by rise time, by slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     # every repetition plays the same commands; measured ones are told from their own

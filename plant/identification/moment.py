@@ -50,8 +50,16 @@ def analyse(
     names = [("assembly_arm", "m", top / bottom, truth.assembly_arm if truth else np.nan)]
     result = Result("moment", made(names, each, shifts_of(arms, cells, "m", each), "Test 5, with an offset a test"))
     step = known.converter_range / known.converter_levels
-    moved = float(np.ptp([np.median(v[k * v.size // 20 : (k + 1) * v.size // 20]) for r in recordings[:1]
-                          for v in [r.volts["m"][r.rows(test.window)]] for k in range(20)]))  # fmt: skip
+    moved = float(
+        np.ptp(
+            [
+                np.median(v[k * v.size // 20 : (k + 1) * v.size // 20])
+                for r in recordings[:1]
+                for v in [r.volts["m"][r.rows(test.window)]]
+                for k in range(20)
+            ]
+        )
+    )
     result.more = {"steps_of_converter": moved / step}
     result.notes.append(
         f"Over the whole tilt the cell moves by {moved / step:.1f} steps of the converter ({1000 * moved:.1f} mV): "
@@ -73,9 +81,22 @@ def _figures(result: Result, recordings: Sequence[Recording], cells: Cells, know
     spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))
     what = f"m·g·l·sin α, l = {1000 * arm:.4f} mm"
     return [
-        Figure("Moment over the tilt", "tilt [°]", "mN·m", [
-            ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"), (what, angle, model, "true"),
-        ], counterpart="Fig 4.19"),
-        Figure("Moment: 95 % of single readings", "tilt [°]", "mN·m", [(what, angle, model, "true")],
-               bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])], counterpart="Fig 4.20"),
-    ]  # fmt: skip
+        Figure(
+            "Moment over the tilt",
+            "tilt [°]",
+            "mN·m",
+            [
+                ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),
+                (what, angle, model, "true"),
+            ],
+            counterpart="Fig 4.19",
+        ),
+        Figure(
+            "Moment: 95 % of single readings",
+            "tilt [°]",
+            "mN·m",
+            [(what, angle, model, "true")],
+            bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])],
+            counterpart="Fig 4.20",
+        ),
+    ]

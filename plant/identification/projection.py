@@ -106,13 +106,27 @@ def _figures(recordings: Sequence[Recording], cells: Cells, known: Bench, test: 
         model = total * f(np.radians(angle))
         spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))
         what = "T·cos α" if c == "z" else "T·sin α"
-        found.append(Figure(f"{name} force over the tilt", "tilt [°]", "gf", [
-            ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),
-            (what, angle[order], model[order], "true"),
-        ], counterpart="Fig 4.14"))  # fmt: skip
+        found.append(
+            Figure(
+                f"{name} force over the tilt",
+                "tilt [°]",
+                "gf",
+                [
+                    ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),
+                    (what, angle[order], model[order], "true"),
+                ],
+                counterpart="Fig 4.14",
+            )
+        )
         bars = slice(None, None, max(1, angle.size // 10))
-        found.append(Figure(f"{name} force: 95 % of single readings", "tilt [°]", "gf",
-                            [(what, angle[order], model[order], "true")],
-                            bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])],
-                            counterpart="Fig 4.15"))  # fmt: skip
+        found.append(
+            Figure(
+                f"{name} force: 95 % of single readings",
+                "tilt [°]",
+                "gf",
+                [(what, angle[order], model[order], "true")],
+                bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])],
+                counterpart="Fig 4.15",
+            )
+        )
     return found

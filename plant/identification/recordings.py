@@ -148,11 +148,18 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
         to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
         found[channel] = [
-            Run(f"load {load:g} {cell.unit}", time, np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY),
-                FREE_HEIGHT, 0.0, _noise(protocol, rng, time.size, tare=False),
-                tuple((load + e) * to_si * (c == channel) for c in CHANNELS))
+            Run(
+                f"load {load:g} {cell.unit}",
+                time,
+                np.full_like(time, REST_DUTY),
+                np.full_like(time, NEUTRAL_DUTY),
+                FREE_HEIGHT,
+                0.0,
+                _noise(protocol, rng, time.size, tare=False),
+                tuple((load + e) * to_si * (c == channel) for c in CHANNELS),
+            )
             for load, e in zip(cell.loads, off, strict=True)
-        ]  # fmt: skip
+        ]
     return found
 
 
@@ -187,8 +194,11 @@ class FmuPlayer:
         self.parameters, self.progress, self.steps = dict(parameters), progress, 0
         self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
         inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
-        lacking = [n for n in (*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS))
-                   if n not in inputs and n not in outputs]  # fmt: skip
+        lacking = [
+            n
+            for n in (*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS))
+            if n not in inputs and n not in outputs
+        ]
         if lacking:
             cure = f"it has {', '.join((*inputs, *outputs))}"
             raise InputError([Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; {cure}') for n in lacking])

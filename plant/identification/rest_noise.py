@@ -57,9 +57,17 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
     free = max(2.0, freedom / follows)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
     return Estimate(
-        name, squared(unit), about_mean, about_line, low, high, about_line * float(np.sqrt(2.0 / free)),
-        0.0, len(parts), f"variance of {rows} rows at rest (5.44)",
-    )  # fmt: skip
+        name,
+        squared(unit),
+        about_mean,
+        about_line,
+        low,
+        high,
+        about_line * float(np.sqrt(2.0 / free)),
+        0.0,
+        len(parts),
+        f"variance of {rows} rows at rest (5.44)",
+    )
 
 
 def squared(unit: str) -> str:

@@ -133,8 +133,13 @@ def analyse(
     thrust = thrusts(cells)
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
-    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": rows.end,
-                   "readings_without_thrust": rows.idle}  # fmt: skip
+    result.more = {
+        "degree": degree,
+        "rmse_left_out_gf": errors,
+        "r2": r2,
+        "highest_duty": rows.end,
+        "readings_without_thrust": rows.idle,
+    }
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
     _tell_what_is_left_out(result, rows, recordings, test)
     if degree > 1:
@@ -167,10 +172,14 @@ def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, th
     told = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
     told += f"{errors[1]:.3g} gf"
     result.estimates = [
-        replace(e, low=min(e.low, float(spans[e.name].min())), high=max(e.high, float(spans[e.name].max())),
-                origin=f"{e.origin}; {told}, so the interval reaches over the tangents")
+        replace(
+            e,
+            low=min(e.low, float(spans[e.name].min())),
+            high=max(e.high, float(spans[e.name].max())),
+            origin=f"{e.origin}; {told}, so the interval reaches over the tangents",
+        )
         for e in result.estimates
-    ]  # fmt: skip
+    ]
     result.warnings.append(
         f"{told}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
         f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
@@ -261,12 +270,27 @@ def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array,
     spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
     middle = 0.5 * (bins[1:] + bins[:-1])[filled]
     return [
-        Figure("Thrust over duty: data and lines", "duty [%]", "gf", [
-            ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"),
-            ("thesis' estimator", grid, thesis, "s1"),
-        ], counterpart="Fig 4.10"),
-        Figure("Thrust line with 95 % band", "duty [%]", "gf", [
-            ("unbiased", grid, line, "true"), ("printed, eq 4.20", grid, printed, "reference"),
-        ], band=("95 % of the line", grid, line - half, line + half),
-            bars=[(middle, a + b * middle - spread, a + b * middle + spread)], counterpart="Fig 4.11"),
-    ]  # fmt: skip
+        Figure(
+            "Thrust over duty: data and lines",
+            "duty [%]",
+            "gf",
+            [
+                ("readings", duty[some], raw[some], "dots"),
+                ("unbiased", grid, line, "true"),
+                ("thesis' estimator", grid, thesis, "s1"),
+            ],
+            counterpart="Fig 4.10",
+        ),
+        Figure(
+            "Thrust line with 95 % band",
+            "duty [%]",
+            "gf",
+            [
+                ("unbiased", grid, line, "true"),
+                ("printed, eq 4.20", grid, printed, "reference"),
+            ],
+            band=("95 % of the line", grid, line - half, line + half),
+            bars=[(middle, a + b * middle - spread, a + b * middle + spread)],
+            counterpart="Fig 4.11",
+        ),
+    ]

@@ -160,9 +160,13 @@ def _analysis(name: str) -> Callable[..., Result]:
     if name == "thrust_step":
         return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
     ways: dict[str, Callable[..., Result]] = {
-        "step": lag.analyse, "frequency": frequency.analyse, "ground_effect": ground_effect.analyse,
-        "thrust_line": thrust_line.analyse, "projection": projection.analyse, "moment": moment.analyse,
-    }  # fmt: skip
+        "step": lag.analyse,
+        "frequency": frequency.analyse,
+        "ground_effect": ground_effect.analyse,
+        "thrust_line": thrust_line.analyse,
+        "projection": projection.analyse,
+        "moment": moment.analyse,
+    }
     return ways[name]
 
 
@@ -200,11 +204,16 @@ def _record(outcome: Outcome) -> dict[str, Any]:
     return {
         "protocol": outcome.protocol.file.name,
         "calibration": {
-            c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
-                "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
+            c: {
+                "loads": cell.loads.tolist(),
+                "volts": cell.volts.tolist(),
+                "error": cell.error,
+                "left_one_out": cell.left_one_out.tolist(),
+                "at_the_rail": list(cell.left_out),
+            }
             for c, cell in outcome.cells.items()
         },
-    }  # fmt: skip
+    }
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:

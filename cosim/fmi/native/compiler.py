@@ -72,9 +72,14 @@ def library_of(
         full = [*command, "-o", library.name, main, *libraries]
         try:  # in the folder, so that no path of this machine gets into the library
             done = subprocess.run(
-                full, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+                full,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
                 timeout=limit,
-            )  # fmt: skip
+            )
         except subprocess.TimeoutExpired:
             raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
         except OSError as error:

@@ -65,9 +65,12 @@ class Linearizer:
             whole[place] = value
         model, n = self.model, len(self.model.states)
         return LinearModel(
-            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:],
+            whole[:n, :n],
+            whole[:n, n:],
+            whole[n:, :n],
+            whole[n:, n:],
             *(tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)),
-        )  # fmt: skip
+        )
 
 
 def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:
