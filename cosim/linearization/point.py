@@ -51,8 +51,8 @@ def read_at(given: Sequence[str]) -> Where:
                 faults.append(Fault(AT, 0, 0, f"{short(text)}: {error}"))
             continue
         for part in text.split(","):
-            name, sign, value = (piece.strip() for piece in part.partition("="))
-            if not (sign and name and value):
+            name, _, value = (piece.strip() for piece in part.partition("="))
+            if not (name and value):
                 what = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
                 faults.append(Fault(AT, 0, 0, f"{short(text)} is {what}"))
                 break
@@ -91,15 +91,8 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     for name, text in values.items():
         if name not in known:
             message = f'{source.title} has no state or input "{name}"{did_you_mean(name, known)}'
-            faults.append(
-                Fault(
-                    AT,
-                    0,
-                    0,
-                    f"{message} (states: {', '.join(source.states) or 'none'}; "
-                    f"inputs: {', '.join(source.inputs) or 'none'})",
-                )
-            )
+            listed = f"states: {', '.join(source.states) or 'none'}; inputs: {', '.join(source.inputs) or 'none'}"
+            faults.append(Fault(AT, 0, 0, f"{message} ({listed})"))
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))

@@ -198,7 +198,8 @@ def _checked(source: Source, asked: Asked) -> Asked:
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:
     """Slopes at every point, without what is not asked for."""
     try:
-        whole = _beside(source, source.linear([settled(source, point, asked.fast) for point in points]), asked, side)
+        whole = source.linear([settled(source, point, asked.fast) for point in points])
+        whole = _without_kinks(whole, asked) if side is None else _beside(source, whole, asked, SIDES[side])
         found = [residualised(each, asked.fast) for each in whole]
     except ValueError as error:
         raise InputError([Fault(Path("--residualize"), 0, 0, str(error))]) from None
@@ -210,29 +211,31 @@ def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | N
     return [chosen(each, asked.states, asked.inputs, asked.outputs) for each in found]
 
 
-def _beside(source: Source, found: Sequence[Linear], asked: Asked, side: str | None) -> list[Linear]:
-    """Those at a kink with the slopes of a side; InputError where none is said.
+def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
+    """Return models without kinks; InputError where what is kept has one."""
+    kinks = dict.fromkeys(kink for each in found for kink in _kinks(each, asked))
+    if kinks:
+        raise InputError([Fault(AT, 0, 0, kink.told + NO_DERIVATIVE) for kink in kinks])
+    return [replace(each, kinks=()) for each in found]
+
+
+def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) -> list[Linear]:
+    """Those at a kink with the slopes of a side, whose sign is given.
 
     One kink after the other is left by a little, those of inputs first, so that all slopes are of one and the same
     branch: where a kink is between two of them, the other is then on its other side.
     """
-    first = [_kinks(each, asked) for each in found]
-    if side is None:
-        faults = [Fault(AT, 0, 0, k.told + NO_DERIVATIVE) for k in dict.fromkeys(k for kinks in first for k in kinks)]
-        if faults:
-            raise InputError(faults)
-        return [replace(each, kinks=()) for each in found]
     made = list(found)
     for _ in range(len(source.states) + len(source.inputs)):
         left = [(i, kinks[-1].variable) for i, each in enumerate(made) if (kinks := _kinks(each, asked))]
         if not left:
             break
-        points = [_moved(source, made[i].point, name, SIDES[side]) for i, name in left]
+        points = [_moved(source, made[i].point, name, sign) for i, name in left]
         for (i, _), each in zip(left, source.linear(points), strict=True):
             made[i] = each
     return [
-        replace(_put_back(each, m), kinks=tuple(k.taken(_slopes(m, k)) for k in ks))
-        for each, m, ks in zip(found, made, first, strict=True)
+        replace(_put_back(at, beside), kinks=tuple(kink.taken(_slopes(beside, kink)) for kink in _kinks(at, asked)))
+        for at, beside in zip(found, made, strict=True)
     ]
 
 
