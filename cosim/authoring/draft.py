@@ -15,7 +15,7 @@ from cosim.authoring.matching import Match, Matches, Port, matched, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.description import no_library, platform_of
@@ -134,32 +134,26 @@ def _played(path: Path, part: Part) -> Played:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     log = read_columns(path, inputs)
-    fed, missed = [], []
-    for column in log.columns.values():
-        if column.name in inputs and column.name != "time":
-            fed.append(column)
-        elif column.name != "time":
-            missed.append(column.name)
+    columns = dict(log.columns)
+    del columns["time"]
+    fed, missed = [n for n in columns if n in inputs], [n for n in columns if n not in inputs]
     if not fed:
-        names = f"its columns: {', '.join(missed) or 'none'}; "
-        names += f"inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        names = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
         raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names})")])
     cure = f"{path.name} plays it; leave out --set, or the column"
-    set_too = [c.name for c in fed if c.name in part.start]
-    if faults := [Fault(part.path, 0, 0, f"--set {name}={part.start[name]}: {cure}") for name in set_too]:
-        raise InputError(faults)
+    faults = [Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {cure}") for n in fed if n in part.start]
+    refuse(faults)
     source = "recorded" if part.name != "recorded" else "played"
-    found = [Match((source, Signal(c.name, computed_in(c.heading.unit)[0])), inputs[c.name]) for c in fed]
+    found = [Match((source, Signal(n, computed_in(columns[n].heading.unit)[0])), inputs[n]) for n in fed]
     missed += sorted(log.spoiled)
     notes = (f"{path.name}: {part.name} has no inputs {', '.join(missed)}: they drive nothing",) if missed else ()
-    time = log["time"]
-    return Played(path, float(time[0]), float(time[-1]), _usual_step(time), Matches(tuple(found), ()), notes)
+    start, end = log["time"][[0, -1]].tolist()
+    return Played(path, start, end, _usual_step(log["time"]), Matches(tuple(found), ()), notes)
 
 
 def _usual_step(time: Array) -> float:
     """Return the median step of the rows of a recording [s]."""
-    between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS
-    return float(f"{between:.6g}")
+    return float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import (
     DifferentiableFmu,
@@ -238,6 +238,5 @@ def typed_values(path: Path, description: Any, given: Mapping[str, Any]) -> dict
             faults.append(Fault(path, 0, 0, f"{name} is {value!r}; {fitting.reason}"))
         else:
             found[name] = fitting
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import Source
@@ -61,8 +61,7 @@ def read_at(given: Sequence[str]) -> Where:
             values.setdefault(name, value)
     if len(moments) > 1:
         faults.append(Fault(AT, 0, 0, f"{len(moments)} scenarios are named; name one"))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return Where(values, moments[0] if moments else None)
 
 
@@ -103,6 +102,5 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
             states[source.states.index(name)] = value
         if name in source.inputs:
             inputs[source.inputs.index(name)] = value
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return replace(point, states=states, inputs=inputs)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.authoring.single import start_pairs
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
@@ -187,8 +187,7 @@ def _checked(source: Source, asked: Asked) -> Asked:
         for n in asked.fast
         if n in asked.states
     ]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     rest = [n for n in source.states if n not in asked.fast]
     return Asked(
         asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
@@ -144,8 +144,7 @@ def read_craft(yaml: YamlFile) -> Craft:
         faults += rest_faults(yaml, rest, content.rest.window)
     if content.distance is not None and not faults:
         faults += matching_faults(loaded.model, runs)
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return Craft(yaml, content, loaded, rest, runs)
 
 

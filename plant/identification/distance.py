@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
 from cosim.model import Model, Stepper
@@ -41,8 +41,7 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
                 observed.append(matched(observer, wanted, declared.bounds, near))
             except ValueError:
                 observed.append(float("nan"))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     thesis = float(np.mean(observed)) if observed else float("nan")
     named = [(parameter, declared.unit, thesis, float("nan"))]
     (estimate,) = made(named, np.array(values)[:, None], np.zeros((0, 1)), "distance covered (§5.5)")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
@@ -339,6 +339,5 @@ def read_recordings(protocol: Protocol, name: str) -> list[Recording]:
             found.append(read_recording(protocol.folder / text))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

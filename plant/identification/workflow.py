@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
@@ -102,8 +102,7 @@ def _outcome(
     faults = [
         f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
     ]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     if progress is not None:
         progress("analysing", 0.0)
     results = checked_results(protocol, cells, recordings)
@@ -146,8 +145,7 @@ def checked_results(
 ) -> list[Result]:
     """Return the results of all tests; raise InputError with every number that cannot be."""
     results = analyse(protocol, cells, recordings, draw=draw)
-    if faults := result_faults(protocol, results):
-        raise InputError(faults)
+    refuse(result_faults(protocol, results))
     return results
 
 
