@@ -92,7 +92,7 @@ def analyse(
     if not thrust and truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
     if draw:
-        result.figures = _figures(result, recordings, cells, known, test, channel, thrust)
+        result.figures = _figures(result, recordings, cells, known, test, thrust=thrust)
     return result
 
 
@@ -135,10 +135,10 @@ def _figures(
     cells: Cells,
     known: Bench,
     test: StepTest,
-    channel: str,
+    *,
     thrust: bool,
 ) -> list[Figure]:
-    gram, lines = 1000.0 / known.gravity, []
+    gram, lines, channel = 1000.0 / known.gravity, [], "z" if thrust else "x"
     x, y = [], []
     for r in recordings:
         rows = r.rows((test.at - 0.1, test.at + 0.9))

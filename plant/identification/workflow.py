@@ -30,7 +30,7 @@ from plant.identification.plausible import result_faults
 from plant.identification.prepared import cell_fault, prepare
 from plant.identification.protocol import BENCH, CHANNELS, Protocol
 from plant.identification.recording_faults import recording_faults
-from plant.identification.recordings import FmuPlayer, Play, Recording, load_runs, runs_of
+from plant.identification.recordings import FmuPlayer, Play, Recording, Run, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
@@ -80,33 +80,36 @@ def _outcome(
     protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
 ) -> Outcome:
     """Played on the FMU where nothing was measured, then analysed."""
-    recordings = dict(measured)
     hung: dict[str, list[Recording]] = {}
+    played: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
-        with temporary_folder("identify") as folder:
-            fmu = _fmu(protocol, folder)
-            runs = {n: runs_of(protocol, n, seed) for n, t in protocol.file.tests.given() if n not in measured}
-            loads = load_runs(protocol, seed)
-            total = sum(r.time.size for group in (*runs.values(), *loads.values()) for r in group) or 1
-            tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
-            player = FmuPlayer(fmu, protocol.file.parameters, tell)
-            try:
-                hung = {c: player(group) for c, group in loads.items()}
-                recordings |= {n: player(group) for n, group in runs.items()}
-            finally:
-                player.close()
+        tests = [name for name, _ in protocol.file.tests.given() if name not in measured]
+        runs = {name: runs_of(protocol, name, seed) for name in tests}
+        hung, played = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
     try:
         cells = calibrated(protocol, hung)
     except ValueError as error:
         raise InputError([cell_fault(protocol, error)]) from None
-    faults = [
-        f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
-    ]
-    refuse(faults)
+    refuse(fault for name, found in played.items() for fault in recording_faults(protocol, name, found, cells))
     if progress is not None:
         progress("analysing", 0.0)
-    results = checked_results(protocol, cells, recordings)
-    return Outcome(protocol, cells, results, recordings)
+    recordings = {**measured, **played}
+    return Outcome(protocol, cells, checked_results(protocol, cells, recordings), recordings)
+
+
+Runs = Mapping[str, Sequence[Run]]
+
+
+def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:
+    """Play groups of runs on the FMU of the bench."""
+    total = sum(run.time.size for group in groups for runs in group.values() for run in runs) or 1
+    tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+    with temporary_folder("identify") as folder:
+        player = FmuPlayer(_fmu(protocol, folder), protocol.file.parameters, tell)
+        try:
+            return [{name: player(runs) for name, runs in group.items()} for group in groups]
+        finally:
+            player.close()
 
 
 def _fmu(protocol: Protocol, folder: Path) -> Path:

@@ -216,7 +216,7 @@ class Printer:
         ]
         try:
             name, arguments = "derivatives", "t x u p near"
-            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, near[2])
+            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, calls=near[2])
             rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
             return [derivatives, *rest]
         except ValueError as error:
