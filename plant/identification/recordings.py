@@ -68,12 +68,6 @@ class Recording:
         return rows
 
 
-def alike(recordings: Sequence[Recording], window: tuple[float, float]) -> list[Recording]:
-    """Return the recordings with as many rows in a window as the first."""
-    count = recordings[0].rows(window).sum()
-    return [r for r in recordings if r.rows(window).sum() == count]
-
-
 # -- what a protocol plays --------------------------------------------------------------------
 
 

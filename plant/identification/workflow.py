@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from plant.identification.artefacts import PROTOCOL
 from plant.identification.cells import Cells, calibrated
 from plant.identification.craft import CraftOutcome
 from plant.identification.craft_workflow import identify_craft
-from plant.identification.estimates import Estimate, Result
+from plant.identification.estimates import Estimate, Measured, Result
 from plant.identification.identified import Outcome
 from plant.identification.input_kind import craft_file
 from plant.identification.plausible import result_faults
@@ -35,7 +36,15 @@ from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
 # in the order in which one needs another's number; the lag of a step is that of the model
-ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
+ANALYSES: Mapping[str, Callable[..., Result]] = {
+    "step": lag.analyse,
+    "frequency": frequency.analyse,
+    "ground_effect": ground_effect.analyse,
+    "thrust_line": thrust_line.analyse,
+    "thrust_step": partial(lag.analyse, thrust=True),
+    "projection": projection.analyse,
+    "moment": moment.analyse,
+}
 Progress = Callable[[str, float], None]
 
 
@@ -132,9 +141,9 @@ def analyse(
             {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
         )
     results = []
-    for name in (n for n in ORDER if n in recordings):
-        test: Any = getattr(protocol.file.tests, name)
-        result = _analysis(name)(recordings[name], cells, known, test, truth, draw=draw)
+    for name in (n for n in ANALYSES if n in recordings):
+        measured = Measured(recordings[name], cells, known, getattr(protocol.file.tests, name), truth)
+        result = ANALYSES[name](measured, draw=draw)
         results.append(result)
         # a lag in frequency is that of the step only where there is no step
         fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
@@ -155,20 +164,6 @@ def checked_results(
 def _within(known: Bench, e: Estimate) -> float:
     low, high = known.declared[e.name].bounds
     return float(np.clip(e.value, low, high))
-
-
-def _analysis(name: str) -> Callable[..., Result]:
-    if name == "thrust_step":
-        return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
-    ways: dict[str, Callable[..., Result]] = {
-        "step": lag.analyse,
-        "frequency": frequency.analyse,
-        "ground_effect": ground_effect.analyse,
-        "thrust_line": thrust_line.analyse,
-        "projection": projection.analyse,
-        "moment": moment.analyse,
-    }
-    return ways[name]
 
 
 def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
