@@ -61,16 +61,8 @@ class Linear:
         """The same as a `control.StateSpace`, with its names."""
         import control
 
-        return control.ss(
-            self.A,
-            self.B,
-            self.C,
-            self.D,
-            states=list(self.states),
-            inputs=list(self.inputs),
-            outputs=list(self.outputs),
-            remove_useless_states=False,
-        )
+        names = {name: list(getattr(self, name)) for name in ("states", "inputs", "outputs")}
+        return control.ss(self.A, self.B, self.C, self.D, **names, remove_useless_states=False)
 
     def unit(self, name: str) -> str:
         """Unit of a state, input or output."""

@@ -80,19 +80,12 @@ def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
 
 
 def _badges(linear: Linear, found: Structure) -> list[Badge]:
-    sizes = [
-        counted(len(group), noun)
-        for group, noun in ((linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))
-    ]
-    stable, no = (
-        ("asymptotically stable" if linear.at_rest else "all poles to the left"),
-        "" if found.stable else "not ",
-    )
-    return [
-        *map(Badge, sizes),
-        Badge(no + stable, "good" if found.stable else "plain"),
-        Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero"),
-    ]
+    groups = ((linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))
+    sizes = [Badge(counted(len(group), noun)) for group, noun in groups]
+    stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
+    stability = Badge(stable, "good") if found.stable else Badge(f"not {stable}", "plain")
+    rest = Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero")
+    return [*sizes, stability, rest]
 
 
 def _values(linear: Linear, names: Sequence[str], values: Array, rates: Array | None = None) -> list[dict[str, str]]:

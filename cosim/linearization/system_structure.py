@@ -68,13 +68,8 @@ def structure(linear: Linear) -> Structure:
     groups = _grouped(values, SAME * size)
     to, by = reachable(A, B), reachable(A.T, C.T)
     found = tuple(_pole(A, B, C, values[g], size) for g in groups)
-    return Structure(
-        found,
-        to,
-        by,
-        condition(A, B) if to == n > 0 else float("inf"),
-        all(p.value.real < -SAME * size for p in found),
-    )
+    stable = all(p.value.real < -SAME * size for p in found)
+    return Structure(found, to, by, condition(A, B) if to == n > 0 else float("inf"), stable)
 
 
 def poles(A: Array) -> Poles:

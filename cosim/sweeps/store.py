@@ -69,18 +69,10 @@ class Database:
 
     def add(self, runs: Iterable[Made], table: str = MADE) -> None:
         """Keep runs, all of them or none."""
-        rows = [
-            (
-                m.run,
-                m.status,
-                m.through,
-                np.array(m.values).tobytes(),
-                np.array(m.met, bool).tobytes(),
-                m.signals.tobytes(),
-                len(m.signals),
-            )
-            for m in runs
-        ]
+        rows = []
+        for m in runs:
+            blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
+            rows.append((m.run, m.status, m.through, *blobs, len(m.signals)))
         with self._base:
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 

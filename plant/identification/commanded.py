@@ -154,14 +154,9 @@ def _ramp(see: _Seen, place: str) -> Iterator[Lack]:
         what = f"the duty does not vary from {start:g} to {end:g} s: the ramp is missing"
         yield Lack("window", see.first(see.seen), what, "record it", "move the window to it")
     elif not with_thrust.any() or np.ptp(see.duty[with_thrust]) < LEAST_DUTY:
-        what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %, where "
-        yield Lack(
-            "window",
-            see.first(see.seen),
-            f"{what}thrust begins",
-            "record a ramp that goes higher",
-            "move the window, or let the ramp go higher",
-        )
+        what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %"
+        cure, row = "move the window, or let the ramp go higher", see.first(see.seen)
+        yield Lack("window", row, f"{what}, where thrust begins", "record a ramp that goes higher", cure)
     before = see.run.rows((start - (long := SETTLED * (see.known.lag + see.test.low_pass)), start))
     moved, ramp = (np.abs(np.diff(see.duty[rows])) for rows in (before, see.seen))
     at = float(see.run.time[before][1 + int(np.argmax(moved))]) if moved.size else -np.inf

@@ -19,16 +19,11 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 def page(outcome: CraftOutcome) -> str:
     """One self-contained page."""
     craft, charts = outcome.craft, Charts()
-    rows = [
-        {
-            "name": e.name,
-            "value": number(e.value, e.unit, 0.5 * (e.high - e.low)),
-            "origin": e.origin,
-            "interval": " … ".join(number(v, e.unit, 0.5 * (e.high - e.low)) for v in (e.low, e.high)),
-            "thesis": number(e.thesis, e.unit, 0.5 * (e.high - e.low)),
-        }
-        for e in outcome.estimates.values()
-    ]
+    rows = []
+    for e in outcome.estimates.values():
+        value, low, high, thesis = (number(v, e.unit, e.half_width) for v in (e.value, e.low, e.high, e.thesis))
+        shown = {"value": value, "interval": f"{low} … {high}", "thesis": thesis}
+        rows.append({"name": e.name, "origin": e.origin, **shown})
     return render(
         TEMPLATE,
         {

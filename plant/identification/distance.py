@@ -47,18 +47,11 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
     (estimate,) = made(named, np.array(values)[:, None], np.zeros((0, 1)), "distance covered (§5.5)")
     value = estimate.value
     found = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
-    figures = [
-        Figure(
-            f"{run.path.name}: {output}",
-            "time [s]",
-            _unit(model, output),
-            [
-                (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true"),
-                ("covered", run.time[-1:], np.array([wanted]), "dots"),
-            ],
-        )
-        for run, wanted in zip(runs, covered, strict=True)
-    ]
+    unit, figures = next(q.unit for q in model.outputs if q.name == output), []
+    for run, wanted in zip(runs, covered, strict=True):
+        path = (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true")
+        end = ("covered", run.time[-1:], np.array([wanted]), "dots")
+        figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
     notes = []
     if observed and np.isnan(thesis):
         notes.append(f"the observer of App. F reaches the distance of some run with no {parameter}")
@@ -142,7 +135,3 @@ def _by_observer(run: Log, model: Model, parameter: str, output: str) -> Covered
         return float(kf.x[0])
 
     return covered
-
-
-def _unit(model: Model, output: str) -> str:
-    return next(q.unit for q in model.outputs if q.name == output)

@@ -33,6 +33,11 @@ class Estimate:
     truth: float = float("nan")
 
     @property
+    def half_width(self) -> float:
+        """Half the width of the interval."""
+        return 0.5 * (self.high - self.low)
+
+    @property
     def holds(self) -> bool:
         """The true value lies inside the interval."""
         return bool(self.low <= self.truth <= self.high)

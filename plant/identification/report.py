@@ -42,10 +42,8 @@ def page(outcome: Outcome) -> str:
     charts = Charts()
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
     if known:
-        held = sum(e.holds for e in known)
-        badges.append(
-            Badge(f"{held} of {len(known)} intervals hold the true value", "good" if held == len(known) else "plain")
-        )
+        held, tone = sum(e.holds for e in known), "good" if all(e.holds for e in known) else "plain"
+        badges.append(Badge(f"{held} of {len(known)} intervals hold the true value", tone))
     return render(
         TEMPLATE,
         {
@@ -84,14 +82,13 @@ def number(value: float, unit: str, like: float) -> str:
 
 
 def _row(key: str, e: Estimate) -> Mapping[str, Any]:
-    half = 0.5 * (e.high - e.low)
+    names = ("value", "low", "high", "thesis", "truth")
+    shown = {name: number(getattr(e, name), e.unit, e.half_width) for name in names}
     return {
+        **shown,
         "name": e.name,
         "test": TITLES[key.partition(".")[0]],
-        "value": number(e.value, e.unit, half),
-        "interval": f"{number(e.low, e.unit, half)} … {number(e.high, e.unit, half)}",
-        "thesis": number(e.thesis, e.unit, half),
-        "truth": number(e.truth, e.unit, half),
+        "interval": f"{shown['low']} … {shown['high']}",
         "holds": e.holds,
         "scatter": number(e.scatter, e.unit, e.scatter),
         "calibration": number(e.calibration, e.unit, e.calibration),
@@ -104,16 +101,8 @@ def _calibration(outcome: Outcome, channel: str) -> Figure:
     grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
     where = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}[channel]
     names = outcome.protocol.file.cells[channel].unit
-    return Figure(
-        f"{where}: load over voltage",
-        "voltage [V]",
-        written(names),
-        [
-            ("curve", grid, cell.force(grid) / unit, "true"),
-            ("points", cell.volts, cell.loads / unit, "dots"),
-        ],
-        counterpart="Fig 3.18",
-    )
+    lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
+    return Figure(f"{where}: load over voltage", "voltage [V]", written(names), lines, counterpart="Fig 3.18")
 
 
 def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
