@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.blocks.summary import read_fmus
 from cosim.simulation.workflow import Outcome, run
 from cosim.storage.files import FilePath, named_path
@@ -58,8 +58,7 @@ def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
         for name, value in (("stop", stop), ("step", step))
         if value is not None and not (math.isfinite(value) and (value > 0 or name == "stop"))
     ]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
@@ -78,6 +77,5 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
                 found[name] = Document(value).data
             except NotYaml:
                 found[name] = value
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

@@ -76,16 +76,23 @@ def context(c: Compared) -> Mapping[str, Any]:
     panels = [panel for d in drawn for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
     plots = drawing.plots(panels)
     return {
-        "a": c.a, "b": c.b, "outcome": sentence(c),
+        "a": c.a,
+        "b": c.b,
+        "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
-        "judged": c.judged, "tolerance": _tolerance(c), "aligned": c.aligned,
+        "judged": c.judged,
+        "tolerance": _tolerance(c),
+        "aligned": c.aligned,
         "rows": [_row(d) for d in ranked],
         "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
-        "plots": plots, "undrawn": len(ranked) - len(drawn), "only_a": c.only_a, "only_b": c.only_b,
+        "plots": plots,
+        "undrawn": len(ranked) - len(drawn),
+        "only_a": c.only_a,
+        "only_b": c.only_b,
         "data": to_json(drawing.series),
         "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
         "version": __version__,
-    }  # fmt: skip
+    }
 
 
 def _options(c: Compared) -> list[str]:
@@ -102,9 +109,15 @@ def _tolerance(c: Compared) -> str:
 
 def _row(d: Difference) -> dict[str, Any]:
     return {
-        "name": d.name, "unit": written(d.unit), "largest": sized(d, d.largest), "at": f"{d.at:.6g}\u00a0s",
-        "rms": sized(d, d.rms), "share": shared(d), "beyond": d.beyond, "note": d.note,
-    }  # fmt: skip
+        "name": d.name,
+        "unit": written(d.unit),
+        "largest": sized(d, d.largest),
+        "at": f"{d.at:.6g}\u00a0s",
+        "rms": sized(d, d.rms),
+        "share": shared(d),
+        "beyond": d.beyond,
+        "note": d.note,
+    }
 
 
 def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
 from cosim.estimators.consistency import Row, consistency_of
@@ -30,8 +30,7 @@ def consistency(
     Raises InputError for too few or too many runs or steps, or if there is too little memory for them.
     """
     least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
-    if faults := [Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low]:
-        raise InputError(faults)
+    refuse([Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low])
     check_size(runs, steps)
     squares_of = resolve(model_entry().estimators)
     cases = resolve(model_entry().cases)

@@ -149,8 +149,12 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 def _renamed(source: str, carried: Sequence[str], package: str) -> str:
     """Return a module's source with imports of carried packages directed into the FMU's own package."""
     names = "|".join(carried)
-    source = re.sub(rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3",
-                    source, flags=re.MULTILINE)  # fmt: skip
+    source = re.sub(
+        rf"^(\s*)import (({names})(?:\.\w+)*)$",
+        rf"\1import {package}.\2; from {package} import \3",
+        source,
+        flags=re.MULTILINE,
+    )
     return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
 
 

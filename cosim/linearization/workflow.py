@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.authoring.single import start_pairs
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
@@ -168,9 +168,11 @@ def _checked(source: Source, asked: Asked) -> Asked:
     """Names as they are in the model, all where none are given; InputError with every one that is not."""
     faults: list[Fault] = []
     for option, names, known in (
-        ("states", asked.states, source.states), ("inputs", asked.inputs, source.inputs),
-        ("outputs", asked.outputs, source.outputs), ("residualize", asked.fast, source.states),
-    ):  # fmt: skip
+        ("states", asked.states, source.states),
+        ("inputs", asked.inputs, source.inputs),
+        ("outputs", asked.outputs, source.outputs),
+        ("residualize", asked.fast, source.states),
+    ):
         for name in names:
             if name not in known:
                 told = f'{source.title} has no {option.removesuffix("s").replace("residualize", "state")} "{name}"'
@@ -185,18 +187,18 @@ def _checked(source: Source, asked: Asked) -> Asked:
         for n in asked.fast
         if n in asked.states
     ]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     rest = [n for n in source.states if n not in asked.fast]
     return Asked(
         asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)
-    )  # fmt: skip
+    )
 
 
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:
     """Slopes at every point, without what is not asked for."""
     try:
-        whole = _beside(source, source.linear([settled(source, point, asked.fast) for point in points]), asked, side)
+        whole = source.linear([settled(source, point, asked.fast) for point in points])
+        whole = _without_kinks(whole, asked) if side is None else _beside(source, whole, asked, SIDES[side])
         found = [residualised(each, asked.fast) for each in whole]
     except ValueError as error:
         raise InputError([Fault(Path("--residualize"), 0, 0, str(error))]) from None
@@ -208,29 +210,31 @@ def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | N
     return [chosen(each, asked.states, asked.inputs, asked.outputs) for each in found]
 
 
-def _beside(source: Source, found: Sequence[Linear], asked: Asked, side: str | None) -> list[Linear]:
-    """Those at a kink with the slopes of a side; InputError where none is said.
+def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
+    """Return models without kinks; InputError where what is kept has one."""
+    kinks = dict.fromkeys(kink for each in found for kink in _kinks(each, asked))
+    if kinks:
+        raise InputError([Fault(AT, 0, 0, kink.told + NO_DERIVATIVE) for kink in kinks])
+    return [replace(each, kinks=()) for each in found]
+
+
+def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) -> list[Linear]:
+    """Those at a kink with the slopes of a side, whose sign is given.
 
     One kink after the other is left by a little, those of inputs first, so that all slopes are of one and the same
     branch: where a kink is between two of them, the other is then on its other side.
     """
-    first = [_kinks(each, asked) for each in found]
-    if side is None:
-        faults = [Fault(AT, 0, 0, k.told + NO_DERIVATIVE) for k in dict.fromkeys(k for kinks in first for k in kinks)]
-        if faults:
-            raise InputError(faults)
-        return [replace(each, kinks=()) for each in found]
     made = list(found)
     for _ in range(len(source.states) + len(source.inputs)):
         left = [(i, kinks[-1].variable) for i, each in enumerate(made) if (kinks := _kinks(each, asked))]
         if not left:
             break
-        points = [_moved(source, made[i].point, name, SIDES[side]) for i, name in left]
+        points = [_moved(source, made[i].point, name, sign) for i, name in left]
         for (i, _), each in zip(left, source.linear(points), strict=True):
             made[i] = each
     return [
-        replace(_put_back(each, m), kinks=tuple(k.taken(_slopes(m, k)) for k in ks))
-        for each, m, ks in zip(found, made, first, strict=True)
+        replace(_put_back(at, beside), kinks=tuple(kink.taken(_slopes(beside, kink)) for kink in _kinks(at, asked)))
+        for at, beside in zip(found, made, strict=True)
     ]
 
 

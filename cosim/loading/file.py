@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
@@ -185,8 +185,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
             taken = _taken(yaml, content.parameters_from, model, (*read, path.resolve()))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     values = {**taken, **content.parameters}
     source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
@@ -206,8 +205,7 @@ def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> d
     faults = [yaml.fault(at, f"{name}: {f}") for n, v in taken.items() if (f := model.declared[n].fault(v))]
     if not taken:
         faults = [yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return taken
 
 

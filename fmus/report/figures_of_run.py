@@ -94,9 +94,17 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
     before = float(rows[2][step.begin - 1]) if step.begin else float(signal[0])
     ramp = float(rows[0][step.arrived] - rows[0][step.begin]) if step.is_ramp else 0.0
     return Response(
-        variable, float(time[0]), before, target, ramp, settling, believed,
-        metrics.overshoot(signal, target), metrics.rms_error(signal, reference), metrics.final_error(signal, reference),
-    )  # fmt: skip
+        variable,
+        float(time[0]),
+        before,
+        target,
+        ramp,
+        settling,
+        believed,
+        metrics.overshoot(signal, target),
+        metrics.rms_error(signal, reference),
+        metrics.final_error(signal, reference),
+    )
 
 
 def error_rms(signal: Array | None, target: Array | None) -> float:

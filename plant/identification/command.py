@@ -21,6 +21,7 @@ def identify(
         Path,
         typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
     ],
+    *,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),

@@ -36,10 +36,17 @@ def _step_faults(yaml: YamlFile, content: ProtocolFile, tests: list[tuple[str, T
         )
         yield yaml.fault(("step",), f"{message} s or more")
         return
-    least = [((end - start) / LEAST_ROWS, f"tests.{n}.{key}")
-             for n, t in tests for key, (start, end) in windows_of(t).items()]  # fmt: skip
-    least += [(2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s")
-              for n, t in tests if isinstance(t, SineTest) for w in t.frequencies]  # fmt: skip
+    least = [
+        ((end - start) / LEAST_ROWS, f"tests.{n}.{key}")
+        for n, t in tests
+        for key, (start, end) in windows_of(t).items()
+    ]
+    least += [
+        (2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s")
+        for n, t in tests
+        if isinstance(t, SineTest)
+        for w in t.frequencies
+    ]
     short = sorted(pair for pair in least if pair[0] < step * (1.0 - 1e-9))
     if len(short) > 1:
         others = f"{short[0][1]} and {counted(len(short) - 1, 'other')}"

@@ -15,6 +15,7 @@ from plant.identification.columns import MAX_LOWEST_HEIGHT_RATIO, out_of_range, 
 from plant.identification.command_response import held_lag
 from plant.identification.commanded import frequency_of, lacks
 from plant.identification.equal_readings import EqualReadings, equal_readings
+from plant.identification.estimates import Measured
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
 from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_thrust
@@ -40,7 +41,7 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if not faults:
         faults += _of_all(protocol, name, test, recordings)
-        if name == "thrust_line" and not rows_with_thrust(recordings, cells, protocol.known, test).enough:
+        if name == "thrust_line" and not rows_with_thrust(Measured(recordings, cells, protocol.known, test)).enough:
             cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
             where = ("tests", name, "window")
             faults.append(protocol.yaml.fault(where, f"the ramp has too little thrust within the cell's range: {cure}"))
