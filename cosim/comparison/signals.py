@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import amount, plain
 from cosim.comparison.intermediate_rows import Between
-from cosim.comparison.run_files import Ran
+from cosim.simulation.run_files import Ran
 
 SAME_TIME = 1e-9  # of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
