@@ -15,9 +15,9 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.run_files import Ran
 from cosim.comparison.signals import near, rows_of
 from cosim.comparison.workflow import compare, context
+from cosim.simulation.run_files import Ran
 from cosim.storage.results import Results
 
 TIME = np.linspace(0.0, 1.0, 101)

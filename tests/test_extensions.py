@@ -38,14 +38,14 @@ REGISTERED = '''
 from pathlib import Path
 
 from acme import tank
-from cosim.base.registry import Extension, ModelEntry, Page
+from cosim.base.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
 from cosim.simulation.report.subject import Subject
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
-VOLUME = Extension(command="acme.registered:register", function="acme.registered:volume")
+VOLUME = Verb("acme.registered:command", "acme.registered:volume")
 
 
 def tank_recipe(values=None):
@@ -61,11 +61,9 @@ def volume(level: float) -> float:
     return 0.5 * level
 
 
-def register(app) -> None:
-    @app.command("tank-volume")
-    def command(level: float) -> None:
-        """Print the volume of water at a level."""
-        print(f"volume: {volume(level)} m3")
+def command(level: float) -> None:
+    """Print the volume of water at a level."""
+    print(f"volume: {volume(level)} m3")
 '''
 PAGE = '{% extends "run.html.j2" %}\n{% block subject %}<p id="acme">A tank by {{ maker }}</p>{% endblock %}\n'
 

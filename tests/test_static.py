@@ -26,7 +26,7 @@ from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.residuals.workflow import replay
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from tests.studies import holds, named, proven
 from tests.valve import NOISE, VALVE, study_of
 
