@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from cosim.comparison.differences import Compared
+    from cosim.subject.interface import Subject
 
 
 def run(
@@ -133,9 +135,12 @@ def replay(
 
 
 def refine(
-    study: FilePath,
+    study: FilePath | Subject,
     out: FilePath,
     *,
+    logs: FilePath | Files = (),
+    validation: FilePath | Files = (),
+    settings: Mapping[str, Any] | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -143,14 +148,23 @@ def refine(
 ) -> Refined:
     """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
 
+    study: a study file, or any object that can be refined (`cosim.subject.interface.Subject`) with its logs beside it
+    logs, validation: logs of such an object, to learn from and sealed; settings: further keys of a study file
     force: also over what another study or command left there
     Raises InputError, FmuError, SimulationError.
     """
+    from cosim.refinement.study import study_of
     from cosim.refinement.workflow import refine as refine_study
 
-    return Refined(
-        refine_study(study, out, progress, report=report, force=force, in_process=in_process).record, Path(out)
-    )
+    if isinstance(study, (str, PathLike)):
+        if logs or validation or settings:
+            cure = "write them into the study, or give an object in its place"
+            raise InputError([Fault(Path(study), 0, 0, f"logs, validation and settings stand in the file; {cure}")])
+        posed: Any = study
+    else:
+        posed = study_of(study, logs, validation, **(settings or {}))
+    done = refine_study(posed, out, progress, report=report, force=force, in_process=in_process)
+    return Refined(done.record, Path(out), done.refined)
 
 
 def check(

@@ -124,10 +124,10 @@ def refine(
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     if report and open_:
         show(place / "report.html")
-    if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
+    if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 
-        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
 
 
