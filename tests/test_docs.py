@@ -16,7 +16,7 @@ import pytest
 
 from cosim.fmi.fmu_build import build
 from cosim.model import parameters_of
-from cosim.refinement.report.refine_page import use_command
+from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from plant.effects import CATALOGUE
@@ -103,7 +103,7 @@ def test_the_recipes_for_a_refined_model_run_and_overwrite_no_fmu_of_a_scenario(
 
 def test_the_command_that_a_refine_report_shows_meets_all_criteria_of_the_manoeuvre(project: Path) -> None:
     refined_craft(project / "re fined")
-    line = shlex.join(use_command(Hovercraft, project / "re fined")).replace(
+    line = shlex.join(ModelSubject.of(Hovercraft()).use(project / "re fined")).replace(
         "scenario.yaml", "scenarios/manoeuvre.yaml"
     )
     done = command(project, line)

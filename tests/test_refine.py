@@ -20,7 +20,6 @@ import pytest
 
 from cosim.base.errors import InputError, SimulationError
 from cosim.blocks.fmu import read_description
-from cosim.estimation.candidates import neutral_values
 from cosim.estimation.posing import build_problem
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native import platforms
@@ -31,8 +30,7 @@ from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
 from cosim.refinement.decision.verdict import Name
-from cosim.refinement.proof import measure
-from cosim.refinement.proof import native_replay as natively
+from cosim.refinement.proof import measure, proof_replays
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA, Replayed, schema
 from cosim.refinement.refinement import Refinement
@@ -42,12 +40,16 @@ from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, windows
+from cosim.subject import fmu_replayer
+from cosim.subject.fmu_replayer import FmuReplayer
+from cosim.subject.interface import Workplace
+from cosim.subject.model_subject import ModelSubject, neutral_values
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import entry
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER
-from tests.studies import FEW, holds, named, proven, refined, study_of
+from tests.studies import FEW, holds, named, proven, refined, replayed, study_of
 from tests.tank import tank_study
 
 
@@ -87,19 +89,20 @@ def test_the_error_is_told_over_other_horizons_too(rubbing: Refinement) -> None:
 
 
 def test_a_model_that_ends_its_fmu_over_another_horizon_is_still_judged_over_its_own(
-    rubbing: Refinement, monkeypatch: pytest.MonkeyPatch
+    rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def running_away(drive: Drive, starts: Any, horizon: float, memories: Any) -> Replay:
         if horizon == FREE_RUN:
             raise StoppedReplay(SimulationError("plant", 30.0, "overflow"), np.zeros((0, 1)))
         return windows(drive, starts, horizon, memories)
 
-    monkeypatch.setattr(measure, "windows", running_away)
+    monkeypatch.setattr(fmu_replayer, "windows", running_away)
     variant, logs = rubbing.variants["after"], rubbing.study.logs
-    found = measure.replays(variant, rubbing.problem, logs, [0.5, FREE_RUN])
+    found = replayed(variant, rubbing.problem, logs, tmp_path, [0.5, FREE_RUN])
     assert {horizon: len(evidence) for horizon, evidence in found.items()} == {2.0: 2, 0.5: 2, FREE_RUN: 0}
+    drifting = replace(variant, subject=ModelSubject(replace(variant.subject.loaded, model=Drifting())))
     with pytest.raises(StoppedReplay):
-        measure.replays(replace(variant, model=Drifting()), rubbing.problem, logs)
+        replayed(drifting, rubbing.problem, logs, tmp_path)
 
 
 @NEEDS_COMPILER
@@ -110,35 +113,40 @@ def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refine
     assert way["apart"] <= 1e-9
 
 
-def short_of(r: Refinement, tmp_path: Path) -> tuple[natively.Replayer, Path]:
-    """One log to be replayed over the model's own horizon alone, and a folder."""
-    return OwnHorizon(r.problem, {"estimation": r.study.logs[:1]}, None, None), tmp_path
+class Short(proof_replays.Proof):
+    """Replays of one log over no other horizon, which would take longer."""
 
-
-class OwnHorizon(natively.Replayer):
-    """Replays over no other horizon, which would take longer."""
-
-    def every(self, variants: Mapping[str, Variant]) -> Replayed:
+    def every(self, variants: Mapping[str, Variant], way: proof_replays.Way) -> Replayed:
         logs = self.sets["estimation"]
-        return {n: {"estimation": measure.replays(v, self.problem, logs)} for n, v in variants.items()}
+        return {n: {"estimation": measure.replays(v, way(v.subject), self.problem, logs)} for n, v in variants.items()}
+
+
+def short_of(r: Refinement, place: Workplace) -> Short:
+    return Short(r.problem, {"estimation": r.study.logs[:1]}, place)
+
+
+class Forgetful(ModelSubject):
+    """A model whose native FMU lacks the friction."""
+
+    def quick_replayer(self, place: Workplace) -> FmuReplayer:
+        return FmuReplayer(self.model, super().quick_replayer(place).fmu, place, "native")
 
 
 @NEEDS_COMPILER
 def test_a_native_fmu_that_does_not_equal_the_delivered_one_is_not_believed(
     rubbing: Refinement, tmp_path: Path
 ) -> None:
-    asked: list[str] = []
-    replayer, folder = short_of(rubbing, tmp_path)
-    after = replace(rubbing.variants["after"], defaults={})  # so that natively it lacks the friction
-    played, way = natively.replayed(
-        replayer, rubbing.study.loaded, {"after": after}, lambda: asked.append("python"), folder
-    )
-    assert (way.through, asked) == ("python", ["python"])
+    whole = rubbing.variants["after"]
+    after = replace(whole, subject=Forgetful(whole.subject.loaded))
+    with Workplace(tmp_path, in_process=True) as place:
+        proof = short_of(rubbing, place)
+        played, way = proof.replayed({"after": after})
+        (own,) = proof.every({"after": after}, lambda subject: subject.replayer(place))["after"]["estimation"][2.0]
+    assert way.through == "python"
     assert way.apart is not None
     assert way.apart > 1e-9
-    assert ["plant.fmu are" in text for text in natively.warnings_of(way)] == [True]
-    log, replay = played["after"]["estimation"][2.0][0]
-    assert natively.difference(replay, replayer.one(after, log)) == 0.0
+    assert ["plant.fmu are" in text for text in proof_replays.warnings_of(way)] == [True]
+    assert proof_replays.difference(played["after"]["estimation"][2.0][0][1], own[1]) == 0.0
 
 
 def test_without_a_compiler_replays_are_in_python_and_say_why(
@@ -146,12 +154,11 @@ def test_without_a_compiler_replays_are_in_python_and_say_why(
 ) -> None:
     monkeypatch.setenv("CC", "")
     monkeypatch.setattr(platforms, "crossing", lambda: False)
-    replayer, folder = short_of(rubbing, tmp_path)
-    after = {"after": rubbing.variants["after"]}
-    _, way = natively.replayed(replayer, rubbing.study.loaded, after, lambda: None, folder)
+    with Workplace(tmp_path, in_process=True) as place:
+        _, way = short_of(rubbing, place).replayed({"after": rubbing.variants["after"]})
     assert (way.through, way.log, way.apart) == ("python", "", None)
     assert way.why.startswith("no C compiler is found")
-    assert not [*natively.warnings_of(way)]
+    assert not [*proof_replays.warnings_of(way)]
 
 
 @NEEDS_COMPILER
@@ -294,7 +301,7 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
     path = study_of(tmp_path, {})
     craft = Hovercraft()
     log = read_log(path.parent / "e1.csv", craft.inputs, craft.outputs)
-    problem = build_problem(craft, [log])
+    problem = build_problem(ModelSubject.of(craft), [log])
     generated, data = problem.kernel.layout, problem.logs[0]
     values = neutral_values(craft) | {
         "actuator_delay.time": 0.053, "servo_backlash.width": 0.02, "servo_dead_band.width": 0.01,
@@ -396,7 +403,7 @@ def test_logs_that_measure_nothing_in_common_make_one_problem(tmp_path: Path) ->
     without(path.with_name("e1.csv"), "psi", "ax")
     without(path.with_name("e2.csv"), "x_world", "y_world")
     logs = [read_log(path.with_name(n), craft.inputs, craft.outputs) for n in ("e1.csv", "e2.csv")]
-    problem = build_problem(craft, logs)
+    problem = build_problem(ModelSubject.of(craft), logs)
     measured = [np.isfinite(data.y).all(axis=0).tolist() for data in problem.logs]
     assert measured == [[True, True, False, False, False], [False, False, True, True, True]]
 
@@ -406,7 +413,7 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     craft = Hovercraft()
     whole = read_log(path.with_name("e1.csv"), craft.inputs, craft.outputs)
     late = {name: np.where(np.arange(whole.rows) < 75, np.nan, whole.outputs[name] + 3.0) for name in ("x_world",)}
-    problem = build_problem(craft, [replace(whole, outputs=dict(whole.outputs) | late)])
+    problem = build_problem(ModelSubject.of(craft), [replace(whole, outputs=dict(whole.outputs) | late)])
     place = problem.kernel.layout.states.index("x_world")
     assert problem.x0[0][place] == 0.0
     assert problem.P0[0, 0] == 1.0

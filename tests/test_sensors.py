@@ -21,7 +21,7 @@ from cosim.loading.file import load_model, own_model
 from cosim.logs.log import read_log
 from cosim.model import Model, SensorError, Stepper
 from cosim.model.namespaces import SCALAR, arrays
-from cosim.refinement.proof.measure import Variant, replays
+from cosim.refinement.proof.measure import Variant
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import shown
 from cosim.refinement.study import read_study
@@ -42,7 +42,7 @@ from plant.identification.command_response import held_lag
 from plant.powertrain import ground_effect
 from tests.logs import write_log
 from tests.rover import ROVER, STEP, commands, rover_log, rover_study
-from tests.studies import holds, named, proven, study_of
+from tests.studies import holds, named, proven, replayed, study_of
 
 
 @pytest.fixture(scope="module")
@@ -281,15 +281,14 @@ def test_a_replay_knows_nothing_that_was_logged_after_its_start(tmp_path: Path) 
     """With a camera that is 0.1 s late: the filter puts its readings five rows earlier, before they had arrived."""
     study = rover_study(tmp_path, late=0.1, seconds=8.0)
     read = read_study(study)
-    log, model = read.logs[0], read.loaded.model
-    posed = build_problem(read.loaded.model, read.logs)
+    log, subject = read.logs[0], read.subject
+    posed = build_problem(subject, read.logs)
     values = {**posed.values, "camera_latency.value": 0.1}
-    fmu = build(load_model("rover.py:Rover", tmp_path).recipe(), tmp_path / "rover.fmu")
-    variant = Variant(model, values, posed.plain, fmu, {})
+    variant = Variant(subject, values, posed.plain)
     start = 200  # of the second replay, at 4 s
     after = log.time > log.time[start]
     other = replace(log, outputs={n: np.where(after, y + 0.5, y) for n, y in log.outputs.items()})
-    runs = [replays(variant, posed, [one])[model.horizon][0][1] for one in (log, other)]
+    runs = [replayed(variant, posed, [one], tmp_path)[subject.horizon][0][1] for one in (log, other)]
     rows = slice(start + 1, start + 100)
     for name, one in runs[0].outputs.items():
         np.testing.assert_array_equal(one[rows], runs[1].outputs[name][rows])
@@ -297,13 +296,13 @@ def test_a_replay_knows_nothing_that_was_logged_after_its_start(tmp_path: Path) 
     before = replace(
         log, outputs={n: np.where(log.time >= log.time[start], y + 0.5, y) for n, y in log.outputs.items()}
     )
-    counted = replays(variant, posed, [before])[model.horizon][0][1]
+    counted = replayed(variant, posed, [before], tmp_path)[subject.horizon][0][1]
     assert np.abs(counted.outputs["x"][rows] - runs[0].outputs["x"][rows]).max() > 1e-3
 
 
 def test_a_state_known_by_then_is_that_of_a_filter_which_ends_there(tmp_path: Path) -> None:
     read = read_study(rover_study(tmp_path, late=0.1, seconds=8.0))
-    posed = build_problem(read.loaded.model, read.logs)
+    posed = build_problem(read.subject, read.logs)
     values = {**posed.values, "camera_latency.value": 0.1}
     data = posed.data(values, 0)
     (row,) = rows = [300]
