@@ -47,7 +47,6 @@ WORDS = {  # file → what it is called
     "comparison.json": "is an answer of `cosim compare`",
     "replay.json": "is an answer of `cosim replay`",
     "identify.json": "is an answer of `cosim identify`",
-    "rows.json": "is an answer of `cosim rows`",
     "consistency.json": "is an answer of `cosim consistency`",
     "runs.sqlite": "is a database",
     "schema.json": "is a JSON schema",
@@ -94,7 +93,6 @@ READ = {  # command → what it reads
     "simulate x.fmu --input": LOGS,
     "compare log.csv": LOGS | {"ran", "replayed"},
     "report": {"ran"},
-    "rows": LOGS | {"ran", "replayed"},
 }
 
 
@@ -124,7 +122,6 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "sweep.json": json.dumps({**answer, "sweep": {"vary": {}}, "scenario": {}, "runs": 1}),
         "comparison.json": json.dumps({**answer, "differences": []}),
         "replay.json": json.dumps({**answer, "units": {}}),
-        "rows.json": json.dumps({**answer, "run": "ran", "row_count": 2}),
         "consistency.json": json.dumps({"runs": 2, "steps": 100, "seed": 1, "rows": []}),
         "identify.json": json.dumps({**answer, "estimates": {}, "tests": {}}),
         "schema.json": '{"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": {}}',

@@ -42,7 +42,6 @@ CASES = {  # verb → its words, and a file that it writes
     "schema": ("scenario", ""),
     "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/linear.json"),
     "consistency": ("--runs 2 --steps 100", "results/consistency/consistency.json"),
-    "rows": ("ran", "results/ran-rows/rows.json"),
     "sweep": ("sweep.yaml --workers 1 --force", "results/sweep/sweep.json"),
     "identify": ("craft.yaml", "results/a-craft/identify.json"),
 }
@@ -142,10 +141,3 @@ def test_runs_by_default_are_kept_and_those_with_out_are_written_over(desk: Path
     assert areas == [0.5, 0.6, 0.8]
     assert not (folder / "results" / "tank" / "runs" / "0003").exists()
     assert cosim.read(folder / "results" / "tank" / "runs" / "0002").manifest["scenario"]["name"] == "tank"
-
-
-def test_the_rows_of_a_run_are_counted_and_read_back(desk: Path, tmp_path: Path) -> None:
-    import cosim
-
-    assert cosim.rows(desk / "ran", tmp_path / "out").rows == 3
-    assert cosim.read(tmp_path / "out").rows == 3

@@ -16,16 +16,4 @@ ARTEFACTS = (
         folder_step="its report.html opens in a browser, scripts read comparison.json",
         sources=("a", "b"),
     ),
-    Artefact(
-        "an answer of `cosim rows`",
-        "`cosim.read` reads its folder in Python; `cosim rows RUN` makes one",
-        keys=(frozenset({"schema_version", "run", "row_count"}),),
-        verb="cosim rows",
-        marks=("rows.json",),
-        files=("rows.json",),
-        folder="the folder of a count of rows",
-        folder_step="`cosim.read` reads it in Python",
-        sources=("run",),
-        reader="cosim.comparison.row_count:read_rows",
-    ),
 )

@@ -44,7 +44,6 @@ VERBS = {  # in the order of `cosim --help`
     "linearize": Verb("cosim.verbs.linearize_verb:command", "cosim.linearization.workflow:linearize"),
     "consistency": Verb("cosim.verbs.consistency_verb:command", "cosim.estimators.workflow:consistency"),
     "sweep": Verb("cosim.verbs.sweep_verb:command", "cosim.sweeps.workflow:sweep"),
-    "rows": Verb("cosim.verbs.rows_verb:command", "cosim.comparison.row_count:rows"),
     "read": Verb(function="cosim.verbs.read_verb:read"),
 }
 
