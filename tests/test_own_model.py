@@ -10,7 +10,7 @@ import pytest
 from cosim.experiment.ranges import inputs_to_limit
 from cosim.loading.file import read_model
 from cosim.refinement.workflow import refine
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import Hovercraft
 from tests.table import RUBS, TABLE, table_log
 

@@ -42,7 +42,7 @@ from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, windows
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import entry
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft

@@ -23,7 +23,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, platforms_of
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
-from cosim.storage.folders import check_ours
+from cosim.storage.folders import check_ours, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
 from cosim.system.order import AlgebraicLoop, stages
@@ -54,16 +54,18 @@ def write_single(
     step: float | None = None,
     record: Sequence[str] = (),
     force: bool = False,
+    keep: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml into a folder, a run of one FMU; its path, and warnings.
 
     recorded: a CSV whose columns are played to the inputs of their names
     stop, step: [s], in place of those of its default experiment
+    keep: the files of an earlier run move to `runs` in the folder
     Raises InputError where the FMU cannot be read or set so, no column is of an input, or the folder is another's.
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_ours(folder, part.name, force=force)
+    check_ours(folder, part.name, force=force, keep=keep)
     if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(BY.format("simulate")):
         cure = "is a scenario of yours and would be written over; give another folder as --out"
         raise InputError([Fault(path, 0, 0, cure)])
@@ -81,6 +83,8 @@ def write_single(
             build_system(ScenarioFile(made))
         except InputError as error:
             raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+        if keep:
+            keep_earlier(folder, "cosim run", [path.name])
     return path, (*notes, *times.notes)
 
 

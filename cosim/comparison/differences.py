@@ -14,7 +14,6 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
 from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.run_files import Ran
 from cosim.comparison.signals import (
     Difference,
     Tolerance,
@@ -29,6 +28,7 @@ from cosim.comparison.signals import (
     sized,
     with_rows_between,
 )
+from cosim.simulation.run_files import Ran
 
 if TYPE_CHECKING:
     import pandas

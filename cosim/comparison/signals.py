@@ -11,7 +11,7 @@ from cosim.base.arrays import Array
 from cosim.base.text import amount, plain
 from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import Between
-from cosim.comparison.run_files import Ran
+from cosim.simulation.run_files import Ran
 
 SAME_TIME = 1e-9  # of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back

@@ -14,15 +14,15 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, written
 from cosim.base.version import __version__
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
-from cosim.comparison.run_files import Ran
 from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import Difference, shared, sized
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
+from cosim.simulation.run_files import Ran
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named
+from cosim.storage.folders import check_left, folder_named, keep_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 DRAWN = 24  # signals, the most different first
@@ -56,8 +56,10 @@ def compare(
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_left(place, "cosim compare", str(a.path), str(b.path), force=force)
+    check_left(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
     check_writable(place, MADE, read)
+    if folder is None:
+        keep_earlier(place, "cosim compare")
     with atomic_write(place / "comparison.json") as stream:
         json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
         stream.write("\n")

@@ -30,7 +30,7 @@ from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -69,6 +69,7 @@ def linearize(
     side: str | None = None,
     report: bool = True,
     force: bool = True,
+    keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
@@ -81,6 +82,7 @@ def linearize(
     step:        of central differences, for an FMU in place of its directional derivatives
     side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
     force:       also over what another model's, or another command, left in `out`
+    keep:        files of an earlier one move to `runs` in `out`
     compile:     the sources of an FMU that has no library for this machine are compiled and run
     Raises InputError, FmuError, SimulationError.
     """
@@ -94,7 +96,7 @@ def linearize(
         source = _source(stack, Path(model), given_values, step)
         asked = _checked(source, asked)
         if folder is not None:
-            check_left(folder, "cosim linearize", str(model), force=force)
+            check_left(folder, "cosim linearize", str(model), force=force, keep=keep)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -110,6 +112,8 @@ def linearize(
         notes.append(f"--side {side} changes nothing: slopes of what is kept are the same on both sides here")
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
     if folder is not None:
+        if keep:
+            keep_earlier(folder, "cosim linearize")
         write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)
         if report:
             from cosim.linearization.report import page

@@ -25,8 +25,9 @@ from cosim.loading.declared import checked
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import Source
 from cosim.model.model import Model
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import atomic_write
-from cosim.storage.kinds import CODE, MODEL, check_form, kind_by_keys, refuse_other
+from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 
 if TYPE_CHECKING:

@@ -34,7 +34,8 @@ from cosim.model.model import Model
 from cosim.model.traits import Traits
 from cosim.refinement.search.groups import full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.kinds import STUDY, check_form, kind_by_keys, refuse_other
+from cosim.storage.artefact import Checking, kind_by_keys
+from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
@@ -171,6 +172,11 @@ class Study:
             for path in paths
         )
         return tuple(stretch for log in logs for stretch in judged(without(log, _spikes(log, model)), model.horizon))
+
+
+def check_study(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a study; InputError with its faults."""
+    return [f"warning: {text}" for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:

@@ -62,7 +62,7 @@ from cosim.storage.files import (
     uninterrupted,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
@@ -77,11 +77,13 @@ def refine(
     *,
     report: bool = False,
     force: bool = True,
+    keep: bool = False,
     in_process: bool = False,
 ) -> Refinement:
     """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them.
 
     With `report`, report.html too. force: also over what another study or command left there.
+    keep: the files of an earlier refine move to `runs` in the folder.
     in_process: FMUs are loaded into this process, for a debugger.
     Raises InputError, FmuError; SimulationError where an FMU fails.
     """
@@ -90,7 +92,7 @@ def refine(
     progress("reading the logs", 0.0)
     folder = named_path(folder)
     study = read_study(Path(path))
-    check_left(folder, "cosim refine", str(path), force=force)
+    check_left(folder, "cosim refine", str(path), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
     _refuse_runaway(study, problem)
@@ -124,6 +126,8 @@ def refine(
         written = record(study, attribution, verdict, near, problem, between, played, floors, left_out, took, ends, way)
         _write(scratch / "refine.json", written)
         with uninterrupted():
+            if keep:
+                keep_earlier(folder, "cosim refine")
             variants = _publish(scratch, folder, variants)
         release_stops()
     own = study.loaded.model.horizon

@@ -17,7 +17,8 @@ from cosim.base.registry import BASE, is_model
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
+from cosim.storage.artefact import kind_by_keys
+from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
 

@@ -16,6 +16,7 @@ from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolved
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
+from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
 from cosim.sweeps.factors import Factors, Location, beside
@@ -71,6 +72,11 @@ class Sweep:
             else:
                 overrides.append(f"{name}={json.dumps(value)}")
         return Asked(run, tuple(overrides), starts, seed)
+
+
+def check_sweep(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a sweep; InputError with its faults."""
+    return [f"warning: {text}" for text in read_sweep(path).warnings]
 
 
 def read_sweep(path: Path) -> Sweep:

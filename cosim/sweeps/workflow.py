@@ -21,7 +21,7 @@ from cosim.base.version import __version__
 from cosim.scenario.scenario import Criterion
 from cosim.storage.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named
+from cosim.storage.folders import check_left, folder_named, keep_earlier
 from cosim.sweeps.batch import why_not_on_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_chunks import MOST_ROWS, Job, Way, sampled_rows
@@ -55,20 +55,23 @@ def sweep(
 ) -> Swept:
     """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
 
-    What an earlier call that was stopped has made is gone on with; `force` begins anew.
+    What an earlier call that was stopped has made is gone on with; `force` begins anew, in results/NAME with the
+    files of the earlier one moved to `runs`.
     workers: processes, one a core without; dask: address of a scheduler, over that of the file
     Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
     """
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)
     read = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
-    check_left(folder, "cosim sweep", force=force)
+    check_left(folder, "cosim sweep", force=force, keep=out is None)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
     for library in ("pyarrow", "SALib"):  # before anything runs
         optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
+        if force and out is None:
+            keep_earlier(folder, "cosim sweep")
         if force:
             for name in (DATABASE, TABLE, RECORD, REPORT):
                 (folder / name).unlink(missing_ok=True)

@@ -57,17 +57,18 @@ def identify(
     report: bool = True,
     seed: Seed | None = None,
     force: bool = True,
+    keep: bool = False,
 ) -> Outcome | CraftOutcome:
     """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
 
     Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
-    command left in `out`.
+    command left in `out`. keep: the files of an earlier one move to `runs` in `out`.
     """
     path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)
-    check_left(out, "cosim identify", force=force)
+    check_left(out, "cosim identify", force=force, keep=keep)
     if (yaml := craft_file(path)) is not None:
-        return identify_craft(yaml, out, report=report)
+        return identify_craft(yaml, out, report=report, keep=keep)
     ready = prepare(path)
     protocol, measured = ready.protocol, ready.measured
     named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
@@ -80,7 +81,12 @@ def identify(
         return page(outcome)
 
     write(
-        out, (FILES[0], powertrain(outcome, ready.model)), _record(outcome), outcome.results, page if report else None
+        out,
+        (FILES[0], powertrain(outcome, ready.model)),
+        _record(outcome),
+        outcome.results,
+        page if report else None,
+        keep=keep,
     )
     return outcome
 

@@ -1,0 +1,83 @@
+"""`cosim refine` and `cosim.refine`: find what a model lacks in measured logs."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.base.program import ending_when_stuck
+from cosim.storage.files import FilePath
+from cosim.storage.folders import folder_of_file
+from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, files_in, say, say_json, show, stages, warn
+
+if TYPE_CHECKING:
+    from cosim.refinement.refined_result import Refined
+
+
+def refine(
+    study: FilePath,
+    out: FilePath,
+    *,
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Refined:
+    """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
+
+    force: also over what another study or command left there
+    Raises InputError, FmuError, SimulationError.
+    """
+    from cosim.refinement.refined_result import Refined
+    from cosim.refinement.workflow import refine as refine_study
+
+    return Refined(
+        refine_study(study, out, progress, report=report, force=force, in_process=in_process).record, Path(out)
+    )
+
+
+def command(
+    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
+    ] = None,
+    report: Report = True,
+    in_process: InProcess = False,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cosim.refinement.report.error_tables import second_sentence
+    from cosim.refinement.stages import numbered
+    from cosim.refinement.workflow import refine as refine_study
+
+    place = folder_of_file(study) if out is None else out
+    with stages(numbered) as progress, ending_when_stuck():
+        result = refine_study(
+            study, place, progress, report=report, force=force, keep=out is None, in_process=in_process
+        )
+    for warning in result.study.warnings:
+        warn(warning)
+    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
+    say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
+    if report:
+        say(f"report: {place / 'report.html'}")
+    if as_json:
+        told_of = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: result.record[key] for key in told_of if key in result.record}
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+    if report and open_:
+        show(place / "report.html")
+    if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
+        from cosim.experiment.ranges import inputs_to_limit
+
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
