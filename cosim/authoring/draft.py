@@ -73,15 +73,8 @@ def write_single(
     asked, notes = _asked(part, played, stop, step)
     times = times_of([part], asked, most=MOST_OF_ONE)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
-    lines = scenario_text(
-        folder,
-        [part],
-        played.matches if played else Matches((), ()),
-        times,
-        "gauss-seidel",
-        played=recorded,
-        verb="simulate",
-    )
+    matches = played.matches if played else Matches((), ())
+    lines = scenario_text(folder, [part], matches, times, "gauss-seidel", played=recorded, verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as made:
@@ -240,9 +233,7 @@ def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
     some = [", ".join(map(about, ports[:6])) for ports in (outputs, inputs)]
     by = "type, unit and number of elements" if sizes else "type and unit"
     element = next((port for port in (*inputs, *outputs) if text(port) in sizes), None)
-    cure = (
-        f"; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"
-        if element
-        else ""
-    )
-    return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}{cure}"
+    told = f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}"
+    if element is None:
+        return told
+    return f"{told}; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"

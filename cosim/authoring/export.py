@@ -53,8 +53,7 @@ def export_ssp(
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
-    faults = list(_refused(file, system))
-    refuse(faults)
+    refuse(_refused(file, system))
     target = _target(file, Path() if path is None else named_path(path))
     with temporary_folder("export") as made:
         models = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -177,25 +178,19 @@ def _checked(source: Source, asked: Asked) -> Asked:
         ("outputs", asked.outputs, source.outputs),
         ("residualize", asked.fast, source.states),
     ):
+        place = Path(f"--{option}")
         for name in names:
             if name not in known:
                 told = f'{source.title} has no {option.removesuffix("s").replace("residualize", "state")} "{name}"'
-                faults.append(Fault(Path(f"--{option}"), 0, 0, told + did_you_mean(name, known)))
-        faults += [
-            Fault(Path(f"--{option}"), 0, 0, f"{n} is named twice")
-            for n in dict.fromkeys(names)
-            if list(names).count(n) > 1
-        ]
-    faults += [
-        Fault(Path("--residualize"), 0, 0, f"{n} is to be kept by --states too; name it in one of them")
-        for n in asked.fast
-        if n in asked.states
-    ]
+                faults.append(Fault(place, 0, 0, told + did_you_mean(name, known)))
+        faults += [Fault(place, 0, 0, f"{n} is named twice") for n, count in Counter(names).items() if count > 1]
+    for name in asked.fast:
+        if name in asked.states:
+            told = f"{name} is to be kept by --states too; name it in one of them"
+            faults.append(Fault(Path("--residualize"), 0, 0, told))
     refuse(faults)
-    rest = [n for n in source.states if n not in asked.fast]
-    return Asked(
-        asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)
-    )
+    states = asked.states or [n for n in source.states if n not in asked.fast]
+    return Asked(states, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast))
 
 
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:

@@ -110,31 +110,21 @@ class ScenarioFile:
             return [self.fault(("step",), message)]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
-        cure = s.duration / max(1, math.ceil(count))
-        overrides = self.yaml.overrides
-        return [
-            self.fault(
-                ("duration",) if ("duration",) in overrides and ("step",) not in overrides else ("step",),
-                f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one",
-            )
-        ]
+        cure, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
+        key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
+        message = f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one"
+        return [self.fault((key,), message)]
 
     def _criteria_faults(self) -> list[Fault]:
         faults = []
         for kind, k, criterion in self.scenario.goals:
             where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
             if (kind == "settling_time") != (criterion.band is not None):
-                faults.append(
-                    self.fault(where, f"{kind} needs a band" if kind == "settling_time" else f"{kind} takes no band")
-                )
-            end = self.scenario.duration if criterion.until is None else criterion.until
-            if not 0 <= criterion.after < end <= self.scenario.duration or end - criterion.after < self.scenario.step:
-                faults.append(
-                    self.fault(
-                        where,
-                        f"{kind} looks from {criterion.after:g} s to {end:g} s of {self.scenario.duration:g} s",
-                    )
-                )
+                faults.append(self.fault(where, f"{kind} {'needs a' if kind == 'settling_time' else 'takes no'} band"))
+            start, whole = criterion.after, self.scenario.duration
+            end = whole if criterion.until is None else criterion.until
+            if not 0 <= start < end <= whole or end - start < self.scenario.step:
+                faults.append(self.fault(where, f"{kind} looks from {start:g} s to {end:g} s of {whole:g} s"))
         return faults
 
 

@@ -134,14 +134,9 @@ class _Sweep:
                 error.exit_code = Terminated.exit_code
             raise error from None
         record = self._record(way, why)
-        names = [c["name"] for c in record["criteria"]]
-        about = {
-            "key": self.study.key,
-            "times": record["times"],
-            "units": record["units"],
-            "signals": self.study.job.signals,
-        }
-        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, self.study.job.signals, about)
+        names, signals = [c["name"] for c in record["criteria"]], self.study.job.signals
+        about = {"key": self.study.key, "times": record["times"], "units": record["units"], "signals": signals}
+        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, signals, about)
         with atomic_write(self.folder / RECORD) as stream:
             json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
             stream.write("\n")

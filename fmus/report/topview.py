@@ -185,17 +185,8 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
     magnified = max(1.0, SMALLEST * width / (2000 * (ARM + RADIUS)))
     every = _mark_interval(crafts[0])
     bodies = tuple(_body(craft, rows, every) for craft in crafts)
-    return View(
-        box,
-        across,
-        up,
-        100 * bar * 1000 / width,
-        f"{bar:g} m",
-        magnified,
-        _thrust_note(crafts[0]),
-        f"a dot every {every:g} s" if bodies[0].marks else "",
-        bodies,
-    )
+    note, marks = _thrust_note(crafts[0]), f"a dot every {every:g} s" if bodies[0].marks else ""
+    return View(box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, note, marks, bodies)
 
 
 def _companions(craft: Craft) -> list[Track | None]:
