@@ -42,10 +42,25 @@ from cosim.base.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
 from cosim.simulation.report.subject import Subject
+from cosim.storage.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
-VOLUME = Verb("acme.registered:command", "acme.registered:volume")
+VOLUME = Verb("acme.registered:command", "acme.registered:volume", "acme.registered:ARTEFACTS")
+ARTEFACTS = (
+    Artefact(
+        "a tank book", "`cosim tank-volume LEVEL` tells volumes", keys=(frozenset({"tank_book"}),),
+        marks=("book.json",), check="acme.registered:check", reader="acme.registered:read",
+    ),
+)
+
+
+def check(path, checking):
+    return ["note: a tank book"]
+
+
+def read(folder):
+    return "the book of " + folder.name
 
 
 def tank_recipe(values=None):
@@ -127,12 +142,16 @@ def test_a_third_party_registers_a_model_a_page_and_a_command(acme: Path, tmp_pa
     told = command("tank-volume", "2.0", folder=tmp_path, PYTHONPATH=path)
     assert told.stdout == "volume: 1.0 m3\n", told.stderr
     assert "tank-volume" in command("--help", folder=tmp_path, PYTHONPATH=path).stdout
-    python = "import cosim; print(cosim.tank_volume(2.0))"
+    (tmp_path / "book.json").write_text('{"tank_book": 1}')
+    assert "book.json: note: a tank book" in command("check", "book.json", folder=tmp_path, PYTHONPATH=path).stdout
+    refused = command("run", "book.json", folder=tmp_path, PYTHONPATH=path).stderr
+    assert "is a tank book, not a scenario or a manifest: `cosim tank-volume LEVEL` tells volumes" in refused
+    python = "import cosim; print(cosim.tank_volume(2.0), cosim.read('.').startswith('the book of'))"
     done = subprocess.run(
         [sys.executable, "-c", python], cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join((path, str(ROOT)))},
     )  # fmt: skip
-    assert done.stdout == "1.0\n", done.stderr
+    assert done.stdout == "1.0 True\n", done.stderr
 
 
 def test_a_function_of_python_is_there_exactly_while_it_is_registered() -> None:
@@ -150,6 +169,16 @@ def test_an_entry_point_that_fails_is_one_warning(tmp_path: Path) -> None:
     assert done.stderr.count("broken") >= 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stderr.startswith("warning: broken: the entry point cosim.verbs:broken cannot be loaded")
+
+
+def test_a_verb_of_a_package_under_a_name_of_ours_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    site = registering(tmp_path / "site", "clash", "cosim.verbs", "schema = clash:VERB")
+    (site / "clash.py").write_text(
+        "from cosim.base.registry import Verb\nVERB = Verb('clash:command')\n\n\ndef command():\n    print('clash')\n"
+    )
+    done = command("schema", "model", folder=tmp_path, PYTHONPATH=str(site))
+    assert done.stderr == "warning: schema: an installed package registers a verb that cosim has; it is left out\n"
+    assert json.loads(done.stdout)["title"] == "cosim model file"
 
 
 def test_two_packages_under_one_name_are_an_error_that_names_both(tmp_path: Path) -> None:
