@@ -22,7 +22,7 @@ from cosim.verbs.cli import app
 from plant.bench import Bench
 from plant.identification.cells import cell_of
 from plant.identification.command_response import tilt_response
-from plant.identification.coverage import coverage
+from tests.interval_coverage import coverage
 from plant.identification.ground_effect import fit
 from plant.identification.lag import by_hand
 from plant.identification.prepared import read_protocol
