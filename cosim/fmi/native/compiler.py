@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.extras import install_command
@@ -153,28 +154,32 @@ def _library(
         for file, data in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(data)
-        library = folder / "library"
-        full = [*command, "-o", library.name, main, *libraries]
-        try:  # in the folder, so that no path of this machine gets into the library
-            done = subprocess.run(
-                full, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-                timeout=limit, env={**os.environ, **cache_environment()},
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
-        except OSError as error:
-            raise CompilerFailed(f"{command[0]}: {error}") from error
-        if done.returncode or not library.is_file():
-            output = (done.stderr or done.stdout).strip()
-            said = output.splitlines()
-            first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
-            if done.returncode == 0:
-                first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
-            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}", output)
+        library = _compile([*command, "-o", "library", main, *libraries], folder, limit)
         if missing := _missing(library.read_bytes(), exports):
             told = f"it ended without an error, but what it made is no library that has {missing[0]}"
-            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {told}")
+            raise CompilerFailed(f"{shlex.join(command[:1])} failed: {told}")
         return _keep(library, stem)
+
+
+def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
+    """The `library` that a command makes in a folder, so that no path of this machine gets into it."""
+    options: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace", "timeout": limit}
+    options["env"] = {**os.environ, **cache_environment()}
+    try:
+        done = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
+    except subprocess.TimeoutExpired:
+        raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
+    except OSError as error:
+        raise CompilerFailed(f"{command[0]}: {error}") from error
+    library = folder / "library"
+    if done.returncode or not library.is_file():
+        output = (done.stderr or done.stdout).strip()
+        said = output.splitlines()
+        first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
+        if done.returncode == 0:
+            first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
+        raise CompilerFailed(f"{shlex.join(command[:1])} failed: {first}", output)
+    return library
 
 
 def _missing(library: bytes, exports: Sequence[str]) -> list[str]:

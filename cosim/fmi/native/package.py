@@ -139,15 +139,10 @@ def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform
     listed = ", ".join(p.name for p in built)
     missing = ", ".join(p.name for p in PLATFORMS.values() if p not in built)
     ways = "co-simulation and model exchange" if native.layout.of("state") else "co-simulation"
-    text = (
-        f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
-        + (
-            f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
-            if missing
-            else ""
-        )
-        + f".</p>{native.text}"
-    )
+    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
+    if missing:
+        text += f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
+    text += f".</p>{native.text}"
     with temporary_folder("build") as folder:
         licence = ASSETS / "license.txt"
         write_documentation(folder, native.layout.about, text, __version__, licence, f"{WAYS[fmi]} {ways}")
