@@ -16,7 +16,6 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data
 from cosim.estimation.posing import start_state
 from cosim.fmi.native.compiler import compiler
@@ -32,6 +31,7 @@ from cosim.model.symbolic.dormant import skippable
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.storage.cache import cached
+from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
@@ -63,7 +63,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return as_data(Hovercraft(), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
+    return as_data(ModelSubject.of(Hovercraft()), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -76,7 +76,7 @@ def filtered(k: CompiledKernel, data: Data, p: Array) -> Filtered:
     layout = k.layout
     q = np.zeros(len(layout.stochastic))
     q[list(layout.noisy)] = 1e-3
-    x0 = start_state(Hovercraft(), data, layout.outputs, layout.states)
+    x0 = start_state(ModelSubject.of(Hovercraft()), data, layout.outputs, layout.states)
     return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
 
 
@@ -122,7 +122,7 @@ def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(craft: Generated, 
     assert generate(table, [table.outputs[0].name]).layout.driven == ()
     log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
     waits = [settling(replace(model, lag=lag), driven) for lag in (0.5 * model.lag, model.lag, 0.3)]
-    rows = [as_data(model, log, layout, wait).settle for wait in waits]
+    rows = [as_data(ModelSubject.of(model), log, layout, wait).settle for wait in waits]
     assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
 
 

@@ -26,6 +26,7 @@ from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.residuals.workflow import replay
+from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.check_verb import check as check_files
 from tests.studies import holds, named, proven
 from tests.valve import NOISE, VALVE, study_of
@@ -145,7 +146,7 @@ def problem_of(path: Path, order: slice = slice(None)) -> tuple[Array, float]:
     model = load_model("valve.py:Valve", path.parent).model
     log = read_log(path.parent / "a.csv", model.inputs, model.outputs, table=True)
     turned = {side: {n: v[order] for n, v in getattr(log, side).items()} for side in ("inputs", "outputs")}
-    problem = build_problem(model, [replace(log, inputs=turned["inputs"], outputs=turned["outputs"])])
+    problem = build_problem(ModelSubject.of(model), [replace(log, inputs=turned["inputs"], outputs=turned["outputs"])])
     scored = problem.scored(problem.values, problem.plain)
     return scored.errors, scored.nll
 

@@ -27,6 +27,7 @@ from cosim.storage.files import FilePath, atomic_write, check_writable, named_pa
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.table import write_columns
+from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
@@ -181,11 +182,11 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """The best of `count` experiments; None where all go too far."""
-    model, base = question.loaded.model, question.base
+    model, subject = question.loaded.model, ModelSubject(question.base)
     usually = rig.play(model, rig.usual_signals(time))
     log = usually.log(model, question.measured)
-    problem = build_problem(base.model, [log], noise=question.noise, sensors=base.values)
-    separation = Separation(base.model, problem, question.rivals, question.pairs)
+    problem = build_problem(subject, [log], noise=question.noise)
+    separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
     for k in range(-1, count):  # first what is usually played: none that is worse is preferred

@@ -9,7 +9,6 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.estimation.candidates import Candidate, candidates, neutral_values
 from cosim.experiment.ranges import allowed, inputs_to_limit, seen_in
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
@@ -23,6 +22,8 @@ from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile
 from cosim.storage.kinds import ANSWER, CODE, MODEL, check_form, check_given
 from cosim.storage.yaml_file import YamlFile, did_you_mean
+from cosim.subject.candidates import Candidate
+from cosim.subject.model_subject import ModelSubject
 
 NOTHING = "nothing"
 
@@ -137,7 +138,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     else:
         _check_names(path, names, known)
         rivals, pairs = _rivals(loaded, known, names)
-        values = {**neutral_values(loaded.model), **loaded.values}
+        values = ModelSubject(loaded).values
         fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
     noise, seen = {**content.sensor_noise, **given.noise}, _seen(loaded.model, study.parent, given)
     return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, seen)
@@ -198,7 +199,7 @@ def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Questi
     rivals, pairs = _rivals(base, known, names)
     if own and names:
         free = tuple(f for n in own for f in known[n].free)
-        values = neutral_values(model)
+        values = ModelSubject(loaded).values
         held = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
         rivals, pairs = (held, *(r for r in rivals if r.name != NOTHING)), tuple((held.name, name) for name in names)
     measured = model.measured or tuple(model.sensor_variance)
@@ -212,9 +213,8 @@ def _beside(own: set[str], groups: Sequence[set[str]]) -> set[str]:
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
     """Everything that may be missing or wrong, every input taken as varied."""
-    model = loaded.model
-    values = {**neutral_values(model), **loaded.values}
-    return {c.name: c for c in candidates(model, values, [q.name for q in model.inputs])}
+    subject = ModelSubject(loaded)
+    return {c.name: c for c in subject.candidates([q.name for q in subject.inputs])}
 
 
 def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate]) -> None:
@@ -232,11 +232,11 @@ def _rivals(
     loaded: LoadedModel, known: Mapping[str, Candidate], names: Sequence[str]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
     """The names at typical size, every two of them; one alone against nothing; without names, the usual pairs."""
-    values = {**neutral_values(loaded.model), **loaded.values}
+    subject = ModelSubject(loaded)
     if len(names) == 1:
-        return (at_typical(loaded.model, known[names[0]], values), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
+        return (at_typical(subject, known[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
     pairs = (
         all_pairs(names) if names else [p for group in _groups(loaded.model, known) for p in all_pairs(sorted(group))]
     )
     taken = dict.fromkeys(name for pair in pairs for name in pair)
-    return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
+    return tuple(at_typical(subject, known[name]) for name in taken), tuple(pairs)

@@ -14,13 +14,19 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+    from cosim.subject.interface import Subject
+
 
 @dataclass(frozen=True, repr=False)
 class Refined:
-    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`."""
+    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
+
+    subject: the refined object itself; None where the result was read from a folder
+    """
 
     record: Mapping[str, Any]
     folder: Path
+    subject: Subject | None = None
 
     @property
     def verdict(self) -> str:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+
 SHOWN = 8  # signals in the short text of a run; further ones are counted
 
 

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cosim.base.errors import Fault, InputError
 from cosim.base.program import ending_when_stuck
+from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, files_in, say, say_json, show, stages, warn
 
 if TYPE_CHECKING:
     from cosim.refinement.refined_result import Refined
+    from cosim.subject.interface import Subject
 
 
 def refine(
-    study: FilePath,
+    study: FilePath | Subject,
     out: FilePath,
     *,
+    logs: FilePath | Files = (),
+    validation: FilePath | Files = (),
+    settings: Mapping[str, Any] | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -30,15 +37,24 @@ def refine(
 ) -> Refined:
     """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
 
+    study: a study file, or any object that can be refined (`cosim.subject.interface.Subject`) with its logs beside it
+    logs, validation: logs of such an object, to learn from and sealed; settings: further keys of a study file
     force: also over what another study or command left there
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.refinement.refined_result import Refined
+    from cosim.refinement.study import study_of
     from cosim.refinement.workflow import refine as refine_study
 
-    return Refined(
-        refine_study(study, out, progress, report=report, force=force, in_process=in_process).record, Path(out)
-    )
+    if isinstance(study, (str, PathLike)):
+        if logs or validation or settings:
+            cure = "write them into the study, or give an object in its place"
+            raise InputError([Fault(Path(study), 0, 0, f"logs, validation and settings stand in the file; {cure}")])
+        posed: Any = study
+    else:
+        posed = study_of(study, logs, validation, **(settings or {}))
+    done = refine_study(posed, out, progress, report=report, force=force, in_process=in_process)
+    return Refined(done.record, Path(out), done.refined)
 
 
 def command(
@@ -76,8 +92,8 @@ def command(
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     if report and open_:
         show(place / "report.html")
-    if result.record["verdict"] == "ambiguous" and not result.study.loaded.model.static:
+    if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 
-        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.loaded.model)]
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
