@@ -120,7 +120,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     if recipe.integrator is not None:
         identity += (recipe.integrator,)
     tag = digest(sources, repr(identity).encode())[:12]
-    package = f"{_snake(class_name)}_{tag}"
+    package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     for name, text in sources.items():
         file = folder / package / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -240,7 +240,3 @@ def digest(members: dict[str, bytes], more: bytes) -> str:
         sha.update(members[name])
     sha.update(more)
     return sha.hexdigest()
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
