@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 TEMPLATES = Path(__file__).with_name("templates")
-SCRIPTS = ("charts.js", "report.js")
+SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
