@@ -87,6 +87,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
     ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
     ("cosim/residuals/*", "windows residual replay hidden_state"),
+    ("cosim/comparison/report_again.py", "compare"),
     ("cosim/comparison/*", "compare_edges compare"),
     ("cosim/authoring/matching.py", "planning first_steps"),
     ("cosim/authoring/parts.py", "planning first_steps"),
