@@ -21,7 +21,7 @@ from cosim.model import Model
 from cosim.refinement.workflow import refine
 from cosim.residuals.windows import replay
 from cosim.subject.model_subject import ModelSubject
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from tests.motor import motor_file, motor_log, motor_study
 
 WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft

@@ -237,8 +237,9 @@ def _are_names(value: Any) -> bool:
 
 
 def _is_signals(value: Any) -> bool:
-    """The value is a `cosim.verbs.outcomes.Signals`, which stands on a floor above."""
-    return any((kind.__module__, kind.__name__) == ("cosim.verbs.outcomes", "Signals") for kind in type(value).__mro__)
+    """The value is a `cosim.simulation.run_signals.Signals`, which stands on a floor above."""
+    signals = ("cosim.simulation.run_signals", "Signals")
+    return any((kind.__module__, kind.__name__) == signals for kind in type(value).__mro__)
 
 
 def _is_subject(value: Any) -> bool:

@@ -25,7 +25,7 @@ from cosim.experiment.separation import Pair, Separation
 from cosim.logs.log import slowness
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.table import write_columns
 from cosim.subject.model_subject import ModelSubject
 
@@ -138,11 +138,12 @@ def excite(
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
     force: bool = True,
+    keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
     """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
 
-    force: also over what another command left there. Raises InputError.
+    force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
@@ -152,7 +153,7 @@ def excite(
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
-    check_left(folder, "cosim excite", force=force)
+    check_left(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
     found = _choose(question, rig, time, seed, experiments, report)
     if found is None:
@@ -162,6 +163,8 @@ def excite(
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
     report("building the FMUs", 0.0)
+    if keep:
+        keep_earlier(folder, "cosim excite", rig.files)
     _write(folder, found, seed)
     return found
 

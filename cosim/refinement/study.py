@@ -29,8 +29,9 @@ from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import find_spikes, without
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
+from cosim.storage.artefact import Checking, kind_by_keys
 from cosim.storage.files import FilePath
-from cosim.storage.kinds import STUDY, check_form, kind_by_keys, refuse_other
+from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
 from cosim.subject.interface import Subject
@@ -180,6 +181,11 @@ class Study:
             for path in paths
         )
         return tuple(s for log in logs for s in judged(without(log, _spikes(log, subject)), subject.horizon))
+
+
+def check_study(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a study; InputError with its faults."""
+    return [f"warning: {text}" for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:

@@ -53,7 +53,7 @@ from cosim.storage.files import (
     uninterrupted,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
@@ -70,6 +70,7 @@ def refine(
     *,
     report: bool = False,
     force: bool = True,
+    keep: bool = False,
     in_process: bool = False,
 ) -> Refinement:
     """Run a study; leaves refine.json in `folder`, and the files of the refined subject: all or none of them.
@@ -78,6 +79,7 @@ def refine(
     study:  its file, or a study of any subject (`cosim.refinement.study.study_of`)
     report: write report.html too
     force:  also over what another study or command left there
+    keep:   the files of an earlier refine move to `runs` in the folder
     in_process: FMUs are loaded into this process, for a debugger
     Raises InputError, FmuError; SimulationError where an FMU fails.
     """
@@ -87,7 +89,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study))
     subject = study.subject
-    check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
+    check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
     _refuse_runaway(study, problem)
@@ -119,6 +121,8 @@ def refine(
         written = record(study, attribution, claims, problem, between, measured)
         _write(scratch / ANSWER, written)
         with uninterrupted():
+            if keep:
+                keep_earlier(folder, "cosim refine")
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     evidence = {name: {part: by[subject.horizon] for part, by in parts.items()} for name, parts in played.items()}

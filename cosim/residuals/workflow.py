@@ -44,7 +44,7 @@ from cosim.storage.files import (
     release_stops,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import REPLAY, check_left
+from cosim.storage.folders import REPLAY, check_left, keep_earlier
 from cosim.storage.results import Results
 
 SCHEMA_VERSION = 1
@@ -62,6 +62,7 @@ def replay(
     columns: Sequence[str] = (),
     report: bool = True,
     force: bool = True,
+    keep: bool = False,
     in_process: bool = False,
     limits: str = "",
     progress: Callable[[int, int], None] | None = None,
@@ -72,13 +73,14 @@ def replay(
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
     Leaves results.csv, residual.csv, replay.json and report.html in `folder`.
     Raises InputError, FmuError, SimulationError.
-    force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
+    force: also over what another command left there. keep: files of an earlier replay move to `runs`.
+    in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force)
+    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -95,6 +97,7 @@ def replay(
             passing=fmu is None,
             worker=worker,
             limits=most,
+            keep=keep,
             progress=progress,
         )
 
@@ -112,6 +115,7 @@ def write_replay(
     passing: bool = False,
     worker: Worker | None = None,
     limits: Limits | None = None,
+    keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv, replay.json and report.html in `folder`.
@@ -121,6 +125,7 @@ def write_replay(
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
     worker: where the FMU runs, within limits; in this process without.
+    keep: the files of an earlier replay move to `runs` in the folder.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
@@ -136,6 +141,8 @@ def write_replay(
         findings += _older(drive)
         refuse_faults(log, findings)
         check_writable(folder, ("results.csv", "residual.csv", REPLAY, "report.html"), (log.path, fmu))
+        if keep:
+            keep_earlier(folder, "cosim replay")
         for name in ("report.html", "residual.csv", REPLAY):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
         free = _free_run(drive, start, folder)

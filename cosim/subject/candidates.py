@@ -52,11 +52,14 @@ def effect(
 
     free = tuple(
         Free(
-            whole(p.name), *p.bounds, usual_size(p), neutral=p.neutral,
+            whole(p.name),
+            *p.bounds,
+            usual_size(p),
+            neutral=p.neutral,
             above=whole(above[p.name]) if above and p.name in above else "",
         )
         for p in declared
-    )  # fmt: skip
+    )
     first = {whole(p.name): _start(p, values[whole(p.name)]) for p in declared}
     others = ({whole(own): value for own, value in start.items()} for start in starts)
     return Candidate(name, kind, free, (first, *others), gain)

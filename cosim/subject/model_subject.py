@@ -91,9 +91,14 @@ class ModelSubject(Subject):
         for kind in (*model.catalogue, *model.sensors):
             of: Kind = "sensor" if kind in model.sensors else "effect"
             c = effect(
-                kind.name, parameters_of(kind), values,
-                kind=of, starts=kind.starts, above=kind.at_least, gain=issubclass(kind, Gain),
-            )  # fmt: skip
+                kind.name,
+                parameters_of(kind),
+                values,
+                kind=of,
+                starts=kind.starts,
+                above=kind.at_least,
+                gain=issubclass(kind, Gain),
+            )
             if any(type(e) is kind for e in model.awake):  # the model has this effect already: it is recalibrated
                 c = replace(c, starts=({name: values[name] for name in c.parameters},))
             yield c
