@@ -30,7 +30,7 @@ from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
-from cosim.refinement.decision.verdict import Name
+from cosim.refinement.decision.claims import Name
 from cosim.refinement.proof import measure, proof_replays
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA, Replayed, schema
