@@ -79,14 +79,23 @@ def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[Load
     modes = [(fastest.at_start(), _longest(model, model.rate))]
     modes += [(fastest.along(log), _longest(model, log.step)) for log in logs]
     if _is_stated(model):
-        modes.sort(key=lambda pair: -pair[0].speed * pair[1])
-        faults = [_unstable(loaded, mode, h) for mode, h in modes if _grows(mode.eigenvalue * h)]
-        if faults:
-            raise InputError(faults[:1])
+        _refuse_growth(loaded, modes)
         return loaded, []
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
-    mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
+    return _chosen(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
+
+
+def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> None:
+    """Raise InputError if a mode that decays grows under RK4 in the stated substep; of several name the fastest."""
+    for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
+        if _grows(mode.eigenvalue * h):
+            raise InputError([_unstable(loaded, mode, h)])
+
+
+def _chosen(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[str]]:
+    """Return the model with an integrator and a substep for its fastest mode, and what was chosen."""
+    model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
