@@ -27,7 +27,7 @@ from tests.test_identify_craft import at_rest, protocol
 ROOT = Path(__file__).resolve().parent.parent
 RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
 STUDY = "model: tank.py:Tank\ncandidates: [leak]\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\n"
-SWEEP = "scenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
+SWEEP = "name: areas\nscenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
 CASES = {  # verb → its words, and a file that it writes
     "run": ("run.yaml", "results/tank/results.csv"),
     "build": ("--model tank.py:Tank", "build/plant.fmu"),
@@ -45,7 +45,7 @@ CASES = {  # verb → its words, and a file that it writes
     "schema": ("scenario", ""),
     "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/linear.json"),
     "consistency": ("--runs 2 --steps 100 --no-report", "results/consistency/consistency.json"),
-    "sweep": ("sweep.yaml --workers 1 --force", "results/sweep/sweep.json"),
+    "sweep": ("sweep.yaml --workers 1 --force", "results/areas/sweep.json"),
     "identify": ("craft.yaml", "results/a-craft/identify.json"),
 }
 WRITES_OVER = {"excite", "identify", "linearize"}  # in Python: docs/python.md
