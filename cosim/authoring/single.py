@@ -32,6 +32,7 @@ def simulate(
     report: bool = True,
     force: bool = True,
     in_process: bool = False,
+    format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Outcome, tuple[str, ...]]:
     """Run one FMU over its default experiment; scenario.yaml, results.csv, manifest.json, report.html in `folder`.
@@ -49,7 +50,8 @@ def simulate(
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
     scenario, notes = write_single(place, path, given, csv, stop=stop, step=step, record=record, force=force)
-    return run(scenario, place, report=report, force=True, in_process=in_process, progress=progress), notes
+    outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
+    return outcome, notes
 
 
 def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:

@@ -38,10 +38,10 @@ from cosim.storage.files import (
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_ours, folder_named
 from cosim.storage.kinds import check_form
-from cosim.storage.results import Results
+from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import System, build_system
 
-RESULTS, MANIFEST = "results.csv", "manifest.json"
+MANIFEST = "manifest.json"
 SPARE = 8192  # bytes beside a manifest's own
 
 
@@ -51,7 +51,12 @@ class Outcome:
 
     results: Results
     manifest: dict[str, Any]
-    folder: Path
+    file: Path  # of the rows
+
+    @property
+    def folder(self) -> Path:
+        """Where the rows, the manifest and the report are."""
+        return self.file.parent
 
     @property
     def missed(self) -> list[dict[str, Any]]:
@@ -71,6 +76,7 @@ def run(
     report: bool = True,
     figures: bool = False,
     in_process: bool = False,
+    format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Outcome:
     """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
@@ -79,10 +85,11 @@ def run(
              its `system`
     force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
+    format_: of the rows, which are then in results.parquet or the like in place of results.csv.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
-    began, path = time.perf_counter(), Path(scenario)
+    began, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
     if not is_ssp(path):
         check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before a worker is started
     with ExitStack() as stack:
@@ -97,7 +104,7 @@ def run(
         system = build_system(file, designed)
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force)
-        check_writable(place, (RESULTS, MANIFEST, "report.html"), file.files)
+        check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
         loaded = time.perf_counter()
         stepped = _stepped(file.scenario, system, worker, place, progress)
@@ -107,11 +114,11 @@ def run(
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = _left(place, file.scenario, stepped, record, report=report, figures=figures)
+        failure = _left(place / rows_file, file.scenario, stepped, record, report=report, figures=figures)
     if failure is not None:
         failure.left = place
         raise failure
-    return Outcome(stepped.results, record, place)
+    return Outcome(stepped.results, record, place / rows_file)
 
 
 def _read(
@@ -128,19 +135,19 @@ def _read(
 
 
 def _left(
-    place: Path, scenario: Scenario, stepped: Stepped, record: dict[str, Any], *, report: bool, figures: bool
+    file: Path, scenario: Scenario, stepped: Stepped, record: dict[str, Any], *, report: bool, figures: bool
 ) -> SimulationError | None:
-    """Leave everything in the folder, or what fits of it; the failure of the run, or of the disk."""
+    """Leave everything beside the file of rows, or what fits of it; the failure of the run, or of the disk."""
     written: list[str] = []
     try:
-        _write(place, stepped.results, record, written)
+        _write(file, stepped.results, record, written)
         release_stops()
-        _draw(place, stepped.results, record, report=report, figures=figures)
+        _draw(file.parent, stepped.results, record, report=report, figures=figures)
     except OSError as error:
         if not is_full(error):
             raise
         rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
-        return _write_what_fits(place, stepped.results, record, written, rows, stepped.failure)
+        return _write_what_fits(file, stepped.results, record, written, rows, stepped.failure)
     except (KeyboardInterrupt, Terminated) as stop:  # all but the report is written
         end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
         return stepped.failure or stopped(stop, end, "the report of the run")
@@ -184,12 +191,14 @@ def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
     progress(min(done, steps), steps)
 
 
-def _write(folder: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
+def _write(file: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
     """Write the rows and the manifest of a run, whether or not it came to its end; `written` gets their names."""
+    folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
     with uninterrupted():  # or what was stopped once could be lost by stopping it again
-        results.write_csv(folder / RESULTS)
-        written.append(RESULTS)
+        results.write(file)
+        remove_rows(folder, file.stem, besides=file.name)  # they would be of another run
+        written.append(file.name)
         write_manifest(folder / MANIFEST, record)
         written.append(MANIFEST)
 
@@ -207,13 +216,14 @@ def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: boo
 
 
 def _write_what_fits(
-    folder: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
+    file: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
     failure: SimulationError | None,
 ) -> SimulationError:  # fmt: skip
     """What a full disk has room for of the rows and the manifest of a run; what to tell of it."""
+    folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)
-    count = len(results.time) if RESULTS in written else _rows_that_fit(folder, results, 2 * len(json.dumps(record)))
-    told = f"the disk is full: {count} of {rows} rows are in results.csv"
+    count = len(results.time) if file.name in written else _rows_that_fit(file, results, 2 * len(json.dumps(record)))
+    told = f"the disk is full: {count} of {rows} rows are in {file.name}"
     told += ", there is no report" if count == rows else ""
     before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
     at = results.time[max(0, count - 1)].item() if len(results.time) else 0.0
@@ -227,17 +237,17 @@ def _write_what_fits(
     return DiskFull("the run", at, told + before)
 
 
-def _rows_that_fit(folder: Path, results: Results, manifest: int) -> int:
+def _rows_that_fit(file: Path, results: Results, manifest: int) -> int:
     """Write rows for which there is room, beside a manifest of this size [bytes] where there is that; their number."""
-    for name in (RESULTS, MANIFEST):  # of an earlier run, whose room is needed
-        (folder / name).unlink(missing_ok=True)
-    spare = folder / ".spare"
+    remove_rows(file.parent, file.stem)  # of an earlier run, whose room is needed
+    file.with_name(MANIFEST).unlink(missing_ok=True)
+    spare = file.parent / ".spare"
     try:
         try:
             allocate(spare, manifest + SPARE)
         except OSError:
             spare.unlink(missing_ok=True)  # the rows before the manifest
-        return results.write_what_fits(folder / RESULTS)
+        return results.write_what_fits(file)
     except OSError:
         return 0
     finally:

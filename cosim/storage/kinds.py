@@ -11,6 +11,7 @@ from typing import Any
 
 from cosim.base.errors import Fault, InputError
 from cosim.storage import artefact
+from cosim.storage.table_source import suffixes
 from cosim.storage.yaml_file import YamlFile
 
 LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, TABLE = (
@@ -41,8 +42,9 @@ OTHERS = {  # kinds that no verb declares: files of other tools, and what may be
     BINARY: UNREAD,
 }
 AS = {RESULTS: LOG}  # taken wherever the other is
+RUNS = "sweep.parquet"  # the table of runs; any other Parquet file is a log, or the rows of a run
 HEADS = (  # first bytes of a file
-    (b"\x89PNG", PICTURE), (b"\xff\xd8\xff", PICTURE), (b"GIF8", PICTURE), (b"%PDF-", DOCUMENT), (b"PAR1", TABLE),
+    (b"\x89PNG", PICTURE), (b"\xff\xd8\xff", PICTURE), (b"GIF8", PICTURE), (b"%PDF-", DOCUMENT),
     (b"MATLAB", MATRICES), (b"\x89HDF\r\n", MATRICES), (b"\x7fELF", LIBRARY), (b"MZ", LIBRARY),
     (b"\xcf\xfa\xed\xfe", LIBRARY), (b"SQLite format 3\0", DATABASE), (b"\xd0\xcf\x11\xe0", WORKBOOK),
     (b"version https://git-lfs.", POINTER),
@@ -53,7 +55,7 @@ MARKS = (  # beginnings of a text
     (re.compile(r"(<\?xml[^>]*>\s*)?<\w*:?SystemStructureDescription\b", re.S), SSP),
     (re.compile(r"<(\?xml|[A-Za-z][\w:]*[ >])"), DESCRIPTION),
 )
-ENDINGS = {".csv": LOG, ".py": CODE, ".ssp": SSP, ".ssd": SSP, ".fmu": FMU, ".ipynb": NOTEBOOK, ".mat": MATRICES}
+ENDINGS = {".py": CODE, ".ssp": SSP, ".ssd": SSP, ".fmu": FMU, ".ipynb": NOTEBOOK, ".mat": MATRICES}
 WRITTEN = {".yaml", ".yml", ".json"}  # whose keys say what they are
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of some instrument
@@ -71,6 +73,8 @@ def kind_by_form(path: Path) -> str | None:
         head = _head(path) if path.is_file() else b""
     except (OSError, ValueError):
         head = b""
+    if head.startswith(b"PAR1") or (ending in suffixes() and ending != ".csv"):
+        return TABLE if path.name == RUNS else _of_rows(path)
     kind = next((kind for magic, kind in HEADS if head.startswith(magic)), None)
     if kind is None and head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
         kind = _packed(path)
@@ -78,17 +82,26 @@ def kind_by_form(path: Path) -> str | None:
         kind = _marked(head)
     if kind is not None:
         return kind
-    if ending == ".csv" and path.name == "results.csv" and (path.parent / "manifest.json").is_file():
-        return RESULTS
-    if ending == ".csv" and _no_text(head):
-        return BINARY
-    if ending == ".csv" and _keyed(head):
-        return _by_keys(path) or LOG
+    if ending == ".csv":
+        return _of_csv(path, head)
     if ending in ENDINGS or not head:
         return ENDINGS.get(ending)
     if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
+
+
+def _of_rows(path: Path) -> str:
+    """The kind of a table with a row a moment: what a run left, or a log."""
+    return RESULTS if path.stem == "results" and (path.parent / "manifest.json").is_file() else LOG
+
+
+def _of_csv(path: Path, head: bytes) -> str:
+    """The kind of a file that ends as CSV does."""
+    kind = _of_rows(path)
+    if kind == LOG and _no_text(head):
+        return BINARY
+    return _by_keys(path) or LOG if kind == LOG and _keyed(head) else kind
 
 
 def _head(path: Path) -> bytes:
@@ -217,7 +230,7 @@ def refuse_folder(path: Path, what: str) -> None:
 
 def _folder(path: Path, what: str) -> str:
     """That a folder is not what is wanted; what in it may be meant."""
-    endings: Mapping[str, set[str]] = {FMU: {".fmu"}, LOG: {".csv"}, SSP: {".ssp"}, CODE: {".py"}}
+    endings: Mapping[str, set[str]] = {FMU: {".fmu"}, LOG: set(suffixes()), SSP: {".ssp"}, CODE: {".py"}}
     meant = {e for kind, those in endings.items() if kind in what for e in those} or {".yaml", ".yml"}
     inside = sorted(p.name for p in path.iterdir() if p.suffix.lower() in meant and p.is_file())
     some = f" {', '.join(inside[:3])}{', …' if inside[3:] else ''}" if inside else " none by its ending"

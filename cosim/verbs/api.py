@@ -14,7 +14,7 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Files, Given, ModelName, NotNegative, PositiveSeconds, Seconds, Seed, given, texts
 from cosim.storage.files import FilePath, named_path
 from cosim.storage.folders import content_of
-from cosim.storage.results import Results
+from cosim.storage.results import Results, read_results, rows_in
 from cosim.verbs.outcomes import Refined, Replay, Run, Runs, Signals
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def run(
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
@@ -44,6 +45,7 @@ def run(
             or "path=value" each
     force:  also over what the run of another scenario left in `out`
     compile: the sources of FMUs that have no library for this machine are compiled and run
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
@@ -55,7 +57,7 @@ def run(
     with compiling(compile), _folder(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
             path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
-            figures=figures and out is not None, in_process=in_process, progress=progress,
+            figures=figures and out is not None, in_process=in_process, format_=format, progress=progress,
         )  # fmt: skip
     return _run(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
@@ -73,6 +75,7 @@ def simulate(
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run one FMU over its default experiment.
@@ -91,7 +94,7 @@ def simulate(
     with compiling(compile), _folder(out) as folder:
         outcome, notes = simulate_fmu(
             fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
-            report=report and out is not None, force=force, in_process=in_process, progress=progress,
+            report=report and out is not None, force=force, in_process=in_process, format_=format, progress=progress,
         )  # fmt: skip
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return _run(outcome.results, manifest, None if out is None else outcome.folder)
@@ -109,6 +112,7 @@ def replay(
     in_process: bool = False,
     compile: bool = False,
     limits: str = "",
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
     """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
@@ -127,7 +131,7 @@ def replay(
         replay_log(
             log, folder, fmu, start=texts(start, "start"),
             columns=_pairs(columns), report=report and out is not None,
-            force=force, in_process=in_process, limits=limits, progress=progress,
+            force=force, in_process=in_process, limits=limits, format_=format, progress=progress,
         )  # fmt: skip
         return _replay(Path(folder), None if out is None else Path(out))
 
@@ -219,7 +223,7 @@ def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
         return Refined(json.loads((path / "refine.json").read_text(encoding="utf-8")), path)
     if (path / "sweep.json").is_file() and (path / "sweep.parquet").is_file():
         return Runs(content_of(path / "sweep.json"), path)
-    if (path / "residual.csv").is_file():
+    if rows_in(path, "residual"):
         return _replay(path, path)
     ran = read_ran(path)
     if not path.is_dir():
@@ -240,12 +244,12 @@ def _pairs(columns: Given | None) -> Sequence[str]:
 
 def _replay(folder: Path, left: Path | None) -> Replay:
     from cosim.storage.folders import left_by_replay
-    from cosim.storage.results import read_results
 
     told = left_by_replay(folder)
     units = told.get("units")
     known = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
-    rows, missed = (read_results(folder / name, known) for name in ("results.csv", "residual.csv"))
+    files = (rows_in(folder, stem) or folder / f"{stem}.csv" for stem in ("results", "residual"))
+    rows, missed = (read_results(file, known) for file in files)
     return Replay("replay", rows, left, Signals("residual", missed, left), str(told.get("sentence", "")))
 
 

@@ -33,6 +33,7 @@ from cosim.verbs.streams import echo, open_streams
 from cosim.verbs.terminal import (
     Compile,
     Force,
+    Format,
     InProcess,
     Json,
     Open,
@@ -92,6 +93,7 @@ def run(
     as_json: Json = False,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     in_process: InProcess = False,
+    format_: Format = "csv",
     compile_: Compile = False,
     coupling: Annotated[
         bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
@@ -105,7 +107,7 @@ def run(
     with compiling(compile_), progress_bar() as progress:
         outcome = run_scenario(
             scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
-            in_process=in_process, progress=progress,
+            in_process=in_process, format_=format_, progress=progress,
         )  # fmt: skip
     if coupling:
         from cosim.simulation.coupling import coupling_error

@@ -10,7 +10,20 @@ import typer
 from cosim.blocks.description import C_CODE
 from cosim.storage.kinds import as_typed
 from cosim.verbs.outcome import told
-from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, say_json, seconds, table, warn
+from cosim.verbs.terminal import (
+    Compile,
+    Force,
+    Format,
+    Json,
+    Open,
+    Report,
+    progress_bar,
+    say,
+    say_json,
+    seconds,
+    table,
+    warn,
+)
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -193,6 +206,7 @@ def simulate(
     in_process: Annotated[
         bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
     ] = False,
+    format_: Format = "csv",
     compile_: Compile = False,
 ) -> None:
     """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
@@ -202,7 +216,7 @@ def simulate(
     with compiling(compile_), progress_bar() as progress:
         outcome, notes = simulate_fmu(
             fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
-            force=force, in_process=in_process, progress=progress,
+            force=force, in_process=in_process, format_=format_, progress=progress,
         )  # fmt: skip
     for note in notes:
         warn(note)

@@ -11,10 +11,12 @@ import typer
 
 from cosim.base.program import ending_when_stuck
 from cosim.storage.folders import folder_named, folder_of_file, name_of
+from cosim.storage.results import rows_in
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import (
     Compile,
     Force,
+    Format,
     InProcess,
     Json,
     Open,
@@ -53,6 +55,7 @@ def replay(
     ] = None,
     report: Report = True,
     in_process: InProcess = False,
+    format_: Format = "csv",
     compile_: Compile = False,
     limits: Annotated[
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
@@ -71,17 +74,22 @@ def replay(
     with compiling(compile_), progress_bar("replaying") as progress:
         comparison = replay_log(
             log, place, plant, start=start or (), columns=column or (), report=report, force=force,
-            in_process=in_process, limits=limits, progress=progress,
+            in_process=in_process, limits=limits, format_=format_, progress=progress,
         )  # fmt: skip
     for finding in comparison.findings:
         if finding.severity == "warning":
             echo(finding.line, err=True)
     say(verdict(comparison))
-    say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
+    say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
-        say_json({**content, **files_in(place, "results.csv", "residual.csv")})
+        say_json(
+            {
+                **content,
+                **files_in(place, *(path.name for stem in ("results", "residual") if (path := rows_in(place, stem)))),
+            }
+        )
     if report and open_:
         show(place / "report.html")
 
