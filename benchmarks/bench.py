@@ -9,7 +9,8 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -160,9 +161,7 @@ def fmpy_over_ours(place: Path) -> float:
         script = place / f"{name.lower()}.py"
         script.write_text(IDLE_SLAVE.format(name=name, inputs=inputs, outputs=outputs))
         FmuBuilder.build_FMU(script, place / f"{name.lower()}.fmu")
-    links = [f"  - {{from: a.y{k}, to: b.u{k}}}" for k in range(12)] + [
-        f"  - {{from: b.y{k}, to: a.u{k}}}" for k in range(5)
-    ]
+    links = [f"  - {{from: {a}.y{k}, to: {b}.u{k}}}" for a, b, n in (("a", "b", 12), ("b", "a", 5)) for k in range(n)]
     text = f"name: idle\nduration: {STEPS * H}\nstep: 0.02\norder: [a, b]\ncomponents:\n"
     text += "  a: {fmu: idlea.fmu}\n  b: {fmu: idleb.fmu}\nconnections:\n" + "\n".join(links) + "\n"
     (place / "idle.yaml").write_text(text)
@@ -174,17 +173,34 @@ def fmpy_over_ours(place: Path) -> float:
 
 def fmpy_seconds(path_a: Path, path_b: Path) -> float:
     """getReal, setReal, doStep through FMPy's methods; the same signals recorded."""
+    with fmpy_slaves({path_a: {}, path_b: {}}) as ((a, b), _):
+        return idle_seconds(a, b)
+
+
+@contextmanager
+def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[list[Any], list[dict[str, int]]]]:
+    """FMUs by FMPy's methods, initialized from start values, and the value references of each."""
     import fmpy
 
     slaves: list[Any] = []
-    for path in (path_a, path_b):
+    numbers: list[dict[str, int]] = []
+    for path, start in starts.items():
         description = fmpy.read_model_description(str(path))
+        numbers.append({v.name: v.valueReference for v in description.modelVariables})
         slave = fmpy.instantiate_fmu(fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent)), description)
         slave.setupExperiment(startTime=0.0, stopTime=STEPS * H)
+        slave.setReal([numbers[-1][name] for name in start], list(start.values()))
         slave.enterInitializationMode()
         slave.exitInitializationMode()
         slaves.append(slave)
-    a, b = slaves
+    yield slaves, numbers
+    for slave in slaves:
+        slave.terminate()
+        slave.freeInstance()
+
+
+def idle_seconds(a: Any, b: Any) -> float:
+    """Seconds of the steps of two FMUs that do nothing."""
     a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
     table = np.zeros((STEPS + 1, 34))
     values_b = b.getReal(b_out)
@@ -198,11 +214,7 @@ def fmpy_seconds(path_a: Path, path_b: Path) -> float:
         b.doStep(t, H)
         old_b, values_b = values_b, b.getReal(b_out)
         table[k + 1] = (*old_b, *values_a, *values_a, *values_b)
-    seconds = time.perf_counter() - began
-    for slave in slaves:
-        slave.terminate()
-        slave.freeInstance()
-    return seconds
+    return time.perf_counter() - began
 
 
 def dormant_over_base() -> float:
@@ -223,17 +235,8 @@ def dormant_over_base() -> float:
 
 def startup_over_import(place: Path) -> float:
     """A one-step run without report over the imports it cannot do without; gains and bytecode are cached before."""
-    run = [
-        sys.executable,
-        "-m",
-        "cosim.verbs.cli",
-        "run",
-        str(place / "one.yaml"),
-        "--no-report",
-        "--out",
-        str(place / "out"),
-    ]
-
+    options = ["--no-report", "--out", str(place / "out")]
+    run = [sys.executable, "-m", "cosim.verbs.cli", "run", str(place / "one.yaml"), *options]
     # as installed: where this is set, each run would compile all that it imports of this package, and of no other
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
@@ -277,21 +280,16 @@ def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
 
 def fmpy_craft_seconds(place: Path) -> float:
     """A run of plant and controller by FMPy's own methods, loaded before: 15 outputs read, 3 measured with noise."""
-    import fmpy
+    starts = {
+        place / "plant.fmu": {"x_start": 1.0, "psi_start": 1.0},
+        place / "controller.fmu": {"x_hat_start": 1.0, "psi_hat_start": 1.0},
+    }
+    with fmpy_slaves(starts) as ((plant, controller), numbers):
+        return craft_seconds(plant, controller, numbers)
 
-    slaves: list[Any] = []
-    numbers: list[dict[str, int]] = []
-    given = ({"x_start": 1.0, "psi_start": 1.0}, {"x_hat_start": 1.0, "psi_hat_start": 1.0})
-    for name, start in zip(("plant.fmu", "controller.fmu"), given, strict=True):
-        description = fmpy.read_model_description(str(place / name))
-        numbers.append({v.name: v.valueReference for v in description.modelVariables})
-        slave = fmpy.instantiate_fmu(fmpy.extract(str(place / name), tempfile.mkdtemp(dir=place)), description)
-        slave.setupExperiment(startTime=0.0, stopTime=STEPS * H)
-        slave.setReal([numbers[-1][n] for n in start], list(start.values()))
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        slaves.append(slave)
-    plant, controller = slaves
+
+def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, int]]) -> float:
+    """Seconds of the steps of plant and controller."""
     outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
     commands = [[of[q.name] for q in Hovercraft.inputs] for of in numbers]
     measured = [numbers[1][name] for name in NOISE]
@@ -309,11 +307,7 @@ def fmpy_craft_seconds(place: Path) -> float:
         controller.doStep(t, H)
         command = controller.getReal(commands[1])
         table[k] = y
-    seconds = time.perf_counter() - began
-    for slave in slaves:
-        slave.terminate()
-        slave.freeInstance()
-    return seconds
+    return time.perf_counter() - began
 
 
 def isolated_over_inprocess(place: Path) -> float:

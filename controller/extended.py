@@ -11,9 +11,9 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from controller.design_model import Matrix
-from controller.gains import Settings, variance
+from controller.gains import Settings, declared, variance
 from controller.slopes import Slopes
-from cosim.model import Moment, Stepper, parameter, parameters_of
+from cosim.model import Moment, Stepper, parameters_of
 from cosim.model.model import Parametric
 from plant.hovercraft import Hovercraft
 
@@ -24,13 +24,6 @@ ESTIMATED = ("x", "vx", "psi", "psi_dot")
 LINEAR = {p.name: p for p in parameters_of(Settings)}
 
 
-def of_linear(name: str) -> float:
-    """A number that the linear filter has too."""
-    p = LINEAR[name]
-    value: float = parameter(p.default, unit=p.unit, bounds=p.bounds, doc=p.doc)
-    return value
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExtendedSettings(Parametric):
     """Noise that the extended filter believes in, and how its fixes are given; `axes` is one of `AXES`.
@@ -39,25 +32,25 @@ class ExtendedSettings(Parametric):
     along its own axes moves it in the world's: the world position has no noise of its own.
     """
 
-    process_variance_x: float = of_linear("process_variance_x")
+    process_variance_x: float = declared(LINEAR, "process_variance_x")
     process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
-    process_variance_psi: float = of_linear("process_variance_psi")
-    process_variance_vx: float = of_linear("process_variance_vx")
+    process_variance_psi: float = declared(LINEAR, "process_variance_psi")
+    process_variance_vx: float = declared(LINEAR, "process_variance_vx")
     process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
-    process_variance_psi_dot: float = of_linear("process_variance_psi_dot")
+    process_variance_psi_dot: float = declared(LINEAR, "process_variance_psi_dot")
     process_variance_phi: float = variance(1e-8, "rad2", "process noise of phi per step")
     process_variance_phi_dot: float = variance(1e-6, "rad2/s2", "process noise of phi_dot per step")
     process_variance_thrust_right: float = variance(1e-6, "N2", "process noise of the right thrust per step")
     process_variance_thrust_left: float = variance(1e-6, "N2", "process noise of the left thrust per step")
     process_variance_tilt_right: float = variance(4e-6, "rad2", "process noise of the right tilt per step, a's 1e-4")
     process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
-    measurement_variance_psi: float = of_linear("measurement_variance_psi")
-    measurement_variance_psi_dot: float = of_linear("measurement_variance_psi_dot")
-    measurement_variance_ax: float = of_linear("measurement_variance_ax")
+    measurement_variance_psi: float = declared(LINEAR, "measurement_variance_psi")
+    measurement_variance_psi_dot: float = declared(LINEAR, "measurement_variance_psi_dot")
+    measurement_variance_ax: float = declared(LINEAR, "measurement_variance_ax")
     measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x, §7.1")
     measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
-    fix_latency: float = of_linear("fix_latency")
-    sample_time: float = of_linear("sample_time")
+    fix_latency: float = declared(LINEAR, "fix_latency")
+    sample_time: float = declared(LINEAR, "sample_time")
 
     axes: str = "own"
 

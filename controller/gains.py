@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from cosim.model import parameter, parameters_of
+from cosim.model import Parameter, parameter, parameters_of
 from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 
@@ -31,11 +32,15 @@ def gain(default: float, tilt: str, state: str) -> float:
     return value
 
 
-def of_craft(name: str) -> float:
+def declared(by: Mapping[str, Parameter], name: str, of: str = "") -> Any:
+    """Declare a parameter as another class does, its meaning with a word before it."""
+    p = by[name]
+    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=of + p.doc)
+
+
+def of_craft(name: str) -> Any:
     """A number of the design model that is a parameter of the plant."""
-    p = CRAFT[name]
-    value: float = parameter(p.default, unit=p.unit, bounds=p.bounds, doc=f"design model: {p.doc}")
-    return value
+    return declared(CRAFT, name, "design model: ")
 
 
 def variance(default: float, unit: str, doc: str) -> float:

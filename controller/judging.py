@@ -91,25 +91,27 @@ def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
 def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any], law: str) -> str:
     """Other options with which the axis is damped, the nearest first."""
     for factor in SLOWER_FIRST:
-        if law == POLES:
-            poles = [complex(p) for p in options["poles"]]
-            poles = [_rounded(p * factor) if k in AXES[axis] else p for k, p in enumerate(poles)]
-            other: dict[str, Any] = {"poles": poles}
-        else:
-            other = {"R": [_rounded(r / factor**2).real for r in options["R"]]}
+        other, told = _scaled(options, axis, law, factor)
         try:
             modes = loop.modes(*designed_gains({**options, **other}, craft, law))
         except ValueError:
             continue
-        if any(mode.axis == axis for mode in worst(modes)):
-            continue
-        if law != POLES:
-            return f"; weigh the tilts more, R: [{', '.join(f'{r:.3g}' for r in other['R'])}] for one"
-        shown = ", ".join(_short(poles[k]) for k in AXES[axis])
-        return f"; take {'slower' if factor < 1 else 'faster'} poles there, {shown} for one"
+        if not any(mode.axis == axis for mode in worst(modes)):
+            return told
     return (
         f"; take poles nearer to {', '.join(f'{p:g}' for p in PLACED)}" if law == POLES else "; weigh the states less"
     )
+
+
+def _scaled(options: Mapping[str, Any], axis: str, law: str, factor: float) -> tuple[dict[str, Any], str]:
+    """Options that make an axis faster by a factor, and the words in which they are proposed."""
+    if law != POLES:
+        weights = [_rounded(r / factor**2).real for r in options["R"]]
+        return {"R": weights}, f"; weigh the tilts more, R: [{', '.join(f'{r:.3g}' for r in weights)}] for one"
+    poles = [complex(p) for p in options["poles"]]
+    poles = [_rounded(p * factor) if k in AXES[axis] else p for k, p in enumerate(poles)]
+    shown = ", ".join(_short(poles[k]) for k in AXES[axis])
+    return {"poles": poles}, f"; take {'slower' if factor < 1 else 'faster'} poles there, {shown} for one"
 
 
 def _rounded(number: complex) -> complex:

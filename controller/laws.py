@@ -81,11 +81,26 @@ def wanted(seen: Seen) -> tuple[float, ...]:
 
 
 class OfLinearFilter:
-    """A law that takes its estimate from the Kalman filter that the settings name."""
+    """A law that takes its estimate from the Kalman filter that the settings name; it remembers nothing."""
 
     def estimator(self, p: Settings, x_hat: Sequence[float], fix: float) -> Estimator:
         """Return the linear filter."""
         return LinearFilter(p, x_hat, fix)
+
+    def outputs(self) -> list[float]:
+        """Nothing more."""
+        return []
+
+    def words(self, start: float) -> str:
+        """Nothing."""
+        return ""
+
+    def snapshot(self) -> Any:
+        """Nothing."""
+        return None
+
+    def restore(self, snapshot: Any) -> None:
+        """Nor is there anything to go back to."""
 
 
 class StateFeedback(OfLinearFilter):
@@ -98,21 +113,6 @@ class StateFeedback(OfLinearFilter):
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
         """Tilts [rad]."""
         return feedback(self.gain, x_hat, wanted(seen), self.limit)
-
-    def outputs(self) -> list[float]:
-        """Nothing more."""
-        return []
-
-    def words(self, start: float) -> str:
-        """Nothing."""
-        return ""
-
-    def snapshot(self) -> Any:
-        """It remembers nothing."""
-        return None
-
-    def restore(self, snapshot: Any) -> None:
-        """Nor is there anything to go back to."""
 
 
 class IntegralFeedback(OfLinearFilter):
@@ -152,10 +152,6 @@ class IntegralFeedback(OfLinearFilter):
     def outputs(self) -> list[float]:
         """Both integrals."""
         return list(self.integrals)
-
-    def words(self, start: float) -> str:
-        """Nothing."""
-        return ""
 
     def snapshot(self) -> Any:
         """Both integrals."""

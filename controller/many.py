@@ -50,15 +50,14 @@ class ManyLoops:
         values = {name: v for name, v in given.items() if name in NUMBERS or name == "estimator"}
         varied = any(isinstance(v, np.ndarray) for v in values.values())
         settings = [Settings(**_at(values, k)) for k in range(count if varied else 1)]
-        held = [discrete_model(s) for s in settings]
-        self.F, self.G = np.array([F for F, _ in held]), np.array([G for _, G in held])
+        self.F, self.G = (np.array(matrices) for matrices in zip(*map(discrete_model, settings), strict=True))
         self.H = np.array([measurement_matrix(s, s.estimator) for s in settings])
         self.V = np.array([np.diag(s.process_variances) for s in settings])
         self.W = np.array([np.diag(s.measurement_variances) for s in settings])
         self.K = np.array([s.gain_matrix for s in settings])
-        self.limit = np.array([s.tilt_max for s in settings])
-        self.duty = np.array([s.duty_nominal for s in settings])
-        self.sample = np.array([s.sample_time for s in settings])
+        self.limit, self.duty, self.sample = np.array(
+            [(s.tilt_max, s.duty_nominal, s.sample_time) for s in settings], dtype=float
+        ).T
 
     def begin(self, inputs: Matrix, outputs: Matrix, t: float) -> None:
         """Filters at `*_hat_start`, P = 0."""

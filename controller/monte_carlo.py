@@ -8,7 +8,7 @@ manoeuvre of App. G. The commands of a flight are the same in every run; noise i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -129,7 +129,7 @@ def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
     for k in range(len(u)):
         x = x @ F.T + u[k, 2:] @ G.T + rng.normal(0.0, np.sqrt(p.process_variances), (runs, 5))
         states.append(x)
-    return _measured(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, p.fix_variances, u, rng)
+    return _measured(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, u, rng)
 
 
 def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
@@ -148,7 +148,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
         sensors.append(np.stack([y[j] for j in SENSED_AT], axis=1))
     S = np.array(states)
     position = S[..., [STATES.index("x"), STATES.index("y")]]
-    return _measured(S, np.array(sensors), position, p, p.fix_variances, u, rng)
+    return _measured(S, np.array(sensors), position, p, u, rng)
 
 
 def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
@@ -183,13 +183,12 @@ def _measured(
     sensors: Matrix,
     position: Matrix,
     p: Settings | ExtendedSettings,
-    fix_variances: Sequence[float],
     u: Matrix,
     rng: np.random.Generator,
 ) -> Truth:
     """With the noise of sensors and fixes."""
     seen = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
-    return Truth(states, seen, position + rng.normal(0.0, np.sqrt(fix_variances), position.shape), u)
+    return Truth(states, seen, position + rng.normal(0.0, np.sqrt(p.fix_variances), position.shape), u)
 
 
 def _estimator(name: str) -> Any:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
 from controller.extended import ExtendedSettings
-from controller.gains import CRAFT, variance
+from controller.gains import CRAFT, declared, variance
 from controller.variants import PredictionSettings
-from cosim.model import SCALAR, Parameter, parameter, parameters_of
+from cosim.model import SCALAR, parameters_of
 from plant.hovercraft import Hovercraft
 from plant.powertrain import ground_effect
 
@@ -23,12 +22,6 @@ PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
 def equation_noise(default: float, unit: str, of: str) -> float:
     """Declare a variance by which the craft's equations are off at each sample."""
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
-
-
-def declared(by: Mapping[str, Parameter], name: str) -> Any:
-    """Declare a parameter as another class does."""
-    p = by[name]
-    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=p.doc)
 
 
 @dataclass(frozen=True, kw_only=True)

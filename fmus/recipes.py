@@ -103,16 +103,8 @@ def _controller(
     from controller.loop import Loop
     from controller.variants import TIME_VARIANT
 
-    description = Description(
-        about,
-        slave.ports,
-        *dependencies,
-        step=slave.settings.sample_time,
-        stop=10.0,
-        variable_step=False,
-        sampled="sample_time",
-        law=law,
-    )
+    times = {"step": slave.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
+    description = Description(about, slave.ports, *dependencies, **times, law=law)
     own = () if law == TIME_VARIANT else (discrete_model,)
     text = documented(Loop, *own, *more, slave)
     return Recipe((slave.__module__, slave.__name__), PACKAGES, description, text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.base.registry import Extension, ModelEntry, Page
+from cosim.base.registry import ModelEntry, Page, Verb
 
 LAWS = {  # the controller under another law, with the same ports
     "controller-pole.fmu": "fmus.recipes:poles_recipe",
@@ -35,8 +35,8 @@ RUN_PAGE = Page(
     subject="fmus.report.craft_page:subject",
     figures="fmus.report.png_figures:figures",
 )
-IDENTIFY = Extension(
-    command="plant.identification.command:register",
+IDENTIFY = Verb(
+    command="plant.identification.command:command",
     function="plant.identification.workflow:identify",
     artefacts="plant.identification.artefacts:ARTEFACTS",
 )

@@ -24,8 +24,11 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # the files that take longest, first: begun last, one of them would be waited for alone
 LONGEST = (
-    "test_refine", "test_refine_stands", "test_refine_conditions", "test_kernel", "test_excite", "test_replay",
-    "test_apart", "test_findings", "test_misbehaving", "test_per_log", "test_docs", "test_install", "test_held_out",
+    "test_refine", "test_docs", "test_findings", "test_refine_stands", "test_refine_conditions", "test_extensions",
+    "test_shared_machine", "test_blind_field", "test_install", "test_closed_loop", "test_sensors", "test_per_log",
+    "test_consistency", "test_misbehaving", "test_blind_truth", "test_kernel", "test_excite", "test_replay",
+    "test_apart", "test_drive", "test_held_out", "test_controllers", "test_report", "test_refine_units",
+    "test_between_rows",
 )  # fmt: skip
 
 

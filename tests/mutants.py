@@ -1,8 +1,10 @@
 """Random faults in the code, each tried against the tests of its subject: `python -m tests.mutants`, `make mutants`.
 
 The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of
-the tree, so that the workers that a test starts or forks run it too. The tests of its subject follow, the quickest
-first, until one fails. `tests/mutants.yaml` lists mutants that no test can notice, and says why.
+the tree, so that the workers that a test starts or forks run it too. A process that has imported code and tests forks
+for each mutant, gives the mutated function its code, or imports anew where more than functions changed, and runs the
+tests of its subject, file by file, until one fails: first those that call the function of the mutant, as a run without
+a mutant has shown, the quickest first. `tests/mutants.yaml` lists mutants that no test can notice, and says why.
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
+import gc
 import hashlib
+import inspect
 import json
 import os
 import random
@@ -18,22 +22,34 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+import traceback
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import CodeType, FrameType, FunctionType
+from typing import Any, NoReturn
 
 import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "mutants"
-ROOMS = ("blocks", "simulation", "isolation", "logs", "residuals", "comparison")
-FILES = [f"cosim/{room}/*.py" for room in ROOMS]  # not their reports, which are tested as pages
-LONGEST = 20.0  # [s] of tests for one mutant, by their times without a mutant; those that take longest are omitted
+# the rooms that are scored, and the folders of each; simulation was one folder before the system and the master left it
+ROOMS = {
+    "blocks": ("blocks",), "simulation": ("system", "master", "simulation"), "isolation": ("isolation",),
+    "logs": ("logs",), "residuals": ("residuals",), "comparison": ("comparison",),
+}  # fmt: skip
+FILES = [f"cosim/{folder}/*.py" for folders in ROOMS.values() for folder in folders]  # not reports, tested as pages
+PACKAGES = ("tests", "cosim", "plant", "controller", "fmus")
+# [s] of tests for one mutant, by their times without it, of those that call its function and of the others: a worker's
+# calls are not seen; the tests that take longest are omitted
+LONGEST, UNSEEN = 20.0, 10.0
 PATIENCE = 4.0  # times as long a mutant may take, and
 STARTING = 120.0  # [s] more
 SKIPPED = "not thorough and not hosts"
@@ -46,36 +62,47 @@ KINDS = (
 
 # the tests of a subject, by the first pattern that a file matches, those that are quick among them first
 SUBJECTS: list[tuple[str, str]] = [
+    ("cosim/blocks/compiling.py", "compile"),
+    ("cosim/blocks/loading.py", "loading"),
+    ("cosim/blocks/faults.py", "schedule stepping types"),
     ("cosim/blocks/fixes.py", "schedule fixes"),
     ("cosim/blocks/derivatives.py", "solving linearize"),
     ("cosim/blocks/model_exchange.py", "solving exchange native_exchange"),
     ("cosim/blocks/solvers.py", "solving exchange"),
-    ("cosim/blocks/description.py", "solving first_steps types"),
+    ("cosim/blocks/description.py", "solving planning first_steps types"),
     ("cosim/blocks/summary.py", "planning first_steps types"),
     ("cosim/blocks/guard.py", "planning hostile first_steps"),
-    ("cosim/blocks/*", "statuses schedule blame solving stepping exchange types"),
-    ("cosim/isolation/process.py", "worker blame fmu_isolation misbehaving"),
-    ("cosim/isolation/worker.py", "worker blame fmu_isolation misbehaving"),
-    ("cosim/isolation/*", "blame worker misbehaving"),
+    ("cosim/blocks/profile.py", "solving stepping noise"),
+    ("cosim/blocks/sources.py", "solving stepping noise"),
+    ("cosim/blocks/noise.py", "solving stepping noise"),
+    ("cosim/blocks/stepping.py", "stepping"),
+    ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types"),
+    ("cosim/isolation/*", "worker blame fmu_isolation misbehaving"),
     ("cosim/logs/static_table.py", "log_edges static"),
+    ("cosim/logs/alone.py", "log_alone"),
     ("cosim/logs/log.py", "log_edges log undeclared_units static"),
-    ("cosim/logs/*", "log_edges gate log spikes"),
+    ("cosim/logs/*", "log_edges spikes gate log"),
     ("cosim/residuals/replay_settings.py", "windows undeclared_units replay"),
     ("cosim/residuals/against.py", "windows gate undeclared_units"),
+    ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
+    ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
     ("cosim/residuals/*", "windows residual replay hidden_state"),
     ("cosim/comparison/*", "compare_edges compare"),
     ("cosim/authoring/matching.py", "planning first_steps"),
     ("cosim/authoring/parts.py", "planning first_steps"),
-    ("cosim/simulation/draft*.py", "planning first_steps"),
     ("cosim/authoring/graph.py", "planning graph"),
     ("cosim/authoring/export.py", "ssp"),
+    ("cosim/authoring/*", "planning first_steps"),
     ("cosim/simulation/packaged.py", "ssp"),
     ("cosim/scenario/controller_design.py", "design design_options"),
     ("cosim/simulation/manifest.py", "planning repeat run"),
     ("cosim/simulation/workflow.py", "planning run scenario"),
     ("cosim/master/remote.py", "schedule apart misbehaving"),
     ("cosim/master/own_process.py", "schedule fmu_isolation misbehaving"),
-    ("cosim/simulation/*", "schedule blame planning scenario master stepping"),
+    ("cosim/master/c_loop.py", "stepping"),
+    ("cosim/master/*", "blame schedule stepping master"),
+    ("cosim/system/*", "planning schedule blame scenario"),
+    ("cosim/simulation/*", "planning schedule scenario"),
 ]
 
 
@@ -91,7 +118,7 @@ class Mutant:
     @property
     def room(self) -> str:
         """The room of its file."""
-        return self.file.split("/")[1]
+        return room_of(self.file)
 
 
 @dataclass(frozen=True)
@@ -103,6 +130,20 @@ class Verdict:
     by: str  # the test that failed
     before: str
     after: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The seconds that a test takes without a mutant, and the functions of `cosim` that it calls: `file:line`."""
+
+    seconds: float
+    calls: frozenset[str]
+
+
+def room_of(file: str) -> str:
+    """Return the room of a file, which is its folder for those that are not scored by default."""
+    folder = file.split("/")[1]
+    return next((room for room, folders in ROOMS.items() if folder in folders), folder)
 
 
 # -- mutants ----------------------------------------------------------------------------------------
@@ -187,7 +228,7 @@ def drawn(files: list[str], count: int, seed: int) -> list[Mutant]:
     """Return a sample, as many mutants of each room: a file by its size, a place in it, a mutant of that place."""
     tried, rooms = operators(), defaultdict(list)
     for file in files:
-        rooms[file.split("/")[1]].append(file)
+        rooms[room_of(file)].append(file)
     sample = []
     for number, room in enumerate(sorted(rooms)):
         rng = random.Random(f"{seed} {room}")
@@ -230,35 +271,118 @@ class Tree:
         for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
             compiled.unlink()
 
-    def test(self, tests: list[str], timeout: float, *options: str) -> tuple[int | None, str]:
-        """Run tests; return pytest's exit code, None for one that took too long, and what it printed."""
-        command = [sys.executable, "-m", "pytest", "-p", "tests.mutants", "-p", "no:cacheprovider", *options, *tests]
+    def test(
+        self, tests: list[str], timeout: float, change: Change | None = None, **environment: str
+    ) -> tuple[int | None, str]:
+        """Run tests in a fork; return pytest's exit code, None for one that took too long, and what it printed."""
+        self._import(tests)
         work = self.folder.parent / "tmp"
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
-        environment = {**os.environ, "PYTHONPATH": str(self.folder), "TMPDIR": str(work)}
-        process = subprocess.Popen(
-            command, cwd=self.folder, env=environment, start_new_session=True, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        try:
-            output, _ = process.communicate(timeout=timeout)
-            return process.returncode, output
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            return None, process.communicate()[0]
+        output = self.folder.parent / "output.txt"
+        environment |= {"PYTHONPATH": str(self.folder), "TMPDIR": str(work), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+        pid = os.fork()
+        if pid == 0:
+            _run(output, tests, environment, change)
+        deadline = threading.Timer(timeout, os.killpg, (pid, signal.SIGKILL))
+        deadline.start()
+        _, status = os.waitpid(pid, 0)
+        took_too_long = not deadline.is_alive()
+        deadline.cancel()
+        return None if took_too_long else os.waitstatus_to_exitcode(status), output.read_text(errors="replace")
 
-    def chosen(self, files: list[str], names: list[str], timeout: float) -> tuple[int | None, str]:
-        """Run some tests of these files, in this order, until one fails; nothing where there are none."""
+    def _import(self, tests: list[str]) -> None:
+        """Import test files of the copy, and with them what they test."""
+        if os.getcwd() != str(self.folder):
+            os.chdir(self.folder)
+            sys.path[:] = [str(self.folder), *(place for place in sys.path if place not in ("", str(ROOT)))]
+            _forget()
+        for file in tests:
+            with suppress(pytest.skip.Exception):
+                import_module(file.removesuffix(".py").replace("/", "."))
+
+    def chosen(self, names: list[str], timeout: float, change: Change) -> tuple[int | None, str]:
+        """Run some tests, in this order, until one fails; nothing where there are none."""
         if not names:
             return 0, ""
         order = self.folder.parent / "order.json"
         order.write_text(json.dumps(names))
-        os.environ["MUTANTS_ORDER"] = str(order)
-        try:
-            return self.test(files, timeout, "-x", "-q")
-        finally:
-            del os.environ["MUTANTS_ORDER"]
+        files = list(dict.fromkeys(name.partition("::")[0] for name in names))
+        return self.test(files, timeout, change, MUTANTS_ORDER=str(order))
+
+
+@dataclass(frozen=True)
+class Change:
+    """The text of a file of the copy before and after."""
+
+    path: Path
+    before: str
+    after: str
+
+    def apply(self) -> bool:
+        """Give functions that live in this process their new code; return False where more than functions changed."""
+        if not any(getattr(module, "__file__", None) == str(self.path) for module in list(sys.modules.values())):
+            return True  # it is imported later, from the copy
+        (bodies, old), (other_bodies, new) = (_parts(compile(t, self.path, "exec")) for t in (self.before, self.after))
+        if bodies != other_bodies or old.keys() != new.keys():
+            return False
+        changed = {place: new[place] for place in old if old[place] != new[place]}
+        met = set()
+        for function in gc.get_objects():
+            if isinstance(function, FunctionType) and function.__code__.co_filename == str(self.path):
+                place = function.__code__.co_qualname, function.__code__.co_firstlineno
+                if place in changed:
+                    function.__code__ = changed[place]
+                    met.add(place)
+        return met == changed.keys()
+
+
+def _parts(module: CodeType) -> tuple[list[tuple[Any, ...]], dict[tuple[str, int], CodeType]]:
+    """Return what is executed at import, and the functions by name and line."""
+    bodies, functions, pending = [], {}, [module]
+    while pending:
+        code = pending.pop()
+        constants = []
+        for constant in code.co_consts:
+            if not isinstance(constant, CodeType):
+                constants.append((type(constant), constant))
+            elif not constant.co_flags & inspect.CO_OPTIMIZED:  # a class
+                pending.append(constant)
+            elif constant.co_name.startswith("<"):
+                bodies.append((constant,))
+            else:
+                functions[constant.co_qualname, constant.co_firstlineno] = constant
+        bodies.append((code.co_code, constants, code.co_names))
+    return bodies, functions
+
+
+def _forget() -> None:
+    """Let code and tests be imported anew."""
+    for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
+        del sys.modules[name]
+
+
+def _run(output: Path, tests: list[str], environment: dict[str, str], change: Change | None) -> NoReturn:
+    """Be pytest in a process group of its own."""
+    code = 1
+    try:
+        os.setsid()
+        with output.open("wb") as stream, open(os.devnull, "rb") as nothing:
+            os.dup2(nothing.fileno(), 0)
+            os.dup2(stream.fileno(), 1)
+            os.dup2(stream.fileno(), 2)
+        os.environ.update(environment)
+        if change is not None and not change.apply():
+            _forget()
+        stops = [] if "MUTANTS_LOG" in environment else ["-x"]
+        arguments = ["-p", "no:cacheprovider", "-m", SKIPPED, "-q", *stops, *tests]
+        code = pytest.main(arguments, plugins=[sys.modules[__name__]])
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(int(code))
 
 
 def subject(file: str) -> list[str]:
@@ -267,43 +391,64 @@ def subject(file: str) -> list[str]:
     return [f"tests/test_{name}.py" for name in names]
 
 
-def timed(tree: Tree, files: set[str]) -> dict[str, float]:
-    """Return the time of each test in some files without a mutant, from an earlier run where the file is the same."""
-    times: dict[str, float] = {}
-    for file in sorted(files):
-        digest = hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
-        store = WORK / f"{Path(file).stem}-{digest[:16]}.json"
-        if not store.is_file():
-            os.environ["MUTANTS_LOG"] = str(store)
-            code, output = tree.test([file], 1800.0, "-m", SKIPPED, "-q")
-            del os.environ["MUTANTS_LOG"]
-            if code != 0:
-                store.unlink(missing_ok=True)
-                raise SystemExit(f"{file} fails without a mutant:\n{output[-3000:]}")
-        times |= json.loads(store.read_text())
-    return times
+def traced(tree: Tree, file: str) -> dict[str, Trace]:
+    """Return the trace of each test in a file without a mutant, from an earlier run where the file is the same."""
+    digest = hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
+    store = WORK / f"{Path(file).stem}-{digest[:16]}.json"
+    if not store.is_file():
+        code, output = tree.test([file], 3600.0, MUTANTS_LOG=str(store))
+        if code != 0:
+            store.unlink(missing_ok=True)
+            raise SystemExit(f"{file} fails without a mutant:\n{output[-3000:]}")
+    traces = json.loads(store.read_text())
+    return {name: Trace(seconds, frozenset(calls)) for name, (seconds, calls) in traces.items()}
 
 
-def tried(tree: Tree, mutant: Mutant, text: str, times: dict[str, float]) -> tuple[str, str]:
-    """Return the outcome of a mutant, and the test that failed first."""
-    tests: dict[str, list[str]] = defaultdict(list)  # of each file, those of few seconds first
-    total = 0.0
-    for name in sorted((name for name in times if name.split("::")[0] in subject(mutant.file)), key=times.__getitem__):
-        if (total := total + times[name]) > LONGEST:
-            break
-        tests[name.split("::")[0]].append(name)
-    files = sorted(tests, key=lambda file: sum(times[name] for name in tests[file]))
+def function_of(file: str, line: int) -> str:
+    """Return the outermost function that a line is in, as traces name it; the file for a line in none."""
+    best = ""
+    pending: list[ast.AST] = [ast.parse((ROOT / file).read_text(encoding="utf-8"))]
+    while pending:
+        node = pending.pop()
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.FunctionDef):
+                first = min([child.lineno, *(decorator.lineno for decorator in child.decorator_list)])
+                if child.body[0].lineno <= line <= (child.end_lineno or line):
+                    best = f"{file}:{first}"
+            else:
+                pending.append(child)
+    return best or file
+
+
+def order_of(mutant: Mutant, tests: dict[str, Trace]) -> list[str]:
+    """Return the tests that a mutant is tried against: those that call its function first, the quickest first."""
+    place = function_of(mutant.file, mutant.line)
+    callers = {name for name, trace in tests.items() if any(f"{call}:".startswith(f"{place}:") for call in trace.calls)}
+    order: list[str] = []
+    for names, limit in ((callers, LONGEST), (tests.keys() - callers, UNSEEN)):
+        total = 0.0
+        for name in sorted(names, key=lambda name: (tests[name].seconds, name)):
+            if (total := total + tests[name].seconds) > limit:
+                break
+            order.append(name)
+    return order
+
+
+def tried(tree: Tree, mutant: Mutant, text: str, depth: int) -> tuple[str, str]:
+    """Return the outcome of a mutant against the first test files of its subject, and the test that failed."""
     original = (ROOT / mutant.file).read_text(encoding="utf-8")
-    tree.write(mutant.file, text)
-    try:
-        for chosen in (files[:1], files[1:]):  # most are killed by the first, so that no other is imported
-            names = sorted((name for file in chosen for name in tests[file]), key=times.__getitem__)
-            code, output = tree.chosen(chosen, names, PATIENCE * sum(times[name] for name in names) + STARTING)
-            if code != 0:
-                failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-                return ("timeout" if code is None else "killed"), (failed[0] if failed else output[-200:])
-    finally:
-        tree.write(mutant.file, original)
+    for file in subject(mutant.file)[:depth]:
+        traces = traced(tree, file)
+        names = order_of(mutant, traces)
+        tree.write(mutant.file, text)
+        try:
+            patience = PATIENCE * sum(traces[name].seconds for name in names) + STARTING
+            code, output = tree.chosen(names, patience, Change(tree.folder / mutant.file, original, text))
+        finally:
+            tree.write(mutant.file, original)
+        if code != 0:
+            failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
+            return ("timeout" if code is None else "killed"), (failed[0] if failed else output[-200:])
     return "survived", ""
 
 
@@ -318,19 +463,44 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = sorted((item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid])
 
 
-_TIMES: dict[str, float] = {}
+_TRACES: dict[str, tuple[float, list[str]]] = {}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Note the functions of `cosim` that a test calls, its fixtures included, in this process."""
+    if "MUTANTS_LOG" not in os.environ:
+        return (yield)
+    codes: set[CodeType] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            codes.add(frame.f_code)
+
+    threading.setprofile(note)
+    sys.setprofile(note)
+    try:
+        return (yield)
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)  # type: ignore[arg-type]
+        base = f"{os.getcwd()}{os.sep}"
+        own = [code for code in codes if code.co_filename.startswith(f"{base}cosim{os.sep}")]
+        calls = sorted({f"{Path(c.co_filename[len(base) :]).as_posix()}:{c.co_firstlineno}" for c in own})
+        if item.nodeid in _TRACES:
+            _TRACES[item.nodeid] = _TRACES[item.nodeid][0], calls
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Note how long a test takes."""
     if report.when == "call" and report.passed:
-        _TIMES[report.nodeid] = report.duration
+        _TRACES[report.nodeid] = report.duration, []
 
 
 def pytest_sessionfinish() -> None:
-    """Write how long the tests took."""
+    """Write the traces of the tests."""
     if log := os.environ.get("MUTANTS_LOG"):
-        Path(log).write_text(json.dumps(_TIMES))
+        Path(log).write_text(json.dumps(_TRACES))
 
 
 # -- the command ------------------------------------------------------------------------------------
@@ -356,6 +526,7 @@ def main() -> None:
     parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py")
     parser.add_argument("-n", type=int, default=60, help="mutants in all")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--depth", type=int, default=9, help="test files of the subject that are tried at most")
     parser.add_argument("--list", action="store_true", help="print the sample, try nothing")
     options = parser.parse_args()
     paths = [path for pattern in options.files or FILES for path in sorted(ROOT.glob(pattern))]
@@ -363,7 +534,6 @@ def main() -> None:
     WORK.mkdir(parents=True, exist_ok=True)
     sample, tools, same = drawn(files, options.n, options.seed), operators(), equivalents()
     tree = None if options.list else Tree(WORK / str(os.getpid()) / "tree")
-    times = {} if tree is None else timed(tree, {test for mutant in sample for test in subject(mutant.file)})
     verdicts = []
     for mutant in sample:
         text, begun = mutated(mutant, tools), time.perf_counter()
@@ -373,7 +543,7 @@ def main() -> None:
         elif tree is None:
             outcome, by = "listed", ""
         else:
-            outcome, by = tried(tree, mutant, text, times)
+            outcome, by = tried(tree, mutant, text, options.depth)
         verdicts.append(Verdict(mutant, outcome, by, before, after))
         print(f"{outcome:10} {mutant.file}:{mutant.line}  [{time.perf_counter() - begun:.0f} s] {by[:110]}", flush=True)
         if outcome != "killed":

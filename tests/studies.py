@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 
+from cosim.estimation.problem import Problem
+from cosim.logs.log import Log
+from cosim.refinement.proof.measure import Evidence, replays
+from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
+from cosim.subject.interface import Workplace
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
 from tests.verdicts import contradictions
@@ -39,6 +45,14 @@ def proven(study: Path, folder: Path) -> Refinement:
     said = contradictions(written, folder)
     assert not said, said
     return r
+
+
+def replayed(
+    variant: Variant, problem: Problem, logs: Sequence[Log], folder: Path, horizons: Sequence[float] = ()
+) -> dict[float, Evidence]:
+    """Replays of a variant through what is delivered."""
+    with Workplace(folder, in_process=True) as place:
+        return replays(variant, variant.subject.replayer(place), problem, logs, horizons)
 
 
 def named(r: Refinement) -> set[str]:

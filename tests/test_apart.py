@@ -38,7 +38,7 @@ def cosim(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module", params=["tank", "drive"])
+@pytest.fixture(scope="module", params=["tank", pytest.param("drive", marks=pytest.mark.thorough)])
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A folder with a model file, three logs and a study; and how the model is called."""
     folder = tmp_path_factory.mktemp(request.param)

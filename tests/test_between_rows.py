@@ -51,8 +51,8 @@ def motor_study(folder: Path, rig: str, study: str) -> Path:
 
 def between(path: Path) -> Between:
     study = read_study(path)
-    problem = coarsened(build_problem(study.loaded.model, study.logs, settings=study.settings))
-    search = Search(study.loaded.model, problem, 1, lambda stage, share: None)
+    problem = coarsened(build_problem(study.subject, study.logs, settings=study.settings))
+    search = Search(study.subject, problem, 1, lambda stage, share: None)
     return between_rows(problem, search.hypothesis((), None))
 
 

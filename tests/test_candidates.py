@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import pytest
 
-from cosim.estimation.candidates import base_parameters, candidates, neutral_values
 from cosim.model import Equations, Model, Namespace, parameter
+from cosim.subject.base_parameters import base_parameters
+from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.hovercraft import Hovercraft
 
 
 def test_a_base_parameter_is_looked_for_within_its_own_bounds_near_its_value() -> None:
     craft = Hovercraft()
-    mass = next(f for f in base_parameters(craft, neutral_values(craft), {}) if f.name == "mass")
+    mass = next(f for f in base_parameters(ModelSubject.of(craft), neutral_values(craft), {}) if f.name == "mass")
     assert (mass.low, mass.high) == craft.declared["mass"].bounds
     assert mass.prior == pytest.approx((0.705, 0.00705))  # 2 % hold 95 %: a standard deviation is half of that
 
@@ -21,6 +22,7 @@ def test_a_base_parameter_is_looked_for_within_its_own_bounds_near_its_value() -
 def test_the_tolerance_of_a_study_goes_before_that_of_the_model_and_that_before_the_usual() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Stated(Model):
+        base_states = inputs = outputs = ()
         calibrated = ("sure", "usual")
         sure: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force", tolerance=0.1)
         usual: float = parameter(2.0, unit="N", bounds=(0, 10), doc="a force")
@@ -31,7 +33,9 @@ def test_the_tolerance_of_a_study_goes_before_that_of_the_model_and_that_before_
             raise NotImplementedError
 
     def sigmas(stated: dict[str, float]) -> dict[str, float]:
-        found = base_parameters(Stated(), dict.fromkeys(("sure", "usual", "loose", "left"), 2.0), stated)
+        found = base_parameters(
+            ModelSubject.of(Stated()), dict.fromkeys(("sure", "usual", "loose", "left"), 2.0), stated
+        )
         return {f.name: f.prior[1] for f in found if f.prior}
 
     assert sigmas({}) == pytest.approx({"sure": 0.1, "usual": 0.02, "loose": 0.3})
@@ -40,7 +44,9 @@ def test_the_tolerance_of_a_study_goes_before_that_of_the_model_and_that_before_
 
 def test_a_craft_without_friction_may_turn_out_to_have_some() -> None:
     craft = Hovercraft(friction=0.0)
-    friction = next(f for f in base_parameters(craft, neutral_values(craft), {}) if f.name == "friction")
+    friction = next(
+        f for f in base_parameters(ModelSubject.of(craft), neutral_values(craft), {}) if f.name == "friction"
+    )
     assert friction.low == 0.0 < friction.high
     assert friction.size > 0.0
     assert friction.prior is not None
@@ -50,20 +56,21 @@ def test_a_craft_without_friction_may_turn_out_to_have_some() -> None:
 def test_a_negative_parameter_has_limits_on_both_sides() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Leaning(Model):
+        base_states = inputs = outputs = ()
         calibrated = ("lean",)
         lean: float = parameter(-0.3, unit="N", bounds=(-10, 10), doc="a force")
 
         def equations(self, m: Namespace) -> Equations:
             raise NotImplementedError
 
-    (lean,) = base_parameters(Leaning(), {"lean": -0.3}, {})
+    (lean,) = base_parameters(ModelSubject.of(Leaning()), {"lean": -0.3}, {})
     assert lean.low < -0.3 < lean.high
 
 
 def test_the_thrust_line_is_on_trial_only_where_the_duty_varies() -> None:
     craft = Hovercraft()
     still, varied = (
-        {c.name for c in candidates(craft, neutral_values(craft), inputs)}
+        {c.name for c in ModelSubject.of(craft).candidates(inputs)}
         for inputs in (["tilt_right"], ["tilt_right", "duty_left"])
     )
     assert varied - still == {"thrust_slope"}
@@ -71,7 +78,7 @@ def test_the_thrust_line_is_on_trial_only_where_the_duty_varies() -> None:
 
 def test_an_effect_whose_likelihood_has_two_hills_starts_on_both() -> None:
     craft = Hovercraft()
-    tried = {c.name: c for c in candidates(craft, neutral_values(craft), [])}
+    tried = {c.name: c for c in ModelSubject.of(craft).candidates([])}
     low, high = tried["actuator_second_order"].starts
     assert low.keys() == high.keys() == set(tried["actuator_second_order"].parameters)
     assert low != high
@@ -80,5 +87,5 @@ def test_an_effect_whose_likelihood_has_two_hills_starts_on_both() -> None:
 
 def test_every_name_told_apart_is_one_that_is_tried() -> None:
     craft = Hovercraft()
-    tried = {c.name for c in candidates(craft, neutral_values(craft), [q.name for q in craft.inputs])}
+    tried = {c.name for c in ModelSubject.of(craft).candidates([q.name for q in craft.inputs])}
     assert set().union(*craft.told_apart_by) <= tried

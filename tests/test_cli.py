@@ -17,7 +17,7 @@ from cosim.base.errors import InputError, Interrupted
 from cosim.master.remote import Stepped
 from cosim.refinement.stages import ORDER, numbered
 from cosim.refinement.study import read_study
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app, entry
 from cosim.verbs.terminal import Manner, stages
 from tests.conftest import ROOT
@@ -198,7 +198,7 @@ def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
         checked.append(system)
         return Stepped(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("cosim.verbs.checks.simulate_apart", interrupted)
+    monkeypatch.setattr("cosim.simulation.trial.simulate_apart", interrupted)
     path = str(deeds_scenario(tmp_path, "none", "none"))
     answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
     assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compared
-from cosim.comparison.run_files import Ran
+from cosim.simulation.run_files import Ran
 from cosim.storage.results import Results, read_results
 from tests.seen import faults
 from tests.test_first_steps import told

@@ -15,9 +15,10 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.run_files import Ran
+from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import near, rows_of
 from cosim.comparison.workflow import compare, context
+from cosim.simulation.run_files import Ran
 from cosim.storage.results import Results
 
 TIME = np.linspace(0.0, 1.0, 101)
@@ -278,6 +279,24 @@ def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
     assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html"]
     compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
     assert [p.name for p in place.iterdir()] == ["comparison.json"]
+
+
+def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_from_a() -> None:
+    first, second = np.radians([0.0, 10.0, 20.0]), np.radians([0.0, 13.0, 18.0])
+    both, apart = panels_of("psi", "rad", ("one", "two"), (first, second))
+    assert (both.title, both.unit, apart.unit) == ("psi", "°", "°")
+    assert [trace.label for trace in both.traces] == ["a: one", "b: two"]
+    np.testing.assert_allclose([trace.values for trace in both.traces], [[0, 10, 20], [0, 13, 18]], atol=1e-12)
+    (difference,) = apart.traces
+    np.testing.assert_allclose(difference.values, [0, 3, -2], atol=1e-12)
+    assert {trace.style for trace in (*both.traces, difference)} == {"s0", "s1", "error"}  # told apart by eye
+    assert [panel.unit for panel in panels_of("n", "", ("a", "b"), (first, second))] == ["no unit", "no unit"]
+
+
+def test_criteria_of_a_run_are_those_of_a_manifest_that_holds_some() -> None:
+    results = ran("a", x=TIME).results
+    for manifest, count in (({}, 0), ({"criteria": "none"}, 0), ({"criteria": [CRITERION, "torn", None]}, 1)):
+        assert len(Ran(Path("a"), "a", results, manifest).criteria) == count
 
 
 def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:

@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
 from cosim.experiment.excite import Excitation, _merit, excite
 from cosim.experiment.question import ask
@@ -29,6 +28,7 @@ from cosim.refinement.decision.judgement import decided
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.simulation.workflow import run
+from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE
@@ -74,9 +74,10 @@ def forth_and_back(seconds: float) -> Told:
 def attributed(log: Path) -> Attribution:
     """What refine makes of a log, the rivals its only candidates."""
     model = Hovercraft()
-    problem = build_problem(model, [read_log(log, model.inputs, model.outputs)])
-    trial = [c for c in candidates(model, problem.values, ()) if c.name in RIVALS]
-    return decided(Attributor(model, problem, trial).run())
+    subject = ModelSubject.of(model)
+    problem = build_problem(subject, [read_log(log, model.inputs, model.outputs)])
+    trial = [c for c in subject.candidates(()) if c.name in RIVALS]
+    return decided(Attributor(subject, problem, trial).run())
 
 
 @pytest.fixture(scope="module")

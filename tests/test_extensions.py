@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import venv
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -41,14 +42,14 @@ REGISTERED = '''
 from pathlib import Path
 
 from acme import tank
-from cosim.base.registry import Extension, ModelEntry, Page
+from cosim.base.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
 from cosim.simulation.report.subject import Subject
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
-VOLUME = Extension(command="acme.registered:register", function="acme.registered:volume")
+VOLUME = Verb("acme.registered:command", "acme.registered:volume")
 
 
 def tank_recipe(values=None):
@@ -64,11 +65,9 @@ def volume(level: float) -> float:
     return 0.5 * level
 
 
-def register(app) -> None:
-    @app.command("tank-volume")
-    def command(level: float) -> None:
-        """Print the volume of water at a level."""
-        print(f"volume: {volume(level)} m3")
+def command(level: float) -> None:
+    """Print the volume of water at a level."""
+    print(f"volume: {volume(level)} m3")
 '''
 LOGS = re.search(
     r"```text\n# acme/logs.py.*?\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL
@@ -94,10 +93,16 @@ def installed(project: Path, target: Path) -> Path:
     return target
 
 
+def need_setuptools() -> None:
+    """Skip where nothing can be installed; importing setuptools here would replace the process's distutils."""
+    if find_spec("setuptools") is None:
+        pytest.skip("setuptools, which installs the package, is not there")
+
+
 @pytest.fixture(scope="module")
 def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A package of a third party, installed."""
-    pytest.importorskip("setuptools")
+    need_setuptools()
     project, target = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("acme")
     (project / "acme").mkdir()
     (project / "pyproject.toml").write_text(PYPROJECT)
@@ -185,7 +190,7 @@ def test_two_packages_under_one_name_are_an_error_that_names_both(tmp_path: Path
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The Python of an environment that holds the framework and its dependencies, and no example."""
-    pytest.importorskip("setuptools")
+    need_setuptools()
     place = tmp_path_factory.mktemp("alone")
     source = place / "source"
     shutil.copytree(ROOT / "cosim", source / "cosim", ignore=shutil.ignore_patterns("__pycache__"))

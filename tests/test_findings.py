@@ -18,7 +18,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from cosim.estimation.candidates import Candidate, Free, candidates
 from cosim.estimation.fit import Fit, _Scoring, fit, inverse
 from cosim.estimation.noise_model import Noise, noise_range
 from cosim.estimation.posing import build_problem, coarsened, with_equations_trusted
@@ -37,6 +36,8 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, left_beside
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import _follows
+from cosim.subject.candidates import Candidate, Free
+from cosim.subject.model_subject import ModelSubject
 from tests.ferry import ferry_study
 from tests.logs import write_log
 from tests.rail import MODEL, NOISE, SHEET, Rows, rail_log, rail_study, white
@@ -83,15 +84,17 @@ def rail(tmp_path_factory: pytest.TempPathFactory) -> Model:
 def posed(model: Model, folder: Path, *seeds: int, settings: Settings | None = None, **how: Any) -> Problem:
     """The fitting problem of some logs of a rail."""
     paths = [rail_log(folder / f"{seed}.csv", seed, **how) for seed in seeds]
-    return build_problem(model, [read_log(p, model.inputs, model.outputs) for p in paths], settings=settings)
+    return build_problem(
+        ModelSubject.of(model), [read_log(p, model.inputs, model.outputs) for p in paths], settings=settings
+    )
 
 
 def parts_of(problem: Problem, model: Model, *names: str) -> tuple[Candidate, ...]:
-    return tuple(c for c in candidates(model, problem.values, ("force",)) if c.name in names)
+    return tuple(c for c in ModelSubject.of(model).candidates(("force",)) if c.name in names)
 
 
 def searched(model: Model, problem: Problem, on_trial: int = 1) -> Search:
-    return Search(model, problem, on_trial, lambda stage, share: None)
+    return Search(ModelSubject.of(model), problem, on_trial, lambda stage, share: None)
 
 
 # -- 1: base numbers that are off by what a data sheet is off -----------------------------------
@@ -234,9 +237,9 @@ def decided_of(study: Path) -> Attribution:
     """What a study comes to before replays judge it: found, fitted, weighed."""
     read = read_study(study)
     model, noise = read.loaded.model, read.content.noise
-    problem = build_problem(model, read.logs, noise=noise, settings=read.settings)
-    trial = [c for c in candidates(model, problem.values, ("force",)) if c.name in (read.content.candidates or ())]
-    return decided(attributed(model, problem, trial, lambda stage, share: None))
+    problem = build_problem(ModelSubject.of(model), read.logs, noise=noise, settings=read.settings)
+    trial = [c for c in ModelSubject.of(model).candidates(("force",)) if c.name in (read.content.candidates or ())]
+    return decided(attributed(ModelSubject.of(model), problem, trial, lambda stage, share: None))
 
 
 # -- 4: what sensors and recorders do ---------------------------------------------------------------
@@ -305,7 +308,7 @@ def test_the_noise_that_a_study_states_has_the_last_word(tmp_path: Path) -> None
 
 def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail: Model, tmp_path: Path) -> None:
     problem = coarsened(posed(rail, tmp_path, 0, numbers={"soft": 20.0}))
-    attributor = Attributor(rail, problem, parts_of(problem, rail, "late_motor", "soft_motor"))
+    attributor = Attributor(ModelSubject.of(rail), problem, parts_of(problem, rail, "late_motor", "soft_motor"))
     search = attributor.search
     begin = {"late_motor.time": 0.02, "soft_motor.frequency": 15.0}
     both = search.hypothesis(parts_of(problem, rail, "late_motor", "soft_motor"), None, promised=begin)
@@ -418,7 +421,7 @@ def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tm
     filtered, trusted, unaware = list[bool](), list[bool](), list[bool]()
     for k in range(16):
         problem = posed(rail, tmp_path, 10 * k + 100, 10 * k + 101, numbers={"slope": 0.3}, push=0.1, seconds=16.0)
-        for way, found in ((problem, filtered), (with_equations_trusted(rail, problem), trusted)):
+        for way, found in ((problem, filtered), (with_equations_trusted(ModelSubject.of(rail), problem), trusted)):
             f = slope_of(rail, coarsened(way))
             off = f.values["slope.pull"] - 0.3
             found.append(abs(off) < 1.96 * f.sigma("slope.pull"))
@@ -455,7 +458,7 @@ def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Pat
 
 def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_path: Path) -> None:
     path = rail_log(tmp_path / "a.csv", 0)
-    problem = coarsened(build_problem(rail, [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
+    problem = coarsened(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
     base = searched(rail, problem).hypothesis((), None)
     left = left_beside(replace(problem, sensing=base.fit.noise), base.fit, 0.5 * math.log(problem.samples))
     count = sum(n.startswith("unnamed.") for n in problem.layout.parameters)

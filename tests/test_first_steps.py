@@ -19,9 +19,10 @@ from cosim.blocks.component import Signal
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.kinds import LOG, next_step
 from cosim.storage.results import read_results
-from cosim.verbs.api import run, simulate
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
+from cosim.verbs.run_verb import run
+from cosim.verbs.simulate_verb import simulate
 from tests.typed import typed_fmu
 
 EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'

@@ -15,12 +15,13 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.sources import playback
 from cosim.logs.log import Log, read_log
+from cosim.residuals.replay_signals import Replay
+from cosim.simulation.run_signals import Run
 from cosim.storage import csv_source
 from cosim.storage.results import Results, read_results
 from cosim.storage.table import read_columns, read_header, read_table
 from cosim.storage.table_columns import Column, Faults
 from cosim.verbs.cli import app
-from cosim.verbs.outcomes import Replay, Run
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
 

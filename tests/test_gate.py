@@ -18,7 +18,7 @@ from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
 from cosim.residuals.against import delay, delays, scales
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 

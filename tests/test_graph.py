@@ -13,7 +13,7 @@ from cosim.authoring.graph import graph_of
 from cosim.report.diagram import Box, Port, Wire, diagram
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from cosim.verbs.api import run
+from cosim.verbs.run_verb import run
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

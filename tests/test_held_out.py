@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.estimation.candidates import candidates
 from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
 from cosim.model import Stepper
 from cosim.refinement.decision.evidence import held_out
 from cosim.refinement.decision.judgement import decided
 from cosim.refinement.search.attribution import Attributor
+from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import OUTPUTS, Hovercraft
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times
 
@@ -58,9 +58,9 @@ def test_logs_that_are_unlike_confirm_what_each_other_shows(tmp_path: Path) -> N
     craft = model.with_values({"thrust_asymmetry.ratio": 0.02})
     flights = ((straight, 8.0), (spinning, 30.0))
     logs = [flown(tmp_path / f"{k}.csv", craft, law, seconds, k) for k, (law, seconds) in enumerate(flights)]
-    problem = build_problem(model, logs)
-    trial = [c for c in candidates(model, problem.values, ()) if c.name in ("thrust_asymmetry", "com_offset")]
-    found = Attributor(model, problem, trial).run()
+    problem = build_problem(ModelSubject.of(model), logs)
+    trial = [c for c in ModelSubject.of(model).candidates(()) if c.name in ("thrust_asymmetry", "com_offset")]
+    found = Attributor(ModelSubject.of(model), problem, trial).run()
     attribution = decided(found)
     assert (attribution.best.names, attribution.rivals) == (("thrust_asymmetry",), ())
     base, best = attribution.base, attribution.best

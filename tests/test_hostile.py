@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.storage import yaml_parsers
 from cosim.storage.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
 from cosim.storage.yaml_nodes import Document, NotYaml
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">

@@ -104,6 +104,73 @@ def test_the_framework_names_no_module_of_the_example_in_a_text() -> None:
     assert found == []
 
 
+MOST_BRANCHES = 14  # cyclomatic complexity of a function
+# rooms with functions that are still compressed, and with lines that are kept from the formatter
+COMPRESSED = {
+    f"cosim/{name}"
+    for name in (
+        *("blocks", "estimation", "kernel", "logs", "master", "refinement", "report", "residuals", "simulation"),
+        *("storage", "system", "verbs"),
+    )
+}
+
+
+def branches(function: ast.AST) -> int:
+    """Return the cyclomatic complexity of a function, those within it apart, counted as radon does."""
+    count, nodes = 1, [*ast.iter_child_nodes(function)]
+    for node in nodes:
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        nodes += ast.iter_child_nodes(node)
+        if isinstance(node, ast.BoolOp):
+            count += len(node.values) - 1
+        elif isinstance(node, ast.comprehension):
+            count += 1 + len(node.ifs)
+        elif isinstance(node, (ast.For, ast.AsyncFor, ast.While)):
+            count += 1 + bool(node.orelse)
+        elif isinstance(node, ast.Try):
+            count += len(node.handlers) + bool(node.orelse)
+        elif isinstance(node, (ast.If, ast.IfExp, ast.Assert, ast.match_case)):
+            count += 1
+    return count
+
+
+def test_branches_are_counted_as_by_radon() -> None:
+    text = """
+def function(a, b):
+    for x in a:
+        if x and b or x > 1:
+            return [y if y else 0 for y in b if y]
+    else:
+        def inner():
+            assert a
+        try:
+            inner()
+        except (ValueError, TypeError):
+            return lambda: 0
+    """
+    assert branches(ast.parse(text).body[0]) == 10
+
+
+def test_no_function_is_compressed() -> None:
+    found = []
+    for path in sources():
+        if path.suffix != ".py" or room(path) in COMPRESSED:
+            continue
+        text = (ROOT / path).read_text(encoding="utf-8")
+        found += [
+            f"{path}:{node.lineno}: {node.name} has {count} branches; a table, a class or a longer body has fewer"
+            for node in ast.walk(ast.parse(text))
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and (count := branches(node)) > MOST_BRANCHES
+        ]
+        found += [
+            f"{path}:{number}: {line.strip()}"
+            for number, line in enumerate(text.splitlines(), 1)
+            if re.search(r"# fmt: (skip|off)", line)
+        ]
+    assert found == []
+
+
 def test_the_names_of_the_craft_stand_in_its_own_rooms_alone() -> None:
     found = [
         f"{path}:{number}: {line.strip()}"

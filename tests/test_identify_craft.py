@@ -11,7 +11,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.loading.file import read_model
 from cosim.model import Stepper
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.identification.rest_noise import squared, variance
 from plant.identification.workflow import identify

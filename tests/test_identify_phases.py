@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.identification.prepared import read_protocol
 from plant.identification.recordings import play_plain
 from plant.identification.thrust_line import dead_end

@@ -13,7 +13,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.storage.csv_source import write_table
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.identification.columns import COLUMNS
 from plant.identification.equal_readings import equal_readings
 from plant.identification.prepared import read_protocol

@@ -1,10 +1,10 @@
-"""The kernel is one filter, whatever it is compiled from: C and numba give the same numbers."""
+"""The filter in C: the same numbers from every compiler, from the cache, and step by step those of the FMU."""
 
 from __future__ import annotations
 
 import math
+import os
 import pickle
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -16,7 +16,6 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data
 from cosim.estimation.posing import start_state
 from cosim.fmi.native.compiler import compiler
@@ -24,15 +23,15 @@ from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated, generate
-from cosim.kernel.jit import JitKernel
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.loading.file import own_model
 from cosim.model import Equations, Model, Namespace, Stepper
 from cosim.model.symbolic.dormant import skippable
 from cosim.model.symbolic.functions import Body
-from cosim.model.symbolic.languages import C, Python
+from cosim.model.symbolic.languages import C
 from cosim.storage.cache import cached
+from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
@@ -48,13 +47,13 @@ AWAKE = {
 }  # fmt: skip
 LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
-SAME = 1e-10  # of the largest value of a channel; the two differ in the order of sums at most
+SAME = 1e-10  # of the largest value of a channel; two compilers differ in the order of sums at most
 
 
 @pytest.fixture(scope="module")
-def jitted() -> JitKernel:
-    """The craft as an IMU sees it, terms of no catalogue and all; compiling it takes longest here."""
-    return JitKernel(generate(Hovercraft(), IMU, Python(), unnamed=True))
+def craft() -> Generated:
+    """The craft as an IMU sees it, terms of no catalogue and all."""
+    return generate(Hovercraft(), IMU, unnamed=True)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return as_data(Hovercraft(), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
+    return as_data(ModelSubject.of(Hovercraft()), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -72,12 +71,12 @@ def parameters(model: Model, layout: Layout, **changes: float) -> Array:
     return np.array([values[name] for name in layout.parameters])
 
 
-def filtered(k: CompiledKernel | JitKernel, data: Data, p: Array) -> Filtered:
+def filtered(k: CompiledKernel, data: Data, p: Array) -> Filtered:
     """Filter from a start of some uncertainty, with some noise."""
     layout = k.layout
     q = np.zeros(len(layout.stochastic))
     q[list(layout.noisy)] = 1e-3
-    x0 = start_state(Hovercraft(), data, layout.outputs, layout.states)
+    x0 = start_state(ModelSubject.of(Hovercraft()), data, layout.outputs, layout.states)
     return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
 
 
@@ -113,46 +112,54 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
 
 
-def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(jitted: JitKernel, table: Model, tmp_path: Path) -> None:
+def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(craft: Generated, table: Model, tmp_path: Path) -> None:
     # a lag has forgotten all but 1e-4 of its start after ln(1e4) time constants; a table on a rail has none
-    craft, layout = Hovercraft(), jitted.layout
+    model, layout = Hovercraft(), craft.layout
     driven = [layout.states[k] for k in layout.driven]
     assert {*driven} == {*LAGS, "phi", "phi_dot"}  # the roll decays faster than the lags
-    assert settling(craft, driven) == pytest.approx(math.log(1e4) * craft.lag, rel=1e-6)
-    assert settling(craft, LAGS[:0]) == 0.0
-    assert generate(table, [table.outputs[0].name], Python()).layout.driven == ()
+    assert settling(model, driven) == pytest.approx(math.log(1e4) * model.lag, rel=1e-6)
+    assert settling(model, LAGS[:0]) == 0.0
+    assert generate(table, [table.outputs[0].name]).layout.driven == ()
     log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
-    waits = [settling(replace(craft, lag=lag), driven) for lag in (0.5 * craft.lag, craft.lag, 0.3)]
-    rows = [as_data(craft, log, layout, wait).settle for wait in waits]
+    waits = [settling(replace(model, lag=lag), driven) for lag in (0.5 * model.lag, model.lag, 0.3)]
+    rows = [as_data(ModelSubject.of(model), log, layout, wait).settle for wait in waits]
     assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
+
+
+@pytest.fixture
+def zig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No compiler but that of the extra `refine`."""
+    pytest.importorskip("ziglang", reason="the extra refine is not installed")
+    monkeypatch.setenv("CC", "")
 
 
 @NEEDS_C
 @pytest.mark.parametrize("as_recorded", [True, False], ids=["held", "interpolated and late"])
-def test_numba_and_c_agree_to_rounding(jitted: JitKernel, seen: Data, as_recorded: bool) -> None:
-    model = Hovercraft()
+def test_two_compilers_agree_to_rounding(
+    craft: Generated, seen: Data, as_recorded: bool, request: pytest.FixtureRequest
+) -> None:
     if not as_recorded:
         late = 0.4 * np.random.default_rng(3).uniform(-1.0, 1.0, seen.y.shape)
         seen = replace(seen, interpolated=frozenset({"duty_right", "tilt_left"}), late=late)
-    compiled = CompiledKernel(generate(model, IMU, C(), unnamed=True))
-    assert compiled.layout == jitted.layout
-    p = parameters(model, jitted.layout, **AWAKE)
-    run = filtered(compiled, seen, p)
-    assert_same(run, filtered(jitted, seen, p))
+    kernels = [CompiledKernel(craft)]
+    request.getfixturevalue("zig")
+    kernels.append(CompiledKernel(craft))
+    p = parameters(Hovercraft(), craft.layout, **AWAKE)
+    run = filtered(kernels[0], seen, p)
+    assert_same(run, filtered(kernels[1], seen, p))
     assert np.array_equal(np.isnan(run.errors), np.isnan(seen.y))
     assert np.ptp(run.memory, axis=0).min() > 0.0  # the play was taken up
     kicks = 1e-3 * np.random.default_rng(2).standard_normal(run.states.shape)
     for first, pushed in ((0, None), (20, kicks)):
-        both = [
-            k.simulate(seen, p, run.states[first], run.memory[first], pushed, first=first) for k in (compiled, jitted)
-        ]
+        both = [k.simulate(seen, p, run.states[first], run.memory[first], pushed, first=first) for k in kernels]
         assert_same(*both)
         assert np.isfinite(both[0].outputs[first:]).all()
 
 
-def test_a_run_that_diverges_has_infinite_errors_from_there_on(jitted: JitKernel, seen: Data) -> None:
-    p = parameters(Hovercraft(), jitted.layout, **{"unnamed.vx.vx³": 1e6})
-    run = filtered(jitted, seen, p)
+@NEEDS_C
+def test_a_run_that_diverges_has_infinite_errors_from_there_on(craft: Generated, seen: Data) -> None:
+    p = parameters(Hovercraft(), craft.layout, **{"unnamed.vx.vx³": 1e6})
+    run = filtered(CompiledKernel(craft), seen, p)
     lost = int(np.flatnonzero(np.isinf(run.errors).all(axis=1))[0])
     assert lost > 0
     assert np.isinf(run.errors[lost:]).all()
@@ -177,40 +184,40 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
 
 @pytest.fixture(scope="module")
 def generated(table: Model) -> Generated:
-    """The table's kernel, to be compiled by numba."""
-    return generate(table, ("angle",), Python())
+    """The table's kernel, to be compiled."""
+    return generate(table, ("angle",))
 
 
-@pytest.fixture(scope="module")
-def made(generated: Generated, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache that holds it, compiled."""
-    folder = tmp_path_factory.mktemp("kept")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(folder))
-        JitKernel(generated)
-    return folder
+STAND_IN = """import subprocess, sys
+words = sys.argv[1:]
+assert words[0] == "cc", words
+at = words.index("-target")
+sys.exit(subprocess.run([*{command!r}, *words[1:at], *words[at + 2:]]).returncode)
+"""
 
 
-@pytest.fixture
-def cache(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The cache of one test, with the table's kernel in it."""
-    shutil.copytree(made, tmp_path / "cache")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return cached("", "").parent
-
-
-def hits(k: JitKernel) -> list[int]:
-    """How often numba took each function from its cache."""
-    return [sum(f.stats.cache_hits.values()) for f in (k._module.filter, k._module.simulate)]
-
-
+@NEEDS_C
 @pytest.mark.parametrize("cc", ["", "false", "no-such-compiler", 'gcc "'])
-def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
-    table: Model, monkeypatch: pytest.MonkeyPatch, cc: str
+def test_without_a_compiler_that_works_that_of_the_extra_takes_its_place(
+    table: Model, monkeypatch: pytest.MonkeyPatch, cc: str, tmp_path: Path
 ) -> None:
+    (tmp_path / "ziglang").mkdir()
+    (tmp_path / "ziglang" / "__init__.py").touch()
+    (tmp_path / "ziglang" / "__main__.py").write_text(STAND_IN.format(command=compiler()))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "ziglang", raising=False)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("CC", cc)
-    k = kernel(table, ("angle",))
-    assert isinstance(k, JitKernel)
+    assert steps_as_the_fmu(kernel(table, ("angle",)), table)
+
+
+def test_the_compiler_of_the_extra_makes_the_kernel(table: Model, zig: None) -> None:
+    assert steps_as_the_fmu(kernel(table, ("angle",)), table)
+
+
+def steps_as_the_fmu(k: CompiledKernel, table: Model) -> bool:
+    """Compare a run without readings with that of the FMU's integrator."""
     torque = 0.1 * np.sin(2.0 * times(2.0))[:, None]
     data = Data(0.02, 0.0, torque, np.full_like(torque, np.nan), 4)
     run = k.simulate(data, parameters(table, k.layout, **{"dry_friction.level": 0.05}), np.zeros(3), np.zeros(0))
@@ -220,27 +227,17 @@ def test_without_a_compiler_that_works_a_model_of_ones_own_runs_on_numba(
     for state, u in zip(run.states[:, :2], torque.tolist(), strict=True):
         assert state == pytest.approx(moment.state, rel=1e-9, abs=1e-12)  # the same steps, sums in another order
         moment = stepper.step(moment, tuple(u), 0.02)
+    return True
 
 
 def files(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
 
 
-def test_another_process_takes_the_kernel_from_the_cache(generated: Generated, cache: Path) -> None:
-    before = files(cache)
-    call = (
-        "import sys, pickle; from cosim.kernel.jit import JitKernel; k = JitKernel(pickle.load(sys.stdin.buffer));"
-        "print(sum(k._module.filter.stats.cache_hits.values()), sum(k._module.simulate.stats.cache_hits.values()))"
-    )
-    run = subprocess.run([sys.executable, "-c", call], input=pickle.dumps(generated), capture_output=True, check=True)
-    assert run.stdout.split() == [b"1", b"1"]
-    assert files(cache) == before
-
-
 def test_where_neither_is_to_be_had_the_cure_is_told(table: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "")
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(InputError, match="install a C compiler"):
+    monkeypatch.setattr("cosim.fmi.native.compiler.can_cross", lambda: False)
+    with pytest.raises(InputError, match=r"no C compiler is found; install gcc or clang, .* 'fmu-cosim\[refine\]'"):
         kernel(table, ("angle",))
 
 
@@ -256,7 +253,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
 @NEEDS_C
 def test_a_damaged_cache_of_c_is_made_anew(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    g = generate(table, ("angle",), C())
+    g = generate(table, ("angle",))
     CompiledKernel(g)
     for file in files(cached("", "").parent):
         file.unlink()  # the one loaded above is mapped
@@ -264,27 +261,18 @@ def test_a_damaged_cache_of_c_is_made_anew(table: Model, monkeypatch: pytest.Mon
     assert finite(CompiledKernel(g), table)
 
 
-def test_a_damaged_cache_of_numba_is_made_anew(generated: Generated, table: Model, cache: Path) -> None:
-    assert hits(JitKernel(generated)) == [1, 1]
-    for file in files(cache):
-        file.write_bytes(b"damaged")
-    k = JitKernel(generated)
-    assert hits(k) == [0, 0]
-    assert finite(k, table)
-
-
 def test_printed_code_is_kept_by_what_it_says(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = generate(table, ("angle",), Python())
-    monkeypatch.setattr(Python, "function", lambda *_: pytest.fail("printed again"))
-    assert generate(table, ("angle",), Python()) == first
-    assert generate(replace(table, inertia=0.03), ("angle",), Python()) == first  # a value is none of the code
+    first = generate(table, ("angle",))
+    monkeypatch.setattr(C, "function", lambda *_: pytest.fail("printed again"))
+    assert generate(table, ("angle",)) == first
+    assert generate(replace(table, inertia=0.03), ("angle",)) == first  # a value is none of the code
     monkeypatch.undo()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for file in files(tmp_path):
         cut(file)
-    assert generate(table, ("angle",), Python()) == first  # what was cut is made anew
-    assert generate(with_another_number(table), ("angle",), Python()).source != first.source
+    assert generate(table, ("angle",)) == first  # what was cut is made anew
+    assert generate(with_another_number(table), ("angle",)).source != first.source
     assert len(files(tmp_path)) == 2
 
 
@@ -305,7 +293,7 @@ def with_another_number(table: Model) -> Model:
     return other
 
 
-def finite(k: CompiledKernel | JitKernel, table: Model) -> bool:
+def finite(k: CompiledKernel, table: Model) -> bool:
     """It simulates the table."""
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
     states = k.simulate(data, parameters(table, k.layout), np.zeros(3), np.zeros(0)).states
@@ -326,7 +314,7 @@ SIMULATE = (
 @NEEDS_C
 def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    g = generate(table, ("angle",), C())
+    g = generate(table, ("angle",))
 
     def simulated() -> bytes:  # in a process of its own, which a damaged library may end
         given = pickle.dumps((g, parameters(table, g.layout)))
@@ -340,15 +328,6 @@ def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytes
     before = again.stat().st_mtime_ns
     assert simulated() == b"True\n"
     assert again.stat().st_mtime_ns == before  # a sound one is taken as it is
-
-
-@pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
-def test_what_numba_keeps_may_be_cut(generated: Generated, table: Model, cache: Path, suffix: str) -> None:
-    chosen = [file for file in files(cache) if file.suffix == suffix]
-    assert chosen
-    for file in chosen:
-        cut(file)
-    assert finite(JitKernel(generated), table)
 
 
 def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters() -> None:
@@ -371,9 +350,9 @@ def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters(
 
 @NEEDS_C
 def test_what_a_filter_skips_of_dormant_terms_changes_no_bit(seen: Data, monkeypatch: pytest.MonkeyPatch) -> None:
-    skipping = generate(Hovercraft(), IMU, C())
+    skipping = generate(Hovercraft(), IMU)
     monkeypatch.setattr(Body, "terms", [])
-    plain = generate(Hovercraft(), IMU, C())
+    plain = generate(Hovercraft(), IMU)
     assert skipping.source.count("tanh(") == plain.source.count("tanh(") > 0
     assert "? tanh(" in skipping.source
     assert "? tanh(" not in plain.source

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import Free
 from cosim.estimation.fit import fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
+from cosim.subject.candidates import Free
+from cosim.subject.model_subject import ModelSubject
 
 STEP, TAU, NOISE = 0.1, 1.6, 0.02
 
@@ -115,7 +116,7 @@ def log() -> Log:
 
 @pytest.fixture(scope="module")
 def problems(log: Log) -> dict[str, Problem]:
-    generated = build_problem(Oven(), [log])
+    generated = build_problem(ModelSubject.of(Oven()), [log])
     kernel: Kernel = ByHand()
     written = replace(generated, kernel=kernel)
     return {"generated": generated, "written": written}

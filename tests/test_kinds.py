@@ -13,7 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import CosimError
+from cosim.storage.artefact import artefacts
 from cosim.storage.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.cli import app, entry
 
 SHORT = 400  # characters that are read before one gives up
@@ -45,6 +47,8 @@ WORDS = {  # file → what it is called
     "comparison.json": "is an answer of `cosim compare`",
     "replay.json": "is an answer of `cosim replay`",
     "identify.json": "is an answer of `cosim identify`",
+    "consistency.json": "is an answer of `cosim consistency`",
+    "runs.sqlite": "is a database",
     "schema.json": "is a JSON schema",
     "report.html": "is a page for a browser",
     "page.csv": "is a page for a browser",
@@ -118,6 +122,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "sweep.json": json.dumps({**answer, "sweep": {"vary": {}}, "scenario": {}, "runs": 1}),
         "comparison.json": json.dumps({**answer, "differences": []}),
         "replay.json": json.dumps({**answer, "units": {}}),
+        "consistency.json": json.dumps({"runs": 2, "steps": 100, "seed": 1, "rows": []}),
         "identify.json": json.dumps({**answer, "estimates": {}, "tests": {}}),
         "schema.json": '{"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": {}}',
         "report.html": "<!doctype html>\n<html>" + "<p>word</p>" * 300, "page.csv": "\n<HTML><body>not found",
@@ -131,6 +136,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     heads = {
         "a.png": b"\x89PNG\r\n\x1a\n\0\0", "a.mat": b"MATLAB 5.0 MAT-file, Platform: posix\0\1IM", "core": b"\1\0\3,",
         "sweep.parquet": b"PAR1\0PAR1", "a.so": b"\x7fELF\2\1\t", "a.pdf": b"%PDF-1.4\n\xff",
+        "runs.sqlite": b"SQLite format 3\0",
     }  # fmt: skip
     for name, head in heads.items():
         (folder / name).write_bytes(head)
@@ -169,6 +175,21 @@ def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
         if words not in {"no such", "is empty", "is no file", "is a folder"}:
             assert "cosim" in message or "a browser" in message, message
     assert sorted(shelf.rglob("*")) == before
+
+
+def test_every_kind_that_is_declared_is_tried() -> None:
+    folders_alone = {"an input of `cosim excite`"}
+    tried = {words.removeprefix("is ") for words in WORDS.values()} | folders_alone
+    assert {a.kind for a in artefacts()} <= tried
+
+
+def test_a_file_is_of_one_kind_by_its_keys(shelf: Path) -> None:
+    """No order of the declarations decides."""
+    for path in (*shelf.glob("*.json"), *shelf.glob("*.yaml"), *shelf.glob("r*/*.json")):
+        if path.stat().st_size:
+            keys = frozenset(YamlFile(path).root)
+            matched = sorted((a.matched_keys(keys), a.kind) for a in artefacts())
+            assert matched[-1][0] > matched[-2][0], path
 
 
 def test_every_command_that_takes_a_file_is_tried() -> None:

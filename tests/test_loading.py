@@ -12,7 +12,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.blocks.loading import load_error
 from cosim.fmi.native.compiler import compiler
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from tests.decay import DESCRIPTION, library
 
 

@@ -25,7 +25,7 @@ from cosim.fmi.fmu_build import build
 from cosim.model import Equations, Model, Namespace, Quantity, Stepper, Values, parameter
 from cosim.model.symbolic.jacobian import loaded, printed_jacobians
 from cosim.model.symbolic.linearize import linearize
-from cosim.verbs.outcomes import Run
+from cosim.simulation.run_signals import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.estimator_recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft

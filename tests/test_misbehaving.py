@@ -30,7 +30,7 @@ from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.storage.table import read_columns
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log

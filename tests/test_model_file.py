@@ -17,8 +17,9 @@ from cosim.loading.declared import checked
 from cosim.loading.file import load_model, own_model, read_model
 from cosim.loading.source import Source
 from cosim.model import Model
+from cosim.simulation.trial import check_fmu
 from cosim.storage.yaml_file import YamlFile
-from cosim.verbs.checks import check_files, check_fmu
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.table import TABLE

@@ -19,6 +19,7 @@ from cosim.refinement.decision.sentences import follows, unexplained
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Leftover, Unnamed, _Terms, left_beside
+from cosim.subject.model_subject import ModelSubject
 from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4
@@ -60,8 +61,8 @@ def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
                 x += h * v
         columns = {"time": time, "force": force, "place": np.array(places) + NOISE * rng.standard_normal(ROWS)}
         logs.append(read_log(write_log(folder / f"{seed}.csv", columns), Block.inputs, Block.outputs))
-    problem = build_problem(Block(), logs, unnamed=True)
-    at = Search(Block(), problem, 1, lambda stage, share: None).hypothesis((), None).fit
+    problem = build_problem(ModelSubject.of(Block()), logs, unnamed=True)
+    at = Search(ModelSubject.of(Block()), problem, 1, lambda stage, share: None).hypothesis((), None).fit
     problem = replace(problem, sensing=at.noise)
     return problem, left_beside(problem, at, PRICE, UNITS)
 
@@ -147,7 +148,7 @@ def left_problem(folder: Path) -> Problem:
     time = STEP * np.arange(200)
     columns = {"time": time, "force": np.sin(time), "place": 0.1 * np.sin(time)}
     log = read_log(write_log(folder / "a.csv", columns), Block.inputs, Block.outputs)
-    return build_problem(Block(), [log], unnamed=True)
+    return build_problem(ModelSubject.of(Block()), [log], unnamed=True)
 
 
 def test_a_bump_is_half_as_high_at_half_its_width_and_a_step_ends_with_its_width() -> None:

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.fmi.fmu_build import build
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from tests.test_log import RECORDED

@@ -21,9 +21,9 @@ import cosim.fmi.native
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.fmi.native.compiler import compiler, loaded
-from cosim.fmi.native.platforms import commands as compilers
-from cosim.fmi.native.platforms import crossing, glibc_floor, here
+from cosim.fmi.native.compiler import can_cross, compiler, loaded
+from cosim.fmi.native.compiler import commands as compilers
+from cosim.fmi.native.platforms import glibc_floor, here
 from cosim.fmi.ports import model_ports
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory
@@ -483,7 +483,7 @@ def test_the_c_is_clean_under_warnings_and_sanitizers(name: str, native_fmus: Pa
 
 
 def test_without_a_compiler_the_cure_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if crossing():
+    if can_cross():
         pytest.skip("the extra native brings a compiler")
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(InputError, match="no C compiler is found; install gcc or clang"):
@@ -591,7 +591,7 @@ def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
 
 
 def test_platforms_without_a_compiler_that_crosses_are_refused(tmp_path: Path) -> None:
-    if crossing():
+    if can_cross():
         pytest.skip("the extra native brings one")
     foreign = "win64" if sys.platform == "linux" else "linux64"
     with pytest.raises(InputError, match=r"no compiler for .* is found; pip install 'fmu-cosim\[native\]'"):

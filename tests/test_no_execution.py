@@ -18,7 +18,7 @@ from cosim.base.errors import InputError
 from cosim.loading.file import load_model, without_execution
 from cosim.simulation.workflow import run
 from cosim.sweeps.workflow import sweep as run_sweep
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from tests.conftest import ROOT
 from tests.logs import write_log
 from tests.users import cosim

@@ -9,8 +9,9 @@ import pytest
 
 from cosim.experiment.ranges import inputs_to_limit
 from cosim.loading.file import read_model
+from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import Hovercraft
 from tests.table import RUBS, TABLE, table_log
 
@@ -33,8 +34,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_table_of_the_page_refined_has_nothing_missing(bench: Path) -> None:
-    assert refine(bench / "again.yaml", bench / "second").record["verdict"] == "no_effect"
+@pytest.fixture(scope="module")
+def again(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    """The refined table, refined once more, its results in another place than the file of the table."""
+    return refine(bench / "again.yaml", tmp_path_factory.mktemp("elsewhere"))
+
+
+def test_the_table_of_the_page_refined_has_nothing_missing(again: Refinement) -> None:
+    assert again.record["verdict"] == "no_effect"
 
 
 def test_what_a_refine_wrote_is_a_model_that_can_be_checked(bench: Path) -> None:
@@ -47,9 +54,8 @@ def test_a_refined_model_moves_with_the_file_it_is_of(bench: Path, tmp_path: Pat
     assert read_model(moved / "out" / "model.yaml").source == f"{moved.resolve() / 'table.py'}:Table"
 
 
-def test_where_the_file_is_in_another_place_its_whole_path_is_said(bench: Path, tmp_path: Path) -> None:
-    refine(bench / "again.yaml", tmp_path)
-    assert f"model: {bench.resolve() / 'table.py'}:Table\n" in (tmp_path / "model.yaml").read_text()
+def test_where_the_file_is_in_another_place_its_whole_path_is_said(bench: Path, again: Refinement) -> None:
+    assert f"model: {bench.resolve() / 'table.py'}:Table\n" in (again.folder / "model.yaml").read_text()
 
 
 def test_of_a_model_of_ones_own_one_says_how_far_its_inputs_may_go(bench: Path) -> None:

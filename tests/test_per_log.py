@@ -20,12 +20,14 @@ from cosim.estimation.posing import build_problem, halved
 from cosim.estimation.problem import Settings
 from cosim.loading.file import load_model
 from cosim.logs.log import read_log
-from cosim.refinement.proof.measure import followed, replays
+from cosim.refinement.proof.measure import followed
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
+from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.logs import MOVING, fly, log_of, measured, times, write_log
+from tests.studies import replayed
 from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP
 
 # Day 1's gauge is off by 50 mm; every other log was made on a day of its own.
@@ -91,16 +93,16 @@ def test_without_it_the_same_logs_are_explained_worse(days: Refinement, folder: 
     assert interval[1] - interval[0] < 1e-4
 
 
-def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement) -> None:
+def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement, tmp_path: Path) -> None:
     after, problem = days.variants["after"], days.problem
     (log,) = (log for log in days.study.unseal() if log.path.name == "v1.csv")
-    (read, _) = replays(after, problem, [log])[days.study.loaded.model.horizon][0]
+    (read, _) = replayed(after, problem, [log], tmp_path)[days.study.subject.horizon][0]
     day1 = days.record["per_log"][NAME]["groups"]["day1"]["value"]
     assert log.outputs["level"] - read.outputs["level"] == pytest.approx(day1)  # in every row, from the first
     assert days.record["per_log"][NAME]["followed"].keys() == {"v2.csv"}
 
 
-def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refinement) -> None:
+def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refinement, tmp_path: Path) -> None:
     after, problem = days.variants["after"], days.problem
     (log,) = (log for log in days.study.unseal() if log.path.name == "v2.csv")
     entry = days.record["per_log"][NAME]["followed"]["v2.csv"]
@@ -112,8 +114,8 @@ def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refine
     later = log.outputs["level"].copy()
     later[cut:] += 0.3
     other = replace(log, outputs={"level": later})
-    horizon = days.study.loaded.model.horizon
-    (_, as_it_was), (_, changed) = (replays(after, problem, [each])[horizon][0] for each in (log, other))
+    horizon = days.study.subject.horizon
+    (_, as_it_was), (_, changed) = (replayed(after, problem, [each], tmp_path)[horizon][0] for each in (log, other))
     before = [k for k in as_it_was.starts if k < cut]
     assert len(before) >= 2
     assert [as_it_was.starts[k] for k in before] == [changed.starts[k] for k in before]
@@ -140,7 +142,7 @@ def test_every_model_is_judged_with_the_value_that_suits_it(days: Refinement) ->
         assert set(truth) <= values.keys()
     before = days.variants["before"].values
     assert all(before[name] != 0.0 for name in truth)
-    assert before["area"] == days.study.loaded.model.area  # type: ignore[attr-defined]
+    assert before["area"] == days.study.subject.loaded.model.area  # type: ignore[attr-defined]
 
 
 def test_the_report_shows_each_group_and_what_was_learnt(days: Refinement) -> None:
@@ -155,9 +157,9 @@ def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
     path = filled(folder / "narrow.csv", 5, 0.0, area=0.4)
     log = read_log(path, model.inputs, model.outputs)
-    plain = build_problem(model, [log])
+    plain = build_problem(ModelSubject.of(model), [log])
     settings = Settings(per_log=("area",), groups={path: "narrow"})
-    problem = build_problem(model, [log], settings=settings)
+    problem = build_problem(ModelSubject.of(model), [log], settings=settings)
     noise = plain.plain
     as_number = plain.scored({**plain.values, "area": 0.43}, noise).nll
     known = {**problem.values, own("area", "narrow"): 0.43}
@@ -172,7 +174,9 @@ def test_a_parameter_is_learnt_through_states_that_noise_does_not_reach(tmp_path
     model = Hovercraft()
     truth = model.with_values({"lag": 1.3 * model.lag})
     log = log_of(tmp_path / "a.csv", measured(fly(times(8.0), truth, MOVING, seed=4), noise=1.0))
-    problem = build_problem(model, [log], settings=Settings(per_log=("lag",), groups={log.path: "day"}))
+    problem = build_problem(
+        ModelSubject.of(model), [log], settings=Settings(per_log=("lag",), groups={log.path: "day"})
+    )
     layout, unknown = problem.layout, {**problem.values, spread("lag", "day"): 0.3 * model.lag}
     assert {"thrust_right", "tilt_left"} <= {layout.states[k] for k in layout.carrying}
     last = problem.run(unknown, problem.plain, 0, states=True).states[-1]
@@ -184,7 +188,7 @@ def test_the_reading_from_which_a_state_starts_is_read_with_the_error_of_its_sen
     model = load_model("tank.py:Tank", folder).model
     path = folder / "e4.csv"
     log = read_log(path, model.inputs, model.outputs)
-    problem = build_problem(model, [log], settings=Settings(per_log=(NAME,), groups={path: "day"}))
+    problem = build_problem(ModelSubject.of(model), [log], settings=Settings(per_log=(NAME,), groups={path: "day"}))
     x0, root = problem.start({**problem.values, own(NAME, "day"): 0.07, spread(NAME, "day"): 0.3}, 0)
     layout = problem.layout
     level, offset = layout.states.index("level"), layout.constants[NAME]
@@ -198,7 +202,7 @@ def test_what_is_expected_of_a_further_group_is_wider_the_fewer_are_known(folder
     model = load_model("tank.py:Tank", folder).model
 
     def spreads(values: Mapping[str, float]) -> tuple[float, float]:
-        free = tuple(own_parameters(model, [NAME], list(values), {NAME: 0.0}, {}))
+        free = tuple(own_parameters(ModelSubject.of(model), [NAME], list(values), {NAME: 0.0}, {}))
         noise = Noise(np.zeros(0), 0.0, np.zeros(0), np.zeros(0))
         found = {own(NAME, group): v for group, v in values.items()}
         return expected(Fit(found, noise, free, (0.0,), 0.0, 1e8 * np.eye(len(free)), 1, True), NAME)
@@ -216,14 +220,14 @@ def test_a_log_left_out_has_no_say_in_its_own_value(folder: Path) -> None:
     model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
     logs = [read_log(folder / f"{n}.csv", model.inputs, model.outputs) for n in ("e1", "e2", "e3", "e4")]
     groups = dict(zip((log.path for log in logs), ("day1", "day1", "day2", "day3"), strict=True))
-    problem = build_problem(model, logs, settings=Settings(per_log=(NAME,), groups=groups))
+    problem = build_problem(ModelSubject.of(model), logs, settings=Settings(per_log=(NAME,), groups=groups))
     learnt = fit(problem, problem.own, problem.values, problem.plain, [0, 1, 2], sensing=False)
     kept = unseen(problem, learnt, 3)
     mean = 0.5 * (learnt.values[own(NAME, "day1")] + learnt.values[own(NAME, "day2")])
     assert kept.values[own(NAME, "day3")] == pytest.approx(mean)
     assert kept.values[spread(NAME, "day3")] > 0.09 / math.sqrt(2.0)  # as day 1 and day 2 scatter, at least
     assert unseen(problem, learnt, 1) is learnt
-    alone = build_problem(model, logs[3:], settings=Settings(per_log=(NAME,), groups=groups))
+    alone = build_problem(ModelSubject.of(model), logs[3:], settings=Settings(per_log=(NAME,), groups=groups))
     halves = halved(alone)
     learnt = fit(halves, halves.own, halves.values, halves.plain, [0], sensing=False)
     assert unseen(halves, learnt, 1) is learnt

@@ -15,10 +15,12 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import InputError
+from cosim.refinement.refined_result import Refined
+from cosim.residuals.replay_signals import Replay
+from cosim.simulation.run_signals import Run, Signals
 from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.cli import app
-from cosim.verbs.outcomes import Refined, Replay, Run, Signals
-from cosim.verbs.schemas import schema_of
+from cosim.verbs.schema_verb import schema_of
 from tests.conftest import ROOT
 from tests.test_first_steps import told
 from tests.typed import typed_fmu

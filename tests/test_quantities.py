@@ -16,11 +16,11 @@ from cosim.base.errors import InputError
 from cosim.base.units import conversion, factor, parse, read_quantity, squared, unit_definitions
 from cosim.blocks.component import Signal
 from cosim.comparison.differences import compared
-from cosim.comparison.run_files import read_ran
 from cosim.loading.file import read_model
 from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.run_files import read_ran
 from cosim.sweeps.reading import read_sweep
 from cosim.verbs.cli import app
 from plant.identification.protocol import CellFile, SineTest

@@ -17,7 +17,6 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.text import display, written
-from cosim.estimation.candidates import candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
@@ -44,6 +43,7 @@ from cosim.refinement.workflow import refine
 from cosim.report.drawing import Charts
 from cosim.residuals.residual_statistics import excess_left
 from cosim.residuals.windows import Replay
+from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.logs import IMU, fly, log_of, measured, times, write_log
@@ -53,6 +53,7 @@ DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
 from dataclasses import dataclass
 from cosim.model import Effect, Equations, Model, Quantity, parameter
+from cosim.subject.model_subject import ModelSubject
 
 @dataclass(frozen=True, kw_only=True)
 class Dry(Effect):
@@ -126,24 +127,23 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     folder, model = tmp_path_factory.mktemp("craft"), Hovercraft()
     flight = fly(times(12.0), model.with_values({"yaw_damping.coefficient": 0.006}))
     log = log_of(folder / "a.csv", measured(flight, IMU, noise=1.0))
-    problem = build_problem(model, [log])
-    trial = [c for c in candidates(model, problem.values, ()) if c.name == "yaw_damping"]
-    found = decided(Attributor(model, problem, trial).run())
+    subject = ModelSubject(LoadedModel(model, BASE))
+    problem = build_problem(subject, [log])
+    trial = [c for c in subject.candidates(()) if c.name == "yaw_damping"]
+    found = decided(Attributor(subject, problem, trial).run())
     assert found.best.names == ("yaw_damping",)
     fit = found.best.fit
     verdict = Verdict("effect_found", found.best, (), "", {"process_noise": {}}, "It lacks yaw_damping.")
     variants = {
-        "before": Variant(model, problem.values, found.base.fit.noise, Path(), {}),
-        "after": Variant(model.with_values({"yaw_damping.coefficient": 0.006}), fit.values, fit.noise, Path(), {}),
+        "before": Variant(subject, problem.values, found.base.fit.noise),
+        "after": Variant(subject.refined({"yaw_damping.coefficient": 0.006}), fit.values, fit.noise),
     }
     variants["recalibrated"] = variants["before"]
     starts: dict[int, dict[str, Any]] = {k: {} for k in range(100, 600, 100)}
     seen = {n: np.where(np.arange(log.rows) > 100, flight.outputs[n], np.nan) for n in IMU}
     replay = Replay(log.time, 2.0, starts, seen, dict(log.units))
     evidence = {name: {"estimation": [(log, replay)]} for name in variants}
-    study = Study(
-        folder / "study.yaml", StudyFile(logs=LogLists(estimation=["a.csv"])), LoadedModel(model, BASE), (log,)
-    )
+    study = Study(folder / "study.yaml", StudyFile(logs=LogLists(estimation=["a.csv"])), subject, (log,))
     return Refinement(study, found, verdict, _record(found, verdict), folder, problem, variants, evidence)
 
 
@@ -353,12 +353,12 @@ class Judged:
     def __call__(self, *unnamed: Unnamed, moves: float = 0.0, **changed: Any) -> Verdict:
         a = replace(self.r.attribution, **changed)
         left = Leftover(unnamed, a.best.fit if unnamed else None, sum(u.gain for u in unnamed), 8.0)
-        return judge(a, left, self.r.study.loaded.model, ["v"], {"v": moves} if moves else {}, still=False)
+        return judge(a, left, self.r.study.subject, ["v"], {"v": moves} if moves else {}, still=False)
 
     def single(self, name: str) -> Hypothesis:
         """One candidate alone, as the claim was fitted: whether it was worth a fit of its own does not matter here."""
-        model, a = self.r.study.loaded.model, self.r.attribution
-        candidate = next(c for c in candidates(model, self.r.problem.values, ()) if c.name == name)
+        subject, a = self.r.study.subject, self.r.attribution
+        candidate = next(c for c in subject.candidates(()) if c.name == name)
         return replace(a.best, candidates=(candidate,))
 
 
@@ -423,7 +423,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
 
     def judged(**moves: float) -> Verdict:
         forced = ["psi_dot", "vx", "vy"]
-        return judge(a, Leftover((), None, 0.0, 8.0), Hovercraft(), forced, moves, still=False)
+        return judge(a, Leftover((), None, 0.0, 8.0), ModelSubject.of(Hovercraft()), forced, moves, still=False)
 
     small = judged(vx=0.018, vy=0.01)
     assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
@@ -487,8 +487,8 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
 
 
 def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
-    model, logs, base = cart.study.loaded.model, cart.study.logs, cart.attribution.base.fit
-    problem = replace(build_problem(model, logs, unnamed=True), sensing=base.noise)
+    subject, logs, base = cart.study.subject, cart.study.logs, cart.attribution.base.fit
+    problem = replace(build_problem(subject, logs, unnamed=True), sensing=base.noise)
     left = left_beside(problem, base, 0.5 * math.log(problem.samples))
     found = left.terms
     assert left.fit is not None

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import build_problem, coarsened
 from cosim.experiment.excite import excite
@@ -21,6 +20,8 @@ from cosim.refinement.proof.replay_check import proven
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
+from cosim.subject.candidates import Candidate
+from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.studies import holds, named, study_of
 from tests.studies import proven as flown
@@ -104,7 +105,7 @@ def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) 
     model = load_model(f"{tmp_path / 'table.py'}:Table", Path()).model
     assert model.substep == 0.0003125
     table_log(tmp_path / "a.csv", 0)
-    problem = build_problem(model, [read_log(tmp_path / "a.csv", model.inputs, model.outputs)])
+    problem = build_problem(ModelSubject.of(model), [read_log(tmp_path / "a.csv", model.inputs, model.outputs)])
     asleep, awake = (coarsened(problem, values).logs[0].substeps for values in ({}, {"dry_friction.level": 0.5}))
     assert asleep < awake
 

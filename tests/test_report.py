@@ -434,8 +434,8 @@ def test_of_very_many_signals_the_first_are_drawn_and_the_rest_is_said(tmp_path:
 def test_of_very_many_connections_the_first_are_listed_and_the_rest_is_said(tmp_path: Path) -> None:
     links = [{"from": f"a.y{k}", "to": f"b.u{k}"} for k in range(1003)]
     text = page(tmp_path, Results(np.arange(2.0), (), np.empty((2, 0))), {"scenario": {"connections": links}})
-    assert "<td>a.y999</td>" in text
-    assert "<td>a.y1000</td>" not in text
+    assert '<th scope="row">a.y999</th>' in text
+    assert ">a.y1000<" not in text
     assert "And 3 more: all of them are in manifest.json." in text
 
 

@@ -16,7 +16,6 @@ import pytest
 
 from cosim.base.scratch import LOCK, PREFIX, process_folder, scratch, sweep
 from cosim.fmi.native.compiler import compiler
-from cosim.storage.cache import cached
 from cosim.storage.files import atomic_write
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
@@ -223,26 +222,6 @@ def test_a_file_that_others_can_write_is_made_anew_unless_they_cannot_reach_it(h
     assert answer(home)[0] == "43"
     (home / "cosim").chmod(0o755)
     assert answer(home) == ("42", home / "cosim", "")
-
-
-def test_code_that_numba_keeps_is_trusted_no_more_than_a_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    path = cached("source", ".py")
-    kept = path.parent / "__pycache__" / f"{path.stem}.filter-1.py311.nbi"
-    kept.parent.mkdir()
-    kept.touch()
-    path.parent.chmod(0o755)
-    assert cached("source", ".py") == path
-    assert kept.exists()
-    kept.chmod(0o666)
-    assert cached("source", ".py") == path
-    assert not kept.exists()
-    kept.touch()
-    kept.parent.chmod(0o777)
-    assert cached("source", ".py") == path
-    assert not kept.parent.exists()
 
 
 @pytest.mark.parametrize("home", [{}, {"HOME": "/"}, {"HOME": ""}, {"HOME": "/nonexistent"}])

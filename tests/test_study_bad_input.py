@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
-from cosim.verbs.checks import check_files
+from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from tests.tank import MODEL, tank_log
 

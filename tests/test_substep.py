@@ -20,7 +20,8 @@ from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.workflow import refine
 from cosim.residuals.windows import replay
-from cosim.verbs.checks import check_files
+from cosim.subject.model_subject import ModelSubject
+from cosim.verbs.check_verb import check as check_files
 from tests.motor import motor_file, motor_log, motor_study
 
 WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft
@@ -102,12 +103,12 @@ def test_kernel_and_fmu_take_the_same_substeps(tmp_path: Path, kind: str) -> Non
     log = read_log(motor_log(tmp_path / "a.csv", 1, seconds=4.0), loaded.model.inputs, loaded.model.outputs)
     name = str(tmp_path / "motor.py:Motor")
     (fmu,) = build_fmus(tmp_path / "built", name, native=kind == "native")
-    problem = build_problem(loaded.model, [log])
+    problem = build_problem(ModelSubject(loaded), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
     through, kernel = replay(log, fmu, start), own_run(problem, 0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - kernel.outputs[:, k])) < 1e-9
-    exact = own_run(build_problem(loaded.model.with_substep(1e-5), [log]), 0)
+    exact = own_run(build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log]), 0)
     assert np.max(np.abs(exact.outputs - kernel.outputs)) < 2e-3  # A and rad/s; 5e-4 of the steps of 10 A
 
 

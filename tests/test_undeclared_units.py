@@ -17,9 +17,9 @@ from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
 from cosim.residuals.against import scales
+from cosim.residuals.replay_signals import Replay
 from cosim.storage.results import read_results
 from cosim.storage.table import read_columns
-from cosim.verbs.outcomes import Replay
 from tests.typed import typed_fmu
 
 NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one
@@ -107,7 +107,7 @@ def test_a_model_that_moves_as_the_column_did_before_it_was_converted_is_told(tm
 
 def played(
     folder: Path, column: str, units: tuple[str, str] = ("", ""), **connection: float
-) -> cosim.verbs.outcomes.Run:
+) -> cosim.simulation.run_signals.Run:
     (folder / "in.csv").write_text(f"time [ms],{column},mode\n0,500,RUN\n1000,800,STOP\n")
     components = {
         "a": {"fmu": str(typed_fmu(folder, units=units))},

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cosim.base.text import percent
-from cosim.estimation.candidates import Candidate, Free
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.refinement.decision.sentences import (
@@ -32,6 +31,8 @@ from cosim.refinement.proof.measure import Floor
 from cosim.refinement.record import effects, unseen
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Unnamed
+from cosim.subject.candidates import Candidate, Free
+from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.verdicts import contradictions
 
@@ -62,7 +63,7 @@ def written(
     verdict: str, sentence: str, grade: str, h: Hypothesis | None = None, near: tuple[str, ...] = (), **more: Any
 ) -> dict[str, Any]:
     """As refine.json has it; floors of 0.01, an error before of 0.1."""
-    entries = [e.model_dump(mode="json") for e in effects(CRAFT, h, ())] if h else []
+    entries = [e.model_dump(mode="json") for e in effects(ModelSubject.of(CRAFT), h, ())] if h else []
     after = 0.0101 if h else 0.1
     if grade != "claimed":
         sentence = f"{sentence} {holds(near, fitted=bool(near))}"
@@ -81,7 +82,7 @@ def written(
 
 def found(*names: str) -> dict[str, Any]:
     h = fitted(*names)
-    return written("effect_found", claim(h, h.candidates, CRAFT), "claimed", h)
+    return written("effect_found", claim(h, h.candidates, ModelSubject.of(CRAFT)), "claimed", h)
 
 
 def in_part() -> dict[str, Any]:
@@ -89,7 +90,9 @@ def in_part() -> dict[str, Any]:
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
     left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
     sentence = partly(
-        claim(h, h.candidates, CRAFT), residual, f"replays keep {percent(left)} of the excess error of vx"
+        claim(h, h.candidates, ModelSubject.of(CRAFT)),
+        residual,
+        f"replays keep {percent(left)} of the excess error of vx",
     )
     near = ("coulomb_friction", "quadratic_drag")
     return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
@@ -105,7 +108,7 @@ def open_question() -> dict[str, Any]:
     h, experiment = fitted("mass", "coulomb_friction"), "both duties varied"
     names = ["coulomb_friction", "quadratic_drag"]
     certain = [c for c in h.candidates if c.name == "mass"]
-    sentence = cannot_tell(names, experiment, claim(h, certain, CRAFT), CRAFT)
+    sentence = cannot_tell(names, experiment, claim(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
     return written("ambiguous", sentence, "nearest", h, ("mass",), rivals=names, experiment=experiment)
 
 
@@ -130,7 +133,7 @@ def nothing_missing() -> dict[str, Any]:
 def beside_something() -> dict[str, Any]:
     h = fitted("coulomb_friction")
     term = Unnamed("vx", "x_world", 30.0, 0.1, 30.0)
-    sentence = claim(h, h.candidates, CRAFT) + left_over(term, 200.0)
+    sentence = claim(h, h.candidates, ModelSubject.of(CRAFT)) + left_over(term, 200.0)
     return found("coulomb_friction") | {
         "sentence": sentence,
         "residual": {"equation": "vx", "signals": ["x_world"], "share": 0.1, "terms": [{"gain": 30.0}]},

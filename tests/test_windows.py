@@ -17,13 +17,14 @@ from cosim.base.arrays import Array
 from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
+from cosim.report.drawing import Charts
 from cosim.residuals import floor, windows
 from cosim.residuals.against import delay, delays, scales
 from cosim.residuals.compare import ChannelSummary
 from cosim.residuals.comparison_data import as_json
 from cosim.residuals.drive import rows_of
 from cosim.residuals.floor import Floor, draws
-from cosim.residuals.lags import every_lag, neighbours
+from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.replay_sentences import _and, horizon_name, input_words, quality, verdict, whiteness_words
 from cosim.residuals.residual_statistics import (
     FREE_RUN,
@@ -436,6 +437,15 @@ def test_stems_are_about_as_many_as_asked_for_and_begin_with_one_row() -> None:
     assert every_lag(3, 50).tolist() == [1, 2, 3]
     assert neighbours(Whiteness(np.array([1.0, 0.256]), 0.1, 0.5)) == "0.26"
     assert neighbours(Whiteness(np.array([1.0]), 0.1, 0.5)) == "–"
+
+
+@pytest.mark.parametrize(
+    ("rows", "ends"), [([1, 2, 3], (0.01, 0.07)), ([1, 4, 7], (-0.01, 0.17)), ([-4, 0, 4], (-0.12, 0.12)), ([5], None)]
+)
+def test_stems_stand_at_their_lags_with_half_a_lag_free_at_each_end(rows: list[int], ends: Any) -> None:
+    drawing = lag_drawing(Charts(), np.array(rows), 0.02, 1)
+    np.testing.assert_allclose(drawing.series.time, 0.02 * np.array(rows))
+    assert drawing.series.about["ends"] == pytest.approx(ends or (0.09, 0.11))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,12 +17,23 @@ import numpy as np
 import pytest
 
 from cosim.base import scratch
-from cosim.base.errors import InputError, SimulationError
+from cosim.base.errors import Crashed, InputError, SimulationError
 from cosim.isolation import process, worker
-from cosim.isolation.limits import BYTES, read_limits
+from cosim.isolation.limits import BYTES, Limits, read_limits
 from cosim.isolation.memory import resident
-from cosim.isolation.process import _Printed
-from cosim.isolation.rows import NOTHING, BesideFile, Rows, allocate, mapped_progress, mapped_table, read_table
+from cosim.isolation.process import Worker, _Printed
+from cosim.isolation.rows import (
+    ADVANCE,
+    CALLS,
+    NOTHING,
+    BesideFile,
+    Rows,
+    allocate,
+    mapped_progress,
+    mapped_table,
+    read_table,
+)
+from cosim.isolation.watch import Watch
 from cosim.isolation.worker import Said, _along, _restore, _sent
 
 
@@ -208,3 +220,81 @@ def test_a_group_is_ended_with_all_that_it_started() -> None:
     process._end_group(started, kill=False)
     assert started.returncode == -signal.SIGKILL
     process._end_group(started, kill=True)  # nothing is left of it
+
+
+# -- a worker at work ---------------------------------------------------------------------------------
+
+
+def test_jobs_are_done_by_one_process_elsewhere_and_after_a_crash_by_another() -> None:
+    with Worker("json") as own:
+        assert not own.running
+        first = own.call(os.getpid)
+        assert first != os.getpid()
+        assert (own.call(os.getpid), own.starts) == (first, 1)
+        folder = own.folder
+        assert own.call(os.path.isdir, str(folder))
+        assert own.call(os.getenv, "TMPDIR") == str(folder)  # what FMUs leave goes with the worker
+        with pytest.raises(Crashed, match=r"^the run at t = 0 s: the worker ended the process, exit code 3$"):
+            own.call(os._exit, 3)
+        assert not own.running
+        second = own.call(os.getpid)
+        assert (second != first, own.starts) == (True, 2)
+        assert not folder.exists()
+        folder = own.folder
+    assert not own.running
+    assert not folder.exists()
+    own.end()  # once more is no harm
+
+
+def test_an_error_of_a_job_is_raised_here_and_the_process_goes_on() -> None:
+    with Worker() as own:
+        pid = own.call(os.getpid)
+        with pytest.raises(ValueError, match="invalid literal") as error:
+            own.call(int, "x")
+        assert [note.startswith("in a worker:\nTraceback") for note in error.value.__notes__] == [True]
+        assert own.call(os.getpid) == pid
+
+
+LAST_WORDS = "import os, sys; sys.stderr.write({words!r}); sys.stderr.flush(); {deed}"
+
+
+@pytest.mark.parametrize(
+    ("words", "deed", "told"),
+    [
+        ("one\n too hot \n\n", "os._exit(7)", "exit code 7; it said last: too hot"),
+        ("", "os._exit(0)", "exit code 0"),
+        ("x" * 300, "os._exit(1)", f"exit code 1; it said last: {'x' * 200}"),
+        ("", "os.kill(os.getpid(), 9)", "(SIGKILL)"),
+    ],
+)
+def test_a_crash_is_told_with_its_end_the_call_and_the_last_words(words: str, deed: str, told: str) -> None:
+    watch = Watch(("tank", "pump"), time=lambda made, call: 2.5)
+    with Worker() as own, pytest.raises(Crashed) as crash:
+        own.call(exec, LAST_WORDS.format(words=words, deed=deed), watch=watch, doing=CALLS + ADVANCE)
+    assert str(crash.value).startswith("pump at t = 2.5 s: stepping ")
+    assert str(crash.value).endswith(told)
+
+
+def test_a_job_beyond_its_limits_is_ended_and_the_next_one_has_a_process_of_its_own() -> None:
+    with Worker() as own:
+        for limits, error in (
+            (Limits(step=0.2), "stepping takes longer than 0.2 s"),
+            (Limits(total=0.2), "stepping is being called after 0.2 s in all"),
+            (Limits(memory=1e6), "stepping: the process holds .* MB, more than 1 MB"),
+        ):
+            pid = own.call(os.getpid)
+            with pytest.raises(SimulationError, match=f"^tank at t = 0 s: {error}"):
+                own.call(time.sleep, 600, watch=Watch(("tank",), limits=limits), doing=ADVANCE)
+            assert not own.running
+            with pytest.raises(ProcessLookupError):
+                os.kill(pid, 0)
+
+
+def test_progress_of_a_job_is_told_and_begins_anew_with_each() -> None:
+    told = list[int]()
+    code = "import time; from cosim.isolation import worker; worker.progress.made[0] = 4; time.sleep(0.5)"
+    with Worker() as own:
+        own.call(exec, code, watch=Watch(progress=told.append))
+        assert told == [4]
+        own.call(time.sleep, 0.2, watch=Watch(progress=told.append))
+    assert told == [4]

@@ -13,8 +13,9 @@ import numpy as np
 from cosim.authoring.draft_text import BY, scenario_text
 from cosim.authoring.matching import Match, Matches, Port, matched, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
+from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.description import no_library, platform_of
@@ -22,7 +23,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, platforms_of
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
-from cosim.storage.folders import check_ours
+from cosim.storage.folders import check_ours, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
 from cosim.system.order import AlgebraicLoop, stages
@@ -53,16 +54,18 @@ def write_single(
     step: float | None = None,
     record: Sequence[str] = (),
     force: bool = False,
+    keep: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml into a folder, a run of one FMU; its path, and warnings.
 
     recorded: a CSV whose columns are played to the inputs of their names
     stop, step: [s], in place of those of its default experiment
+    keep: the files of an earlier run move to `runs` in the folder
     Raises InputError where the FMU cannot be read or set so, no column is of an input, or the folder is another's.
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_ours(folder, part.name, force=force)
+    check_ours(folder, part.name, force=force, keep=keep)
     if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(BY.format("simulate")):
         cure = "is a scenario of yours and would be written over; give another folder as --out"
         raise InputError([Fault(path, 0, 0, cure)])
@@ -70,9 +73,8 @@ def write_single(
     asked, notes = _asked(part, played, stop, step)
     times = times_of([part], asked, most=MOST_OF_ONE)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
-    lines = scenario_text(
-        folder, [part], played.matches if played else Matches((), ()), times, "gauss-seidel", recorded, "simulate"
-    )
+    matches = played.matches if played else Matches((), ())
+    lines = scenario_text(folder, [part], matches, times, "gauss-seidel", played=recorded, verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as made:
@@ -81,33 +83,36 @@ def write_single(
             build_system(ScenarioFile(made))
         except InputError as error:
             raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+        if keep:
+            keep_earlier(folder, "cosim run", [path.name])
     return path, (*notes, *times.notes)
 
 
 def _asked(part: Part, played: Played | None, stop: float | None, step: float | None) -> tuple[Asked, tuple[str, ...]]:
     """Times of a run as they are asked for, of a recording from its first row to its last; what is to be known."""
     declared = experiment_of(part.description).get("start")
-    start, source = declared, part.path
-    notes: tuple[str, ...] = ()
-    if played is not None:
-        source, notes = played.path, played.notes
-        start = played.start if declared is None else max(declared, played.start)
-        if start > played.start:
-            notes += (f"{source.name}: begins at {played.start:g} s, the run at {start:g} s as {part.name} says",)
-        elif start > (declared or 0.0):
-            notes += (f"the run begins at {start:g} s, where {source.name} does",)
-    end = stop if stop is not None or played is None else played.end
+    if played is None:
+        _check_end(part.path, declared, stop)
+        return Asked(declared, stop, step), ()
+    recording, notes = played.path.name, list(played.notes)
+    start = played.start if declared is None else max(declared, played.start)
+    end = played.end if stop is None else stop
+    if start > played.start:
+        notes.append(f"{recording}: begins at {played.start:g} s, the run at {start:g} s as {part.name} says")
+    elif start > (declared or 0.0):
+        notes.append(f"the run begins at {start:g} s, where {recording} does")
+    _check_end(played.path, start, end)
+    if end > played.end * (1 + SLACK):
+        notes.append(f"{recording}: ends at {played.end:g} s; its last row is held until {end:g} s")
+    because = f"the end of {recording}" if stop is None else "given"
+    why_start = f"{recording} begins" if start == played.start else ""
+    return Asked(start, end, step, played.step, because, why_start), tuple(notes)
+
+
+def _check_end(source: Path, start: float | None, end: float | None) -> None:
     if end is not None and end <= (start or 0.0):
         cure = f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop"
         raise InputError([Fault(source, 0, 0, cure)])
-    if played is None:
-        return Asked(start, end, step), ()
-    if end is not None and end > played.end * (1 + SLACK):
-        notes += (f"{source.name}: ends at {played.end:g} s; its last row is held until {end:g} s",)
-    why_start = f"{source.name} begins" if start == played.start else ""
-    return Asked(
-        start, end, step, played.step, "given" if stop is not None else f"the end of {source.name}", why_start
-    ), notes
 
 
 @dataclass(frozen=True)
@@ -126,25 +131,26 @@ def _played(path: Path, part: Part) -> Played:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     log = read_columns(path, inputs)
-    columns = [c for c in log.columns.values() if c.name != "time"]
-    fed = [c for c in columns if c.name in inputs]
+    columns = dict(log.columns)
+    del columns["time"]
+    fed, missed = [n for n in columns if n in inputs], [n for n in columns if n not in inputs]
     if not fed:
-        names = f"its columns: {', '.join(c.name for c in columns) or 'none'}; "
-        names += f"inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        names = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
         raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names})")])
+    cure = f"{path.name} plays it; leave out --set, or the column"
+    faults = [Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {cure}") for n in fed if n in part.start]
+    refuse(faults)
     source = "recorded" if part.name != "recorded" else "played"
-    found = []
-    for c in fed:
-        unit, _ = computed_in(c.heading.unit)
-        found.append(Match((source, Signal(c.name, unit)), inputs[c.name]))
-    missed = [*(c.name for c in columns if c.name not in inputs), *sorted(log.spoiled)]
+    found = [Match((source, Signal(n, computed_in(columns[n].heading.unit)[0])), inputs[n]) for n in fed]
+    missed += sorted(log.spoiled)
     notes = (f"{path.name}: {part.name} has no inputs {', '.join(missed)}: they drive nothing",) if missed else ()
-    if twice := [c.name for c in fed if c.name in part.start]:
-        cure = f"{path.name} plays it; leave out --set, or the column"
-        raise InputError([Fault(part.path, 0, 0, f"--set {name}={part.start[name]}: {cure}") for name in twice])
-    time = log["time"]
-    between = float(np.median(np.diff(time))) if time.size > 1 else STOP / STEPS
-    return Played(path, float(time[0]), float(time[-1]), float(f"{between:.6g}"), Matches(tuple(found), ()), notes)
+    start, end = log["time"][[0, -1]].tolist()
+    return Played(path, start, end, _usual_step(log["time"]), Matches(tuple(found), ()), notes)
+
+
+def _usual_step(time: Array) -> float:
+    """Return the median step of the rows of a recording [s]."""
+    return float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
@@ -227,9 +233,7 @@ def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
     some = [", ".join(map(about, ports[:6])) for ports in (outputs, inputs)]
     by = "type, unit and number of elements" if sizes else "type and unit"
     element = next((port for port in (*inputs, *outputs) if text(port) in sizes), None)
-    cure = (
-        f"; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"
-        if element
-        else ""
-    )
-    return f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}{cure}"
+    told = f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}"
+    if element is None:
+        return told
+    return f"{told}; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"

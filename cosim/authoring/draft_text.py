@@ -18,6 +18,7 @@ from cosim.scenario.start_values import settable
 BY = "# Written by `cosim {}`."
 PARAMETERS = 12  # shown of each FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
+NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # words of YAML that are no text
 
 
 def scenario_text(
@@ -26,6 +27,7 @@ def scenario_text(
     matches: Matches,
     times: Times,
     algorithm: str,
+    *,
     played: Path | None = None,
     verb: str = "init",
 ) -> str:
@@ -84,13 +86,17 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
     elif given:
         yield "    # start:"
     for v in [v for v in given if v.name not in part.start][:PARAMETERS]:
-        about = ", ".join(filter(None, (unit_of(v), " ".join((v.description or "").split())[:80])))
-        value = scalar(
-            "" if v.start is None else v.start if v.type == "String" else str(v.start).strip(), v.type != "String"
-        )
-        yield f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
+        yield _parameter(v)
     if len(given) > PARAMETERS:
         yield f"    #   … and {len(given) - PARAMETERS} more: cosim info {_comment(part.path.name)}"
+
+
+def _parameter(v: Any) -> str:
+    """Return a parameter as a comment that may be uncommented: its start value, unit and description."""
+    text, start = v.type == "String", "" if v.start is None else str(v.start)
+    about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
+    value = scalar(start if text else start.strip(), literal=not text)
+    return f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
 
 
 def _connections(matches: Matches) -> list[str]:
@@ -138,17 +144,7 @@ def scalar(value: Any, literal: bool = False) -> str:
     """A value as YAML in flow style; text in quotes where it needs them, but not what is `literal`."""
     if not isinstance(value, str):
         return json.dumps(value)
-    plain = PLAIN.fullmatch(value) and value.lower() not in {
-        "true",
-        "false",
-        "yes",
-        "no",
-        "on",
-        "off",
-        "null",
-        "y",
-        "n",
-    }
+    plain = PLAIN.fullmatch(value) and value.lower() not in NOT_TEXT
     return value if plain or (literal and value) else json.dumps(value, ensure_ascii=False)
 
 

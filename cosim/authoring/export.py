@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import temporary_folder
 from cosim.base.units import computed_in, parse
 from cosim.blocks.description import unit_definition, ways
@@ -53,9 +53,7 @@ def export_ssp(
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
-    faults = list(_refused(file, system))
-    if faults:
-        raise InputError(faults)
+    refuse(_refused(file, system))
     target = _target(file, Path() if path is None else named_path(path))
     with temporary_folder("export") as made:
         models = [

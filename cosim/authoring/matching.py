@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from types import MappingProxyType
@@ -64,34 +65,94 @@ def matched(
 
     sizes: of arrays, `component.variable` → number of elements
     """
-    fits = {text(i): [o for o in outputs if o[0] != i[0] and fit(o, i, sizes)] for i in inputs}
-    found: dict[str, Match] = {}
-    choices: dict[str, Sequence[Port]] = {}
-    for target in inputs:
-        same = [o for o in fits[text(target)] if o[1].name == target[1].name]
-        if len(same) == 1:
-            found[text(target)] = Match(same[0], target)
-        elif same:
-            choices[text(target)] = same
-    used = {text(m.source) for m in found.values()}
-    open_ = [i for i in inputs if text(i) not in found and text(i) not in choices]
-    while best := _best(open_, fits, used):
-        target, (likely, *others) = best
-        why = "similar name" + (", same unit" if _units_agree(likely[1], target[1]) else "")
-        found[text(target)] = Match(likely, target, why, tuple(map(text, others[: MOST - 1])))
-        used.add(text(likely))
-        open_ = [i for i in open_ if text(i) != text(target)]
-    for target in open_:
-        if likely_ones := _likely(target, fits[text(target)], used):
-            choices[text(target)] = [s for score, s in likely_ones if likely_ones[0][0] - score < CLOSE]
-    for match in _only_ones([i for i in open_ if text(i) not in choices], fits, used):
-        found[text(match.target)] = match
-    ordered = tuple(found[text(i)] for i in inputs if text(i) in found)
-    left = []
-    for target in (i for i in inputs if text(i) not in found):
-        first = [*choices.get(text(target), ()), *fits[text(target)]]
-        left.append((target, tuple(dict.fromkeys(map(text, first)))[:MOST]))
-    return Matches(ordered, tuple(left), {name: tuple(map(text, sources)) for name, sources in choices.items()})
+    return _Matching(outputs, inputs, sizes).matches()
+
+
+class _Matching:
+    """Connections that are being found; `open` holds the inputs for which none is yet, nor a choice, by name."""
+
+    def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
+        self.inputs = {text(i): i for i in inputs}
+        self.fits = {name: [o for o in outputs if o[0] != i[0] and fit(o, i, sizes)] for name, i in self.inputs.items()}
+        self.open = dict(self.inputs)
+        self.found: dict[str, Match] = {}
+        self.choices: dict[str, Sequence[Port]] = {}
+        self.used: set[str] = set()  # outputs that go somewhere
+
+    def matches(self) -> Matches:
+        """Connect by name, by likeness, then what is left alone on both sides."""
+        self._by_name()
+        while best := self._best():
+            target, (likely, *others) = best
+            why = "similar name" + (", same unit" if _units_agree(likely[1], target[1]) else "")
+            self._connect(Match(likely, target, why, tuple(map(text, others[: MOST - 1]))))
+        for name, target in [*self.open.items()]:
+            if likely_ones := self._likely(target):
+                self._leave(name, [s for score, s in likely_ones if likely_ones[0][0] - score < CLOSE])
+        self._only_ones()
+        found, left = [], []
+        for name, target in self.inputs.items():
+            if name in self.found:
+                found.append(self.found[name])
+            else:
+                fitting = map(text, [*self.choices.get(name, ()), *self.fits[name]])
+                left.append((target, tuple(dict.fromkeys(fitting))[:MOST]))
+        choices = {name: tuple(map(text, ports)) for name, ports in self.choices.items()}
+        return Matches(tuple(found), tuple(left), choices)
+
+    def _connect(self, match: Match) -> None:
+        del self.open[text(match.target)]
+        self.found[text(match.target)] = match
+        self.used.add(text(match.source))
+
+    def _leave(self, name: str, sources: Sequence[Port]) -> None:
+        """Leave an input to be chosen for."""
+        del self.open[name]
+        self.choices[name] = sources
+
+    def _by_name(self) -> None:
+        for name, target in self.inputs.items():
+            same = [o for o in self.fits[name] if o[1].name == target[1].name]
+            if len(same) == 1:
+                self._connect(Match(same[0], target))
+            elif same:
+                self._leave(name, same)
+
+    def _likely(self, target: Port) -> list[tuple[float, Port]]:
+        """Outputs that are likely enough for an input, with their scores, the likeliest first."""
+        scored = []
+        for source in self.fits[text(target)]:
+            score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
+            scored.append((score + USED * (text(source) in self.used), score, source))
+        scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
+        if not scored or scored[0][1] < ENOUGH or scored[0][0] < ENOUGH / 2:
+            return []
+        return [(net, source) for net, score, source in scored if score >= ENOUGH]
+
+    def _best(self) -> tuple[Port, list[Port]] | None:
+        """The input of the likeliest pair, and what is likely for it; None where no pair stands out."""
+        best: tuple[float, Port, list[Port]] | None = None
+        for target in self.open.values():
+            likely = self._likely(target)
+            if not likely or (likely[1:] and likely[0][0] - likely[1][0] < CLOSE):
+                continue
+            if best is None or likely[0][0] > best[0]:
+                best = likely[0][0], target, [source for _, source in likely]
+        return None if best is None else best[1:]
+
+    def _only_ones(self) -> None:
+        """Connect inputs for which one output alone is left, and which are alone in wanting it."""
+        sources: dict[str, Port] = {}
+        for name, target in self.open.items():
+            is_reference = _is_reference(target[1].name)
+            free = [o for o in self.fits[name] if text(o) not in self.used]
+            free = [o for o in free if _is_reference(o[1].name) == is_reference]
+            if len(free) == 1:
+                sources[name] = free[0]
+        wanted = Counter(map(text, sources.values()))
+        for name, source in sources.items():
+            if wanted[text(source)] == 1:
+                self._connect(Match(source, self.inputs[name], "nothing else is left that fits"))
 
 
 def fit(source: Port, target: Port, sizes: Mapping[str, int] = MappingProxyType({})) -> bool:
@@ -133,45 +194,3 @@ def _of_units(a: Signal, b: Signal) -> float:
 
 def _units_agree(a: Signal, b: Signal) -> bool:
     return bool(a.unit and b.unit) and {a.unit, b.unit} != {"1"}
-
-
-def _likely(target: Port, fitting: Sequence[Port], used: Collection[str]) -> list[tuple[float, Port]]:
-    """Outputs that are likely enough for an input, with their scores, the likeliest first."""
-    scored = []
-    for source in fitting:
-        score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
-        scored.append((score + USED * (text(source) in used), score, source))
-    scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
-    if not scored or scored[0][1] < ENOUGH or scored[0][0] < ENOUGH / 2:
-        return []
-    return [(net, source) for net, score, source in scored if score >= ENOUGH]
-
-
-def _best(
-    inputs: Sequence[Port], fits: Mapping[str, Sequence[Port]], used: Collection[str]
-) -> tuple[Port, list[Port]] | None:
-    """The input of the likeliest pair, and what is likely for it; None where no pair stands out."""
-    best: tuple[float, Port, list[Port]] | None = None
-    for target in inputs:
-        likely = _likely(target, fits[text(target)], used)
-        if not likely or (likely[1:] and likely[0][0] - likely[1][0] < CLOSE):
-            continue
-        if best is None or likely[0][0] > best[0]:
-            best = likely[0][0], target, [source for _, source in likely]
-    return None if best is None else best[1:]
-
-
-def _only_ones(inputs: Sequence[Port], fits: Mapping[str, Sequence[Port]], used: Collection[str]) -> list[Match]:
-    """Inputs for which one output alone is left, and which are alone in wanting it."""
-    free = {
-        text(i): [
-            o for o in fits[text(i)] if text(o) not in used and _is_reference(o[1].name) == _is_reference(i[1].name)
-        ]
-        for i in inputs
-    }
-    wanted = [text(sources[0]) for sources in free.values() if len(sources) == 1]
-    return [
-        Match(free[text(i)][0], i, "nothing else is left that fits")
-        for i in inputs
-        if len(free[text(i)]) == 1 and wanted.count(text(free[text(i)][0])) == 1
-    ]

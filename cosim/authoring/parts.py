@@ -7,7 +7,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -133,40 +133,56 @@ def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = M
     """
     asked = asked or Asked()
     experiments = {p.name: experiment_of(p.description) for p in parts}
-    start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
-    start = start if asked.start is None else asked.start
-    ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
-    longest = max(ends, key=lambda n: ends[n]) if ends else ""
-    why_duration = f"the default experiment of {longest}" if longest else "no FMU says how long; a guess"
-    duration = ends[longest] - start if longest else STOP
-    duration, why_duration = (duration, why_duration) if asked.stop is None else (asked.stop - start, asked.because)
-    duration = float(f"{duration:.12g}")
+    start, duration, why_duration = _span(asked, experiments)
     needed = {p.name: own for p in parts if (own := _own_step(p)) > 0}
     h, why_step = _step(asked, experiments, needed, duration)
     if asked.step is not None and h > duration * (1 + SLACK):
         cure = f"is longer than the run, {duration:g} s ({why_duration}); give a shorter one, or a later --stop"
         raise InputError([Fault(parts[0].path, 0, 0, f"--step {h:g}: {cure}")])
     steps = max(1, math.ceil(duration / h - SLACK))
-    notes: list[str] = []
     if asked.stop is None and steps > most:
         why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
         steps, duration = most, most * h
-    if asked.stop is not None and asked.step is None and not needed:  # the end is what was asked for
-        whole = duration / steps
-        if abs(whole - h) > SLACK * h:
-            notes += [f"the step is {whole:g} s, not {h:g} s ({why_step}), to end at {start + duration:g} s"]
-            why_step = f"{steps} to the end; not {h:g} s, {why_step}"
-        h = whole
-    else:
-        whole = float(f"{steps * h:.12g}")
-        if abs(whole - duration) > SLACK * duration:
-            last = f"the run ends at {start + whole:g} s, not at {start + duration:g} s ({why_duration})"
-            notes += [f"{last}: in whole steps of {h:g} s ({why_step})"]
-            why_duration = f"whole steps; {why_duration} is {duration:g} s"
-        duration = whole
-    coarser = {n: own for n, own in needed.items() if own > h * (1 + SLACK)}
-    why_start = asked.why_start or Times.why_start
-    return Times(start, duration, h, coarser, why_duration, why_step, why_start, tuple(notes))
+    times = Times(start, duration, h, needed, why_duration, why_step, asked.why_start or Times.why_start)
+    if asked.stop is None or asked.step is not None or needed:
+        return _in_whole_steps(times, steps)
+    return _to_the_end(times, steps)
+
+
+def _span(asked: Asked, experiments: Mapping[str, Mapping[str, float]]) -> tuple[float, float, str]:
+    """When the run begins and how long it lasts [s], and why so long."""
+    start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
+    start = start if asked.start is None else asked.start
+    ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
+    duration, why = STOP, "no FMU says how long; a guess"
+    if asked.stop is not None:
+        duration, why = asked.stop - start, asked.because
+    elif ends:
+        longest = max(ends, key=lambda n: ends[n])
+        duration, why = ends[longest] - start, f"the default experiment of {longest}"
+    return start, float(f"{duration:.12g}"), why
+
+
+def _in_whole_steps(t: Times, steps: int) -> Times:
+    """Move the end to a whole number of steps; components that need longer ones have their own."""
+    t = replace(t, own={n: own for n, own in t.own.items() if own > t.step * (1 + SLACK)})
+    duration = float(f"{steps * t.step:.12g}")
+    if abs(duration - t.duration) <= SLACK * t.duration:
+        return replace(t, duration=duration)
+    ends = f"the run ends at {t.start + duration:g} s, not at {t.start + t.duration:g} s ({t.why_duration})"
+    note = f"{ends}: in whole steps of {t.step:g} s ({t.why_step})"
+    why = f"whole steps; {t.why_duration} is {t.duration:g} s"
+    return replace(t, duration=duration, why_duration=why, notes=(note,))
+
+
+def _to_the_end(t: Times, steps: int) -> Times:
+    """Shorten the step to a whole part of the run, whose end was asked for."""
+    step = t.duration / steps
+    if abs(step - t.step) <= SLACK * t.step:
+        return replace(t, step=step)
+    note = f"the step is {step:g} s, not {t.step:g} s ({t.why_step}), to end at {t.start + t.duration:g} s"
+    why = f"{steps} to the end; not {t.step:g} s, {t.why_step}"
+    return replace(t, step=step, why_step=why, notes=(note,))
 
 
 def _step(

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.blocks.summary import read_fmus
 from cosim.simulation.workflow import Outcome, run
 from cosim.storage.files import FilePath, named_path
@@ -49,7 +49,9 @@ def simulate(
     given = start if isinstance(start, Mapping) else start_pairs(path, start, description)
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
-    scenario, notes = write_single(place, path, given, csv, stop=stop, step=step, record=record, force=force)
+    scenario, notes = write_single(
+        place, path, given, csv, stop=stop, step=step, record=record, force=force, keep=folder is None
+    )
     outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
     return outcome, notes
 
@@ -60,8 +62,7 @@ def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
         for name, value in (("stop", stop), ("step", step))
         if value is not None and not (math.isfinite(value) and (value > 0 or name == "stop"))
     ]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
@@ -80,6 +81,5 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
                 found[name] = Document(value).data
             except NotYaml:
                 found[name] = value
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,12 @@ class InputError(CosimError):
     def exit_code(self) -> int:  # type: ignore[override]
         """2 where any fault is the user's own; 3 where only FMUs are at fault."""
         return min(fault.exit_code for fault in self.faults)
+
+
+def refuse(faults: Iterable[Fault]) -> None:
+    """Raise InputError with all faults, if there are any."""
+    if every := tuple(faults):
+        raise InputError(every)
 
 
 class NotExecuted(CosimError):

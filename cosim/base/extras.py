@@ -13,7 +13,6 @@ DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → the extra that installs it
     "SALib": "sweep",
     "distributed": "dask",
-    "numba": "refine",
     "pandas": "sweep",
     "pyarrow": "parquet",
     "ziglang": "native",

@@ -1,4 +1,4 @@
-"""Models, report pages, array twins, formats of tables and commands that installed packages register.
+"""Models, report pages, array twins, formats of tables and verbs that installed packages register.
 
 They register through entry points; each names an object of the classes below. Nothing is imported before it is asked
 for, so that a study of one model never loads another. docs/extending.md shows a package that registers something.
@@ -71,12 +71,12 @@ class Page:
 
 
 @dataclass(frozen=True)
-class Extension:
-    """A command, or kinds of files, that a package adds.
+class Verb:
+    """A verb that a package adds, declared as cosim's own modules of `cosim.verbs` are. Places are `module:object`.
 
-    command:   place of a function of the typer app that adds the command
-    function:  place of the function that `cosim.NAME` is in Python
-    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py)
+    command:   place of the function behind `cosim NAME`, typer's options its parameters; "" if there is no command
+    function:  place of the function that `cosim.NAME` is in Python; "" if there is none
+    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py), the files that the verb reads and writes
     """
 
     command: str = ""
@@ -137,10 +137,10 @@ def twin_of(model_name: str) -> Any:
     return load(TWINS, model_name) if model_name in names(TWINS) else None
 
 
-def extensions() -> Iterator[tuple[str, Extension]]:
-    """Yield the commands and kinds of files that packages add, by name."""
+def added_verbs() -> Iterator[tuple[str, Verb]]:
+    """Yield the verbs that packages add, by name."""
     for name in names(VERBS):
-        if isinstance(found := load(VERBS, name), Extension):
+        if isinstance(found := load(VERBS, name), Verb):
             yield name, found
 
 
@@ -168,7 +168,7 @@ def resolve(place: str) -> Any:
 
 
 def attempt(name: str, place: str) -> Any:
-    """Return the object at a place that an extension names; None, with one warning, where it cannot be imported."""
+    """Return the object at a place that a verb names; None, with one warning, where it cannot be imported."""
     try:
         return resolve(place)
     except Exception as error:  # whatever a package of others does when it is imported

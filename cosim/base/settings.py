@@ -237,8 +237,16 @@ def _are_names(value: Any) -> bool:
 
 
 def _is_signals(value: Any) -> bool:
-    """The value is a `cosim.verbs.outcomes.Signals`, which stands on a floor above."""
-    return any((kind.__module__, kind.__name__) == ("cosim.verbs.outcomes", "Signals") for kind in type(value).__mro__)
+    """The value is a `cosim.simulation.run_signals.Signals`, which stands on a floor above."""
+    signals = ("cosim.simulation.run_signals", "Signals")
+    return any((kind.__module__, kind.__name__) == signals for kind in type(value).__mro__)
+
+
+def _is_subject(value: Any) -> bool:
+    """The value is a `cosim.subject.interface.Subject`, which stands on a floor above."""
+    return any(
+        (kind.__module__, kind.__name__) == ("cosim.subject.interface", "Subject") for kind in type(value).__mro__
+    )
 
 
 def _same(value: Any) -> Any:
@@ -269,6 +277,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any]]] = {
     "Callable": (callable, _same),
     "Progress": (callable, _same),
     "Signals": (_is_signals, _same),
+    "Subject": (_is_subject, _same),
 }
 WANTED = {
     "None": "",
@@ -292,6 +301,7 @@ WANTED = {
     "Callable": "a function",
     "Progress": "a function",
     "Signals": "what a function of cosim returned",
+    "Subject": "an object of a subclass of cosim.subject.interface.Subject",
 }
 
 

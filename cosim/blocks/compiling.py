@@ -16,8 +16,7 @@ from typing import Any, TypeVar
 
 from cosim.base.errors import FmuError
 from cosim.blocks.description import CPP, C, library_file
-from cosim.fmi.native.compiler import CompilerFailed, library_of
-from cosim.fmi.native.platforms import NoCompiler, library_command
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, library_command, library_of
 
 SOURCES = "sources"
 LIMIT = 300.0  # [s] that a compiler may take for one FMU

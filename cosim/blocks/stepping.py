@@ -12,7 +12,6 @@ the bytes that the same calls from Python give.
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from collections.abc import Sequence
 from ctypes import c_bool, c_double, c_int32, c_int64, c_size_t, c_void_p
 from enum import IntEnum
@@ -23,7 +22,7 @@ from typing import Any, Protocol
 from cosim.base.arrays import Array
 from cosim.blocks.component import Row
 from cosim.blocks.fmi_types import Exchange
-from cosim.fmi.native.compiler import compiler, loaded
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, loaded
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
@@ -174,14 +173,11 @@ class NotCompiled(Exception):
 @cache
 def library() -> Any:
     """The loop, compiled once and kept in the user's cache. Raises NotCompiled."""
-    if compiler() is None:
-        raise NotCompiled("no C compiler")
     try:
         run = loaded(SOURCE.read_text(encoding="utf-8")).run
-    except subprocess.CalledProcessError as error:
-        said = error.stderr.decode("utf-8", "replace") if isinstance(error.stderr, bytes) else str(error.stderr or "")
-        raise NotCompiled(f"the C compiler fails: {' '.join(said.split())[:200] or 'it says nothing'}") from None
-    except (OSError, subprocess.SubprocessError, AttributeError) as error:  # AttributeError: made something else
+    except NoCompiler:
+        raise NotCompiled("no C compiler") from None
+    except (CompilerFailed, AttributeError) as error:  # AttributeError: made something else
         raise NotCompiled(f"the C compiler fails: {' '.join(str(error).split())[:200]}") from None
     run.argtypes, run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
     return run

@@ -11,6 +11,7 @@ ARTEFACTS = (
         keys=(frozenset({"schema_version", "differences"}),),
         verb="cosim compare",
         marks=("comparison.json",),
+        files=("comparison.json", "report.html"),
         folder="the folder of a comparison",
         folder_step="its report.html opens in a browser, scripts read comparison.json",
         sources=("a", "b"),

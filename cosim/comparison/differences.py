@@ -14,9 +14,9 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
 from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.run_files import Ran
 from cosim.comparison.signals import (
     Difference,
+    Tolerance,
     at_times,
     near,
     of_numbers,
@@ -27,7 +27,8 @@ from cosim.comparison.signals import (
     shared,
     sized,
     with_rows_between,
-)  # fmt: skip
+)
+from cosim.simulation.run_files import Ran
 
 if TYPE_CHECKING:
     import pandas
@@ -79,13 +80,13 @@ class Compared:
         """Why they are not the same, in words; none where they are."""
         apart = self.beyond if self.judged else [d for d in self.differences if d.largest]
         far = sum(d.alike for d in apart)
-        verb = "beyond the tolerance" if self.judged else "differs" if far == 1 else "differ"
+        verb = "beyond the tolerance" if self.judged else _differ(far)
         found = [f"{counted(far, 'signal')} {verb}"] if far else []
         found += [f"{d.name} is {d.note}" for d in apart if not d.alike]
         if self.only_a:
             more = ", …" if len(self.only_a) > SHOWN else ""
-            verb = "is" if len(self.only_a) == 1 else "are"
-            what = f"{counted(len(self.only_a), 'signal')} of {self.a.path} {verb} missing in {self.b.path}"
+            count = len(self.only_a)
+            what = f"{counted(count, 'signal')} of {self.a.path} {_are(count)} missing in {self.b.path}"
             found.append(f"{what}: {', '.join(self.only_a[:SHOWN])}{more}")
         return found + ([self.shorter] if self.shorter else [])
 
@@ -145,12 +146,19 @@ class Compared:
             for d in self.differences
         ]
         return {
-            "a": str(self.a.path), "b": str(self.b.path), "tolerance": self.tolerance, "absolute": self.absolute,
-            "within": self.same if self.judged else None, "reasons": self.reasons if self.judged else None,
-            "shorter": self.shorter or None, "signals": found,
-            "only_a": list(self.only_a), "only_b": list(self.only_b), "same_times": self.aligned,
+            "a": str(self.a.path),
+            "b": str(self.b.path),
+            "tolerance": self.tolerance,
+            "absolute": self.absolute,
+            "within": self.same if self.judged else None,
+            "reasons": self.reasons if self.judged else None,
+            "shorter": self.shorter or None,
+            "signals": found,
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "same_times": self.aligned,
             "criteria": [{"what": w, "a": a, "b": b} for w, a, b in criteria_of(self)],
-        }  # fmt: skip
+        }
 
 
 def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
@@ -160,49 +168,55 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
 
     tolerance: a share of each signal's range in a; absolute: in its unit, added to that
     """
-    there = {*b.results.columns, *b.results.exact}
-    shared = [n for n in (*a.results.columns, *a.results.exact) if n in there]
-    if not shared:
-        names = [", ".join((*r.results.columns, *r.results.exact)[:5]) or "none" for r in (a, b)]
-        raise InputError(
-            [Fault(b.path, 0, 0, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")]
-        )
+    in_both = {*_names(a)} & {*_names(b)}
+    common = [name for name in _names(a) if name in in_both]
+    if not common:
+        names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
+        message = f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}"
+        raise InputError([Fault(b.path, 0, 0, message)])
     rows, aligned = rows_of(a, b)
     time = a.results.time[rows]
     if not time.size:
-        spans = [
-            f"{r.results.time[0]:g} … {r.results.time[-1]:g} s" if r.results.time.size else "no rows" for r in (a, b)
-        ]
+        spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError([Fault(b.path, 0, 0, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")])
-    between = None if aligned else rows_between(a.results.time, b.results.time, near(a.results.time))
-    differences, values = [], {}
-    for name in shared:
-        if name in a.results.exact or name in b.results.exact:
-            differences.append(of_text(a, b, name, rows, between, judged=tolerance is not None))
-            continue
-        first = a.results[name][rows]
-        second = b.results[name][: time.size] if aligned else at_times(time, b.results.time, b.results[name])
-        unit, other = (r.results.units.get(name, "") for r in (a, b))
+    shared = _Shared(a, b, rows, aligned, Tolerance(tolerance, absolute))
+    differences = tuple(shared.difference(name) for name in common)
+    only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))
+    late = _shorter(a, b)
+    return Compared(a, b, differences, only_a, only_b, time, shared.values, aligned, late, tolerance, absolute)
+
+
+def _names(ran: Ran) -> tuple[str, ...]:
+    return (*ran.results.columns, *ran.results.exact)
+
+
+class _Shared:
+    """The rows of a at whose times b has values; `values` holds the numbers of both there, of the signals compared."""
+
+    def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
+        self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
+        times = a.results.time, b.results.time
+        self.time = times[0][rows]
+        self.between = None if aligned else rows_between(*times, near(times[0]))
+        self.values: dict[str, tuple[Array, Array]] = {}
+
+    def difference(self, name: str) -> Difference:
+        """Compare one signal."""
+        a, b = self.a.results, self.b.results
+        if name in a.exact or name in b.exact:
+            return of_text(self.a, self.b, name, self.rows, self.between, judged=self.allowed.judged)
+        unit, other = a.units.get(name, ""), b.units.get(name, "")
         by = conversion(other, unit)
         if by is None:
-            differences.append(of_other_units(name, unit, other, time, judged=tolerance is not None))
-            continue
-        is_converted = by != Conversion()
-        second = by.factor * second + by.offset if is_converted else second
-        values[name] = first, second
-        found = of_numbers(
-            name, unit or other, time, first, second, tolerance, absolute, rounded=is_converted, offset=by.offset
-        )
+            return of_other_units(name, unit, other, self.time, judged=self.allowed.judged)
+        second = b[name][: self.time.size] if self.aligned else at_times(self.time, b.time, b[name])
+        self.values[name] = a[name][self.rows], second if by == Conversion() else by.factor * second + by.offset
+        found = of_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
         found = replace(found, note=of_units(unit, other, found))
-        if between is not None:
-            found = with_rows_between(
-                found, *between.outside(a.results[name], by.factor * b.results[name] + by.offset), tolerance, absolute
-            )
-        differences.append(found)
-    only_a, only_b = (tuple(n for n in (*r.results.columns, *r.results.exact) if n not in {*shared}) for r in (a, b))
-    return Compared(
-        a, b, tuple(differences), only_a, only_b, time, values, aligned, _shorter(a, b), tolerance, absolute
-    )
+        if self.between is None:
+            return found
+        outside, at = self.between.outside(a[name], by.factor * b[name] + by.offset)
+        return with_rows_between(found, outside, at, self.allowed)
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
@@ -220,27 +234,32 @@ def _what(entry: dict[str, Any]) -> str:
     return " ".join(parts)
 
 
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+def _differ(count: int) -> str:
+    return "differs" if count == 1 else "differ"
+
+
 def sentence(c: Compared) -> str:
     """What the comparison came to."""
-    count = len(c.differences)
-    all_ = f"All {counted(count, 'signal')}{' that both have' if c.only_a else ''}"
-    most = max(c.differences, key=lambda d: d.share)
-    if not any(d.largest for d in c.differences):
+    count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
+    of_both = " that both have" if c.only_a else ""
+    every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
+    most = _most(max(c.differences, key=lambda d: d.share))
+    if not different:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
-        one = "The signal that both have" if c.only_a else "The signal"
-        told = f"{all_} are equal {where}." if count > 1 else f"{one} is equal {where}."
-    elif c.judged and not c.beyond:
-        told = (
-            f"{all_} are within the tolerance; {_most(most)}." if count > 1 else f"Within the tolerance: {_most(most)}."
-        )
-    elif c.judged:
-        verb = "is" if len(c.beyond) == 1 else "are"
-        told = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {_most(c.beyond[0])}."
+        told = f"{every or f'The signal{of_both} is'} equal {where}."
+    elif not c.judged:
+        told = f"{different} of {counted(count, 'signal')} {_differ(different)}; {most}."
+    elif c.beyond:
+        beyond = len(c.beyond)
+        told = f"{beyond} of {counted(count, 'signal')} {_are(beyond)} beyond the tolerance; {_most(c.beyond[0])}."
     else:
-        verb = "differs" if sum(d.largest > 0 for d in c.differences) == 1 else "differ"
-        told = f"{sum(d.largest > 0 for d in c.differences)} of {counted(count, 'signal')} {verb}; {_most(most)}."
+        told = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
     if c.only_a:
-        told += f" {counted(len(c.only_a), 'signal')} of a {'is' if len(c.only_a) == 1 else 'are'} not in b."
+        told += f" {counted(len(c.only_a), 'signal')} of a {_are(len(c.only_a))} not in b."
     return told + (f" {c.shorter}." if c.shorter else "")
 
 

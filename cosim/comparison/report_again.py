@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.base.errors import Fault, InputError
-from cosim.comparison.run_files import read_ran
+from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.kinds import check_given

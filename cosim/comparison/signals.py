@@ -9,8 +9,9 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.text import amount, plain
+from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import Between
-from cosim.comparison.run_files import Ran
+from cosim.simulation.run_files import Ran
 
 SAME_TIME = 1e-9  # of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
@@ -44,6 +45,26 @@ class Difference:
     alike: bool = True
 
 
+@dataclass(frozen=True)
+class Tolerance:
+    """How far b may lie from a: a share of each signal's range in a (None: nothing is judged), and a size added to it.
+
+    absolute: in the unit of the signal
+    """
+
+    relative: float | None
+    absolute: float
+
+    @property
+    def judged(self) -> bool:
+        """A share is given."""
+        return self.relative is not None
+
+    def is_exceeded(self, gap: float, scale: float) -> bool:
+        """Return whether a gap, NaN included, is more than is allowed of a signal of this scale."""
+        return self.relative is not None and not gap <= self.absolute + self.relative * scale
+
+
 def rows_of(a: Ran, b: Ran) -> tuple[slice, bool]:
     """Rows of a at whose times b has values, and whether they are the rows of b."""
     first, second = a.results.time, b.results.time
@@ -70,36 +91,36 @@ def at_times(time: Array, times: Array, values: Array) -> Array:
 
 
 def of_numbers(
-    name: str, unit: str, time: Array, first: Array, second: Array, tolerance: float | None, absolute: float,
-    *, rounded: bool, offset: float = 0.0,
-) -> Difference:  # fmt: skip
+    name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
+) -> Difference:
     """How far numbers of one unit lie apart.
 
-    rounded: one side was converted, to the last bit or two; offset: of that conversion, whose rounding is of its size
+    values: of a, and of b after its conversion to the unit of a: it rounds to the last bit or two, its offset too
     """
+    first, second = values
     same = (first == second) | (np.isnan(first) & np.isnan(second))
     finite = np.isfinite(first) & np.isfinite(second)
     gap = np.where(same, 0.0, np.inf)
     gap[finite] = np.abs(second[finite] - first[finite])
-    if rounded:
-        gap[finite & (gap <= ROUNDING * np.maximum(np.abs(first), abs(offset)))] = 0.0
+    if by != Conversion():
+        gap[finite & (gap <= ROUNDING * np.maximum(np.abs(first), abs(by.offset)))] = 0.0
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0
     scale = (span if math.isfinite(span) else 0.0) or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
     largest = float(gap[row])
-    beyond = tolerance is not None and not largest <= absolute + tolerance * scale
+    beyond = allowed.is_exceeded(largest, scale)
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
     return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
 
 
-def with_rows_between(d: Difference, outside: float, at: float, tolerance: float | None, absolute: float) -> Difference:
+def with_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
     """With what b does between the rows of a, where that is more."""
     if outside <= max(d.largest, ROUNDING * d.scale):
         return d
-    beyond = tolerance is not None and not outside <= absolute + tolerance * d.scale
+    beyond = d.beyond or allowed.is_exceeded(outside, d.scale)
     note = "; ".join(filter(None, [d.note, BETWEEN]))
-    return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=d.beyond or beyond, note=note)
+    return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=beyond, note=note)
 
 
 def of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:

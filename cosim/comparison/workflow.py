@@ -14,15 +14,15 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, written
 from cosim.base.version import __version__
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
-from cosim.comparison.run_files import Ran
 from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import Difference, shared, sized
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
+from cosim.simulation.run_files import Ran
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named
+from cosim.storage.folders import check_left, folder_named, keep_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 DRAWN = 24  # signals, the most different first
@@ -56,8 +56,10 @@ def compare(
     if not write:
         return made, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_left(place, "cosim compare", str(a.path), str(b.path), force=force)
+    check_left(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
     check_writable(place, MADE, read)
+    if folder is None:
+        keep_earlier(place, "cosim compare")
     with atomic_write(place / "comparison.json") as stream:
         json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
         stream.write("\n")
@@ -76,16 +78,23 @@ def context(c: Compared) -> Mapping[str, Any]:
     panels = [panel for d in drawn for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
     plots = drawing.plots(panels)
     return {
-        "a": c.a, "b": c.b, "outcome": sentence(c),
+        "a": c.a,
+        "b": c.b,
+        "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
-        "judged": c.judged, "tolerance": _tolerance(c), "aligned": c.aligned,
+        "judged": c.judged,
+        "tolerance": _tolerance(c),
+        "aligned": c.aligned,
         "rows": [_row(d) for d in ranked],
         "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
-        "plots": plots, "undrawn": len(ranked) - len(drawn), "only_a": c.only_a, "only_b": c.only_b,
+        "plots": plots,
+        "undrawn": len(ranked) - len(drawn),
+        "only_a": c.only_a,
+        "only_b": c.only_b,
         "data": to_json(drawing.series),
         "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
         "version": __version__,
-    }  # fmt: skip
+    }
 
 
 def _options(c: Compared) -> list[str]:
@@ -102,9 +111,15 @@ def _tolerance(c: Compared) -> str:
 
 def _row(d: Difference) -> dict[str, Any]:
     return {
-        "name": d.name, "unit": written(d.unit), "largest": sized(d, d.largest), "at": f"{d.at:.6g}\u00a0s",
-        "rms": sized(d, d.rms), "share": shared(d), "beyond": d.beyond, "note": d.note,
-    }  # fmt: skip
+        "name": d.name,
+        "unit": written(d.unit),
+        "largest": sized(d, d.largest),
+        "at": f"{d.at:.6g}\u00a0s",
+        "rms": sized(d, d.rms),
+        "share": shared(d),
+        "beyond": d.beyond,
+        "note": d.note,
+    }
 
 
 def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:

@@ -10,26 +10,27 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.kernel.kernel import Data, Layout
 from cosim.logs.log import Log, slowness
-from cosim.model.integrate import substeps
-from cosim.model.model import Model
+from cosim.subject.interface import Subject
 
 UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
 MOST_ROWS, FOLDS = 40, 20  # rows of all tables, up to which each is left out alone; parts of those with more
 JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
 
 
-def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()) -> Data:
+def as_data(
+    subject: Subject, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()
+) -> Data:
     """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured.
 
     settle: [s] until lags have forgotten an unknown start, see `settling`
     """
     if log.table:
-        return _as_table(model, log, layout)
+        return _as_table(log, layout)
     measured = layout.outputs
     grid = log.grid
     rows = int(grid[-1]) + 1
     held = np.searchsorted(grid, np.arange(rows), side="right") - 1
-    u = np.column_stack([log.inputs[q.name][held] for q in model.inputs])
+    u = np.column_stack([log.inputs[name][held] for name in layout.inputs])
     y = np.full((rows, len(measured)), np.nan)
     for j, name in enumerate(measured):
         if name in log.outputs:
@@ -40,13 +41,13 @@ def as_data(model: Model, log: Log, layout: Layout, settle: float, interpolated:
     if np.max(np.abs(away)) > JITTER:
         late = np.repeat(away, len(measured), axis=1)
         u = _as_acted(log, u, grid)
-    data = Data(log.step, float(log.time[0]), u, y, substeps(log.step, model.substep), 0, interpolated, late)
+    data = Data(log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late)
     return replace(data, settle=int(min(settle / log.step, unscored(data))))
 
 
-def _as_table(model: Model, log: Log, layout: Layout) -> Data:
+def _as_table(log: Log, layout: Layout) -> Data:
     """A table: the outputs of a row are those of its own inputs, as where these run straight from row to row."""
-    u = np.column_stack([log.inputs[q.name] for q in model.inputs])
+    u = np.column_stack([log.inputs[name] for name in layout.inputs])
     nothing = np.full(log.rows, np.nan)
     y = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
     return Data(log.step, 0.0, u, y, 1, interpolated=frozenset(layout.inputs), table=True)

@@ -14,10 +14,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares, pseudo_inverse
-from cosim.estimation.candidates import Free
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
+from cosim.subject.candidates import Free
 
 ITERATIONS = 30
 CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks

@@ -15,9 +15,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import pseudo_inverse
-from cosim.estimation.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.kernel.kernel import Data, Kernel
-from cosim.model.model import Model
+from cosim.subject.base_parameters import spread_of_base
+from cosim.subject.candidates import Candidate, Free, usual_size
+from cosim.subject.interface import Subject
 
 STEP = 1e-4  # of a value, or of 1 where it is less, for differences; readings are nearly straight lines
 
@@ -41,16 +42,15 @@ def spread(name: str, group: str) -> str:
 
 
 def own_parameters(
-    model: Model,
+    subject: Subject,
     names: Sequence[str],
     groups: Sequence[str],
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Each parameter once for each group, held near the model's value: by its tolerance, or else its usual size."""
-    declared = model.declared | model.sensor_parameters
+    """Each parameter once for each group, held near the subject's value: by its tolerance, or else its usual size."""
     for name in names:
-        p, value = declared[name], values[name]
+        p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)
         sigma = usual_size(p) if share is None or p.neutral is not None else spread_of_base(p, value, share)
         for group in dict.fromkeys(groups):

@@ -9,17 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import neutral_values
 from cosim.estimation.data import as_data, folds, unscored
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
-from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
-from cosim.kernel.settling import settling
-from cosim.loading.own_run import shown_states
 from cosim.logs.log import Log, slowness
-from cosim.model.model import Model
+from cosim.subject.interface import Subject
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
@@ -27,58 +23,54 @@ USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is kn
 
 
 def build_problem(
-    model: Model,
+    subject: Subject,
     logs: Sequence[Log],
     unnamed: bool = False,
     noise: Mapping[str, float] | None = None,
-    sensors: Mapping[str, float] | None = None,
     settings: Settings | None = None,
 ) -> Problem:
     """Kernel and data; an output that only some logs hold is missing in the others.
 
-    `noise`: standard deviations of outputs as the study states them; `sensors`: errors known already.
+    noise: standard deviations of outputs, as the study states them
     """
     settings = settings or Settings()
-    measured = tuple(q.name for q in model.outputs if any(q.name in log.outputs for log in logs))
-    compiled = kernel(model, measured, unnamed, settings.per_log)
-    layout = compiled.layout
-    settle = settling(model, [layout.states[k] for k in layout.driven])
-    data = [as_data(model, log, layout, settle, settings.interpolated) for log in logs]
-    data = folds(data) if model.static else data
-    readings = readings_of_table([d.y for d in data]) if model.static else [readings_of(d.y, unscored(d)) for d in data]
+    measured = tuple(q.name for q in subject.outputs if any(q.name in log.outputs for log in logs))
+    kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
+    layout = kernel.layout
+    settle = subject.settling([layout.states[k] for k in layout.driven])
+    data = [as_data(subject, log, layout, settle, settings.interpolated) for log in logs]
+    data = folds(data) if subject.static else data
+    readings = (
+        readings_of_table([d.y for d in data]) if subject.static else [readings_of(d.y, unscored(d)) for d in data]
+    )
     stated = {name: sigma * sigma for name, sigma in (noise or {}).items()}
-    variance = {q.name: model.sensor_variance.get(q.name, 1.0) for q in model.outputs} | stated
+    variance = {q.name: subject.sensor_variance.get(q.name, 1.0) for q in subject.outputs} | stated
     r = np.array([variance[name] for name in measured])
-    x0 = [start_state(model, d, measured, layout.states) for d in data]
-    values = {**dict.fromkeys(layout.parameters, 0.0), **neutral_values(model), **(sensors or {})}
+    x0 = [start_state(subject, d, measured, layout.states) for d in data]
+    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
     values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    late = {
-        f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
-        for kind in model.sensors
-        if kind.late
-    }
-    known = np.array([name in model.sensor_variance for name in measured])
+    late = {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
+    known = np.array([name in subject.sensor_variance for name in measured])
     free = np.array([name not in stated for name in measured])
-    begins = origins(model, layout, logs, data, settings)
+    begins = origins(subject, layout, logs, data, settings)
     groups = [origin.group for origin in begins]
-    own = tuple(own_parameters(model, settings.per_log, groups, values, settings.tolerance))
+    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
     values |= {f.name: f.prior[0] for f in own if f.prior}
     problem = Problem(
-        compiled, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free,
+        kernel, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free,
         own=own, origins=begins,
     )  # fmt: skip
-    return replace(problem, P0=start_covariance(model, problem))
+    return replace(problem, P0=start_covariance(subject, problem))
 
 
-def start_state(model: Model, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """The model's own start, with what is measured near the start of the log in its place."""
-    own = dict(zip((s.name for s in model.states), model.start(), strict=True))
-    start = own | _first_measured(model, data, measured)
+def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
+    """The subject's own start, with what is measured near the start of the log in its place."""
+    start = {**subject.start(), **_first_measured(subject, data, measured)}
     return np.array([start.get(name, 0.0) for name in states])
 
 
 def origins(
-    model: Model, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
+    subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
 ) -> list[Origin]:
     """Group and start of each log, where there are parameters per log; else none."""
     if not settings.per_log:
@@ -86,20 +78,20 @@ def origins(
     states, outputs = layout.states, layout.outputs
     found = []
     for log, d in zip(logs, data, strict=True):
-        shown = {states.index(n): outputs.index(n) for n in _first_measured(model, d, outputs) if n in states}
+        shown = {states.index(n): outputs.index(n) for n in _first_measured(subject, d, outputs) if n in states}
         found.append(Origin(settings.groups[log.path], shown))
     return found
 
 
-def start_covariance(model: Model, problem: Problem) -> Array:
+def start_covariance(subject: Subject, problem: Problem) -> Array:
     """P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
 
     Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
     """
     layout = problem.layout
-    measured = _measured_at_start(model, problem)
+    measured = _measured_at_start(subject, problem)
     known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
-    known = {**model.start_variance, **known}
+    known = {**subject.start_variance, **known}
     later = {layout.states[k] for k in layout.carrying}  # known as long as the constant is
     names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in later]
     if not known.keys() >= set(names):
@@ -108,20 +100,20 @@ def start_covariance(model: Model, problem: Problem) -> Array:
     return np.diag([known.get(name, 0.0) if name not in later else 0.0 for name in layout.uncertain])
 
 
-def with_equations_trusted(model: Model, problem: Problem) -> Problem:
+def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
     """The problem without unknown inputs; one of free runs starts from what was read first, whatever is read later."""
     P0 = problem.P0.copy()
-    if math.isinf(model.horizon):
+    if math.isinf(subject.horizon):
         for k, name in enumerate(problem.layout.uncertain):
-            if name in _measured_at_start(model, problem):
+            if name in _measured_at_start(subject, problem):
                 P0[k, k] = 0.0
     return replace(problem, trusted=True, sensing=None, P0=P0)
 
 
-def _measured_at_start(model: Model, problem: Problem) -> set[str]:
+def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
     """States that every log measures at its start."""
     outputs = problem.layout.outputs
-    return set.intersection(*(set(_first_measured(model, data, outputs)) for data in problem.logs))
+    return set.intersection(*(set(_first_measured(subject, data, outputs)) for data in problem.logs))
 
 
 def _range(problem: Problem) -> Array:
@@ -146,9 +138,9 @@ def own_run(problem: Problem, index: int) -> Simulated:
     return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
-def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[str, float]:
+def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """State → its first measurement, of the states that an output shows and that are measured near the start."""
-    shown, first = shown_states(model), {}
+    shown, first = subject.shown, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
@@ -157,9 +149,9 @@ def _first_measured(model: Model, data: Data, measured: Sequence[str]) -> dict[s
     return first
 
 
-def varied_inputs(model: Model, logs: Sequence[Log]) -> list[str]:
+def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
     """Inputs that are not constant in some log."""
-    return [q.name for q in model.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
+    return [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
 
 
 def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:

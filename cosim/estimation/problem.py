@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array, Flags, Rows
-from cosim.estimation.candidates import Free
 from cosim.estimation.data import UNSCORED, unscored
 from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, started
 from cosim.estimation.readings import Readings, readings_of
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout
 from cosim.logs.log import slowness
+from cosim.subject.candidates import Free
 
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
 TOO_QUIET, UNKNOWN = 0.1, 1e-4  # of a stated standard deviation, below which it is no sensor's; where none is stated

@@ -14,11 +14,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares, orthonormal, pseudo_inverse
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
+from cosim.subject.candidates import Candidate
 
 SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
 TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE

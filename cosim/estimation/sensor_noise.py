@@ -14,7 +14,7 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import own_run
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
-from cosim.model.model import Model
+from cosim.subject.interface import Subject
 
 OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there
@@ -64,17 +64,17 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
     return found
 
 
-def noise_warnings(problem: Problem, found: Noise, model: Model) -> tuple[str, ...]:
+def noise_warnings(problem: Problem, found: Noise, subject: Subject) -> tuple[str, ...]:
     """Where the logs have another noise than is stated, or none is stated; to be read beside a verdict."""
     stated, levels = np.sqrt(problem.r).tolist(), np.exp(0.5 * found.sensors).tolist()
     known = dict(zip(problem.layout.outputs, stated, strict=True))
     estimated = dict(zip(problem.layout.outputs, levels, strict=True))
     free = {n for n, moved in zip(problem.layout.outputs, problem.adjusted, strict=True) if moved}
-    units = {q.name: q.unit for q in model.outputs}
+    units = {q.name: q.unit for q in subject.outputs}
     off = {
         n: level
         for n, level in estimated.items()
-        if n in free and n in model.sensor_variance and not known[n] / OFF <= level <= OFF * known[n]
+        if n in free and n in subject.sensor_variance and not known[n] / OFF <= level <= OFF * known[n]
     }
     warnings = []
     if off:
@@ -82,7 +82,7 @@ def noise_warnings(problem: Problem, found: Noise, model: Model) -> tuple[str, .
             f"the noise in the logs is not the model's ({_beside(off, known, units)}); "
             f"that of the logs is used, as {_line(off)} in the study would say"
         )
-    if unknown := {n: estimated[n] for n in estimated if n in free and n not in model.sensor_variance}:
+    if unknown := {n: estimated[n] for n in estimated if n in free and n not in subject.sensor_variance}:
         names = " and ".join(unknown)
         warnings.append(
             f"how much noise {names} has, the model does not say (sensor_variance); "

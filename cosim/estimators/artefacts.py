@@ -11,6 +11,7 @@ ARTEFACTS = (
         keys=(frozenset({"runs", "steps", "seed", "rows"}),),
         verb="cosim consistency",
         marks=("consistency.json",),
+        files=("consistency.json", "report.html"),
         folder="the folder of a consistency test",
         folder_step="its report.html opens in a browser, scripts read consistency.json",
     ),

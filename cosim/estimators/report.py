@@ -27,10 +27,7 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     return render(
         TEMPLATE,
         {
-            "badges": [
-                Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"),
-                Badge(f"seed {seed}"),
-            ],
+            "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
             "flights": list({row.flight: row.motion for row in rows}.items()),
             "kinds": kinds,
@@ -50,29 +47,40 @@ def _summary(of: Judged, kinds: Sequence[str]) -> Mapping[str, Any]:
     """Return a case on a flight as one row: each mean over its degrees of freedom, and the verdict."""
     factors = {row.of: plain(row.result.factor, 3) for row in of.rows}
     return {
-        "case": of.rows[0].case, "flight": of.rows[0].flight, "factors": [factors.get(kind, "–") for kind in kinds],
-        "verdict": of.verdict, "good": of.consistent,
-    }  # fmt: skip
+        "case": of.rows[0].case,
+        "flight": of.rows[0].flight,
+        "factors": [factors.get(kind, "–") for kind in kinds],
+        "verdict": of.verdict,
+        "good": of.consistent,
+    }
 
 
 def _cells(row: Row) -> Mapping[str, Any]:
     r = row.result
     verdict, _, more = r.sentence.partition(": ")
+    region = f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}"
     return {
-        "case": row.case, "flight": row.flight, "of": row.of, "degrees": str(r.degrees), "mean": plain(r.mean, 4),
-        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}", "above": percent(r.above),
-        "below": percent(r.below), "most": percent(r.most), "verdict": verdict, "more": more,
+        "case": row.case,
+        "flight": row.flight,
+        "of": row.of,
+        "degrees": str(r.degrees),
+        "mean": plain(r.mean, 4),
+        "region": region,
+        "above": percent(r.above),
+        "below": percent(r.below),
+        "most": percent(r.most),
+        "verdict": verdict,
+        "more": more,
         "good": verdict == CONSISTENT,
-    }  # fmt: skip
+    }
 
 
 def _plot(row: Row, charts: Charts) -> Plot:
     """The mean over the runs at each time, and where a consistent estimator has it in 95 of 100."""
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)
-    panel = Panel(
-        row.of, "1", (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),),
-        Band("95 % of a consistent one", low, high), (float(r.degrees),), "its mean",
-    )  # fmt: skip
+    traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)
+    band = Band("95 % of a consistent one", low, high)
+    panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "its mean")
     (plot,) = charts.over(row.at, 1).plots([panel])
     return plot

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
 from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.report import page
 from cosim.storage.files import atomic_write, check_writable
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 
 FEWEST = 2  # runs
 SHORTEST = 100  # steps; errors count after the first second
@@ -30,8 +30,7 @@ def consistency(
     Raises InputError for too few or too many runs or steps, or if there is too little memory for them.
     """
     least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
-    if faults := [Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low]:
-        raise InputError(faults)
+    refuse([Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low])
     check_size(runs, steps)
     squares_of = resolve(model_entry().estimators)
     cases = resolve(model_entry().cases)
@@ -64,14 +63,16 @@ def _asked(runs: int, steps: int) -> str:
     return f"{runs:,} runs of {steps:,} steps"
 
 
-def check_folder(folder: Path, *, force: bool = False) -> None:
+def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> None:
     """Make the folder; InputError where it cannot be written, or, without force, holds what another command left."""
-    check_left(folder, "cosim consistency", force=force)
+    check_left(folder, "cosim consistency", force=force, keep=keep)
     check_writable(folder, [RECORD, PAGE])
 
 
-def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: bool = True) -> None:
-    """consistency.json and, if asked, report.html into a folder that was checked."""
+def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: bool = True, keep: bool = False) -> None:
+    """Write consistency.json and report.html into a folder that was checked; keep: an earlier one moves to `runs`."""
+    if keep:
+        keep_earlier(folder, "cosim consistency")
     record = {"runs": rows[0].result.runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
     with atomic_write(folder / RECORD) as stream:
         stream.write(json.dumps(record, indent=1, ensure_ascii=False) + "\n")

@@ -10,6 +10,7 @@ ARTEFACTS = (
         "`cosim run` plays the excitation.yaml beside it",
         verb="cosim excite",
         marks=("excitation.csv", "excitation.yaml"),
+        files=("excitation.csv", "excitation.yaml", "plant.fmu"),
         folder="the folder of an excitation",
         folder_step="`cosim run {file}/excitation.yaml` plays it",
     ),

@@ -25,8 +25,9 @@ from cosim.experiment.separation import Pair, Separation
 from cosim.logs.log import slowness
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.table import write_columns
+from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
@@ -137,11 +138,12 @@ def excite(
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
     force: bool = True,
+    keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
     """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
 
-    force: also over what another command left there. Raises InputError.
+    force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
@@ -151,7 +153,7 @@ def excite(
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
     written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
-    check_left(folder, "cosim excite", force=force)
+    check_left(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
     found = _choose(question, rig, time, seed, experiments, report)
     if found is None:
@@ -161,6 +163,8 @@ def excite(
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
     report("building the FMUs", 0.0)
+    if keep:
+        keep_earlier(folder, "cosim excite", rig.files)
     _write(folder, found, seed)
     return found
 
@@ -178,11 +182,11 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """The best of `count` experiments; None where all go too far."""
-    model, base = question.loaded.model, question.base
+    model, subject = question.loaded.model, ModelSubject(question.base)
     usually = rig.play(model, rig.usual_signals(time))
     log = usually.log(model, question.measured)
-    problem = build_problem(base.model, [log], noise=question.noise, sensors=base.values)
-    separation = Separation(base.model, problem, question.rivals, question.pairs)
+    problem = build_problem(subject, [log], noise=question.noise)
+    separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
     for k in range(-1, count):  # first what is usually played: none that is worse is preferred

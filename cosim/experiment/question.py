@@ -8,8 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.errors import Fault, InputError
-from cosim.estimation.candidates import Candidate, candidates, neutral_values
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.experiment.ranges import allowed, inputs_to_limit, seen_in
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, at_typical
@@ -23,6 +22,8 @@ from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile
 from cosim.storage.kinds import ANSWER, CODE, MODEL, check_form, check_given
 from cosim.storage.yaml_file import YamlFile, did_you_mean
+from cosim.subject.candidates import Candidate
+from cosim.subject.model_subject import ModelSubject
 
 NOTHING = "nothing"
 
@@ -85,14 +86,7 @@ def ask(
     ranges: Sequence[str] = (),
 ) -> Question:
     """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
-    path = Path(text)
-    if path.exists() and not names_refine(path) and ".py:" not in text:
-        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
-    if (folder := refinement_folder(text)) and path.exists():
-        path = folder / "refine.json" if path.is_dir() else path
-        question = _of_refinement(path, against)
-    else:
-        question = _of_model(path, with_substep(load_model(text, Path()))[0], against)
+    path, question = _posed(text, against)
     model, faults = question.base.model, list[str]()
     if model.static:
         told = "told_apart_by says what rows would separate rivals"
@@ -103,9 +97,19 @@ def ask(
     seen = tuple(n for n in outputs if n in (measured or question.measured))
     if not seen and not faults:
         faults.append(f"it does not say what is measured; say --measured NAME, of {', '.join(outputs)}")
-    if faults:
-        raise InputError([Fault(path, 0, 0, fault) for fault in faults])
+    refuse(Fault(path, 0, 0, fault) for fault in faults)
     return replace(question, limits=far, ranges=spans, measured=seen)
+
+
+def _posed(text: str, against: Sequence[str]) -> tuple[Path, Question]:
+    """The file that is named, and the question as it poses it."""
+    path = Path(text)
+    if path.exists() and not names_refine(path) and ".py:" not in text:
+        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
+    if (folder := refinement_folder(text)) and path.exists():
+        path = folder / "refine.json" if path.is_dir() else path
+        return path, _of_refinement(path, against)
+    return path, _of_model(path, with_substep(load_model(text, Path()))[0], against)
 
 
 def refinement_folder(text: str) -> Path | None:
@@ -134,7 +138,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
     else:
         _check_names(path, names, known)
         rivals, pairs = _rivals(loaded, known, names)
-        values = {**neutral_values(loaded.model), **loaded.values}
+        values = ModelSubject(loaded).values
         fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
     noise, seen = {**content.sensor_noise, **given.noise}, _seen(loaded.model, study.parent, given)
     return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, seen)
@@ -190,30 +194,33 @@ def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Questi
     base = replace(loaded, model=replace(model, effects=()))
     known = _candidates(base)
     _check_names(path, against, known)
-    own = {e.name for e in model.awake}
-    names = list(against) or sorted({n for group in _groups(loaded.model, known) if group & own for n in group - own})
+    own = [e.name for e in model.awake]
+    names = list(against) or sorted(_beside({*own}, _groups(loaded.model, known)))
     rivals, pairs = _rivals(base, known, names)
     if own and names:
         free = tuple(f for n in own for f in known[n].free)
-        values = neutral_values(model)
-        held = Rival(" and ".join(e.name for e in model.awake), {f.name: values[f.name] for f in free}, free)
+        values = ModelSubject(loaded).values
+        held = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
         rivals, pairs = (held, *(r for r in rivals if r.name != NOTHING)), tuple((held.name, name) for name in names)
     measured = model.measured or tuple(model.sensor_variance)
     return Question(loaded, base, rivals, pairs, measured or tuple(q.name for q in model.outputs), {}, {})
 
 
+def _beside(own: set[str], groups: Sequence[set[str]]) -> set[str]:
+    """Return what is hard to separate from the effects that a model has."""
+    return {name for group in groups if group & own for name in group - own}
+
+
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
     """Everything that may be missing or wrong, every input taken as varied."""
-    model = loaded.model
-    values = {**neutral_values(model), **loaded.values}
-    return {c.name: c for c in candidates(model, values, [q.name for q in model.inputs])}
+    subject = ModelSubject(loaded)
+    return {c.name: c for c in subject.candidates([q.name for q in subject.inputs])}
 
 
 def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate]) -> None:
     faults = [f'no candidate "{name}"{did_you_mean(name, known)}' for name in names if name not in known]
     faults += [f'"{name}" is named twice' for name in dict.fromkeys(names) if list(names).count(name) > 1]
-    if faults:
-        raise InputError([Fault(path, 0, 0, fault) for fault in faults])
+    refuse(Fault(path, 0, 0, fault) for fault in faults)
 
 
 def _groups(model: Model, known: Mapping[str, Candidate]) -> list[set[str]]:
@@ -225,11 +232,11 @@ def _rivals(
     loaded: LoadedModel, known: Mapping[str, Candidate], names: Sequence[str]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
     """The names at typical size, every two of them; one alone against nothing; without names, the usual pairs."""
-    values = {**neutral_values(loaded.model), **loaded.values}
+    subject = ModelSubject(loaded)
     if len(names) == 1:
-        return (at_typical(loaded.model, known[names[0]], values), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
+        return (at_typical(subject, known[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
     pairs = (
         all_pairs(names) if names else [p for group in _groups(loaded.model, known) for p in all_pairs(sorted(group))]
     )
     taken = dict.fromkeys(name for pair in pairs for name in pair)
-    return tuple(at_typical(loaded.model, known[name], values) for name in taken), tuple(pairs)
+    return tuple(at_typical(subject, known[name]) for name in taken), tuple(pairs)

@@ -11,12 +11,13 @@ from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
 from cosim.model.model import Model
 from cosim.storage.yaml_file import did_you_mean
+from cosim.subject.interface import Subject
 
 LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
 RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")
 
 
-def inputs_to_limit(model: Model) -> tuple[str, ...]:
+def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
     """Inputs of which one has to say how far they may go."""
     return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _whole(q.bounds))
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.estimation.candidates import Candidate, Free, base_parameters
 from cosim.estimation.data import as_data, unscored
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.noise_model import Noise
@@ -25,8 +24,10 @@ from cosim.estimation.posing import coarsened, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
-from cosim.model.model import Model
-from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.quantities import Parameter
+from cosim.subject.base_parameters import base_parameters
+from cosim.subject.candidates import Candidate, Free
+from cosim.subject.interface import Subject
 
 WRONG_BY = 0.2  # of its value: a base parameter that is wrong; suspect ones by the size of their fits
 Pair = tuple[str, str]
@@ -41,14 +42,14 @@ class Rival:
     free: tuple[Free, ...]
 
 
-def at_typical(model: Model, candidate: Candidate, known: Mapping[str, float]) -> Rival:
+def at_typical(subject: Subject, candidate: Candidate) -> Rival:
     """A candidate at a size that is plainly detected: `typical` away from neutral; a base parameter 20 % wrong."""
     if candidate.kind == "parameter":
         (free,) = candidate.free
-        wrong = WRONG_BY * abs(known[free.name]) if free.name in model.calibrated else free.size
-        return Rival(candidate.name, {free.name: known[free.name] + wrong}, candidate.free)
-    kind = next(k for k in (*model.catalogue, *model.sensors) if k.name == candidate.name)
-    values = {f"{kind.name}.{p.name}": _plainly_seen(p) for p in parameters_of(kind)}
+        value = subject.values[free.name]
+        wrong = WRONG_BY * abs(value) if free.name in subject.calibrated else free.size
+        return Rival(candidate.name, {free.name: value + wrong}, candidate.free)
+    values = {name: _plainly_seen(subject.declared[name]) for name in candidate.parameters}
     return Rival(candidate.name, values, candidate.free)
 
 
@@ -64,17 +65,17 @@ def all_pairs(names: Iterable[str]) -> list[Pair]:
 class Separation:
     """Measures inputs: `problem` has the kernel, `rivals` the hypotheses, `pairs` those that are to be separated."""
 
-    def __init__(self, model: Model, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
-        self.model, self.problem, self.pairs = model, problem, tuple(pairs)
+    def __init__(self, subject: Subject, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
+        self.subject, self.problem, self.pairs = subject, problem, tuple(pairs)
         self.rivals = {r.name: r for r in rivals}
-        self.base = base_parameters(model, problem.values, problem.settings.tolerance)
+        self.base = base_parameters(subject, problem.values, problem.settings.tolerance)
         self.noise, self.substeps = problem.plain, coarsened(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
         """Distance [standard deviations] of each pair on a log of the model without noise."""
         layout = self.problem.layout
-        data = replace(as_data(self.model, log, layout, self.problem.settle), substeps=self.substeps)
-        start = start_state(self.model, data, layout.outputs, layout.states)
+        data = replace(as_data(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
+        start = start_state(self.subject, data, layout.outputs, layout.states)
         readings = [readings_of(data.y, unscored(data))]
         seen = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
         shift = {name: seen.at(r.values) for name, r in self.rivals.items()}

@@ -79,16 +79,8 @@ def about_model(model: Model, text: str) -> Description:
     from cosim.fmi.ports import model_ports
     from cosim.model.symbolic.dependencies import direct_dependencies, initial_dependencies
 
-    return Description(
-        text,
-        model_ports(model),
-        direct_dependencies(model),
-        initial_dependencies(model),
-        step=model.rate,
-        stop=10.0,
-        variable_step=True,
-        traits=Traits.of(model),
-    )
+    about = text, model_ports(model), direct_dependencies(model), initial_dependencies(model)
+    return Description(*about, step=model.rate, stop=10.0, variable_step=True, traits=Traits.of(model))
 
 
 def build(recipe: Recipe, path: Path) -> Path:
@@ -149,18 +141,15 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 def _renamed(source: str, carried: Sequence[str], package: str) -> str:
     """Return a module's source with imports of carried packages directed into the FMU's own package."""
     names = "|".join(carried)
-    source = re.sub(rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3",
-                    source, flags=re.MULTILINE)  # fmt: skip
+    whole, renamed = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
+    source = re.sub(whole, renamed, source, flags=re.MULTILINE)
     return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
 
 
 def _script(recipe: Recipe, package: str, class_name: str) -> str:
     """Return the file that pythonfmu loads: the slave class, with other defaults where the recipe has them."""
     module, base = recipe.slave
-    lines = [
-        f"from {package}.cosim.fmi.lifetime import keep",
-        f"from {package}.{module} import {base} as Base",
-    ]
+    lines = [f"from {package}.cosim.fmi.lifetime import keep", f"from {package}.{module} import {base} as Base"]
     if recipe.values or recipe.own or recipe.substep is not None:
         lines.append(f"from {package}.cosim.fmi.ports import model_ports")
     if recipe.own:

@@ -27,12 +27,14 @@ def _windows(pid: int) -> int:
 
     class Counters(ctypes.Structure):
         _fields_ = (
-            ("cb", wintypes.DWORD), ("PageFaultCount", wintypes.DWORD),
-            *((name, ctypes.c_size_t) for name in (
-                "PeakWorkingSetSize", "WorkingSetSize", "QuotaPeakPagedPoolUsage", "QuotaPagedPoolUsage",
-                "QuotaPeakNonPagedPoolUsage", "QuotaNonPagedPoolUsage", "PagefileUsage", "PeakPagefileUsage",
-            )),
-        )  # fmt: skip
+            *((name, wintypes.DWORD) for name in ("cb", "PageFaultCount")),
+            *((name, ctypes.c_size_t) for name in ("PeakWorkingSetSize", "WorkingSetSize")),
+            *(
+                (f"Quota{name}PoolUsage", ctypes.c_size_t)
+                for name in ("PeakPaged", "Paged", "PeakNonPaged", "NonPaged")
+            ),
+            *((name, ctypes.c_size_t) for name in ("PagefileUsage", "PeakPagefileUsage")),
+        )
 
     kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
     kernel.OpenProcess.restype = ctypes.c_void_p

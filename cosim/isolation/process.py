@@ -226,9 +226,13 @@ def _spawn() -> subprocess.Popen[bytes]:
     windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "cosim.isolation"], env=environment,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **apart,
-    )  # fmt: skip
+        [sys.executable, "-P", "-m", "cosim.isolation"],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **apart,
+    )
 
 
 def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:

@@ -1,19 +1,19 @@
-"""The filter in C: built once for a model and the outputs a log holds, cached by content."""
+"""The filter in C: compiled once for a model and the outputs of a log, cached by content."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 import cosim.fmi.native
 from cosim.base.arrays import Array
 from cosim.fmi.native.compiler import loaded
-from cosim.kernel.buffers import ArrayKernel, constants
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import Data
+from cosim.kernel.kernel import Data, Filtered, Layout, Simulated
 
-STEP = Path(cosim.fmi.native.__file__).with_name("step.c")
+NATIVE = Path(cosim.fmi.native.__file__).parent
 FILTER = Path(__file__).with_name("filter.c")
 
 
@@ -31,27 +31,57 @@ class _Log(ctypes.Structure):
     )
 
 
-class CompiledKernel(ArrayKernel):
-    """The filter in C. Raises OSError or subprocess.SubprocessError where the compiler does not do its work."""
+class CompiledKernel:
+    """The filter in C. Raises NoCompiler and CompilerFailed. An array without rows stands for no array."""
 
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
-        self._library = loaded(_source(generated))
+        self._library = loaded(_source(generated), NATIVE / "rk4.h")
         self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 9]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
-    def _filter(self, data: Data, u: Array, y: Array, given: Sequence[Array], room: Sequence[Array]) -> int:
-        ramps = self._ramps(data)
-        times = (len(u), data.substeps, data.settle, data.step, data.start)
-        late = self._late(data)
-        log = _Log(*times, u.ctypes.data, y.ctypes.data, ramps.ctypes.data, _address(late))
-        return int(self._library.filter(ctypes.byref(log), *map(_address, (*given, *room))))
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log, as `Kernel` says."""
+        rows, ny = data.y.shape
+        kept = rows if states else 0
+        errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
+        filtered = np.full((kept, len(self.layout.states)), np.nan)
+        memory = np.full((kept, self.layout.memory), np.nan)
+        late = np.empty((0, ny)) if data.late is None else data.late
+        u, y, older, ramps = _plain(data.u), _plain(data.y), _plain(late), self._ramps(data)
+        inputs = [_plain(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
+        arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory)]
+        done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, older)), *arrays)
+        if done < rows:
+            errors[done:], variances[done:] = np.inf, 1.0
+        return Filtered(errors, variances, filtered, memory)
 
-    def _simulate(self, data: Data, u: Array, first: int, given: Sequence[Array], room: Sequence[Array]) -> None:
-        ramps = self._ramps(data)
-        times = (len(u), data.substeps, data.settle, data.step, data.start)
-        log = _Log(*times, u.ctypes.data, None, ramps.ctypes.data, None)
-        self._library.simulate(ctypes.byref(log), first, *map(_address, (*given, *room)))
+    def simulate(
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+    ) -> Simulated:
+        """Run on the commands of a log, as `Kernel` says."""
+        rows, nx = len(data.u), len(self.layout.states)
+        outputs, states = np.full((rows, len(self.layout.outputs)), np.nan), np.full((rows, nx), np.nan)
+        memories = np.zeros((rows, self.layout.memory))
+        u, ramps, nothing = _plain(data.u), self._ramps(data), np.empty(0)
+        inputs = [_plain(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
+        arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
+        self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing)), first, *arrays)
+        return Simulated(outputs, states, memories)
+
+    def _ramps(self, data: Data) -> Array:
+        """Return which inputs are interpolated, as flags of C."""
+        return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
+
+
+def _log(data: Data, u: Array, y: Array, ramps: Array, late: Array) -> _Log:
+    times = (len(data.u), data.substeps, data.settle, data.step, data.start)
+    return _Log(*times, *map(_address, (u, y, ramps, late)))
+
+
+def _plain(a: Array) -> Array:
+    """Return contiguous doubles."""
+    return np.require(a, np.float64, ["C"])
 
 
 def _address(a: Array) -> int | None:
@@ -59,11 +89,21 @@ def _address(a: Array) -> int | None:
 
 
 def _source(generated: Generated) -> str:
-    """The whole C file."""
-
-    def literal(value: float | tuple[int, ...]) -> str:
-        return "{" + ", ".join(map(str, value or (0,))) + "}" if isinstance(value, tuple) else f"({value})"
-
-    head = "\n".join(f"#define {name} {literal(value)}" for name, value in constants(generated.layout).items())
-    bodies = (STEP.read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))
+    """Return the whole C file."""
+    head = "".join(f"#define {name} {value}\n" for name, value in _sizes(generated.layout).items())
+    bodies = ((NATIVE / "step.c").read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))
     return "\n".join(("#include <math.h>", head, generated.source, *bodies))
+
+
+def _sizes(layout: Layout) -> dict[str, str]:
+    """Return the constants that the text of a filter uses, by name."""
+    numbers = {
+        "NX": len(layout.states),
+        "NU": len(layout.inputs),
+        "NY": len(layout.outputs),
+        "NS": len(layout.stochastic),
+        "NM": layout.memory,
+        "DELAY": layout.delay,
+    }
+    places = ", ".join(map(str, layout.stochastic or (0,)))
+    return {name: f"({number})" for name, number in numbers.items()} | {"STOCHASTIC": f"{{{places}}}"}

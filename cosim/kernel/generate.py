@@ -20,14 +20,14 @@ from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape,
 from cosim.model.model import Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.symbolic.functions import Body
-from cosim.model.symbolic.languages import Language
+from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import guarded
 from cosim.storage.cache import fingerprint, kept
 
 
 @dataclass(frozen=True)
 class Generated:
-    """Functions in C or Python, and what their arguments are.
+    """Functions in C, and what their arguments are.
 
     source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
             `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C are of the stochastic states
@@ -53,9 +53,7 @@ class Reach:
     driven: tuple[str, ...]
 
 
-def generate(
-    model: Model, measured: Sequence[str], language: Language, unnamed: bool = False, constant: Sequence[str] = ()
-) -> Generated:
+def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
     """Functions for a model and the outputs a log holds.
 
     With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
@@ -81,8 +79,8 @@ def generate(
     asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
     asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
     asked += srepr([list(term.items()) for term in body.terms])
-    made = (type(language).__name__, stochastic, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
-    text: str = kept(f"{made} {asked}", lambda: _printed(body, language, (f, g), (stochastic, x), shapes))
+    made = (stochastic, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
+    text: str = kept(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes))
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -101,7 +99,6 @@ def generate(
 
 def _printed(
     body: Body,
-    language: Language,
     expressions: tuple[Sequence[Any], Sequence[Any]],
     random: tuple[Sequence[int], Sequence[Any]],
     shapes: Sequence[LocalShape],
@@ -120,8 +117,8 @@ def _printed(
         dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
     ]
     first = {"deriv": stages, "jacobian": stages}
-    printed = [body.function(language, name, e, first.get(name, ())) for name, e in functions.items()]
-    return "\n".join((*printed, body.shaping_function(language, "shape_all")))
+    printed = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
+    return "\n".join((*printed, body.shaping_function(C(), "shape_all")))
 
 
 def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:

@@ -69,19 +69,21 @@ class Along:
 
     def _component(self, asked: str) -> str:
         """The component whose inputs and outputs are the model's; InputError where there is none, or a choice."""
-        columns = set(self._results.columns)
-        owners = dict.fromkeys(c.partition(".")[0] for c in self._results.columns)
-        wanted = (*self._source.inputs, *self._source.outputs)
-        fitting = [o for o in owners if all(f"{o}.{n}" in columns for n in wanted)]
-        if asked in fitting or (len(fitting) == 1 and not asked):
-            return asked or fitting[0]
-        if asked or not fitting:
-            whom = asked or f"no component of {self._moment.scenario}"
-            lacking = [n for n in wanted if f"{asked}.{n}" not in columns] if asked else list(wanted)
-            told = f"{', '.join(lacking[:8])}{', …' if len(lacking) > 8 else ''}"
-            message = f"{whom} has not the inputs and outputs of {self._source.title} ({told})"
-            raise InputError([Fault(AT, 0, 0, message)])
-        raise InputError([Fault(AT, 0, 0, f"{' and '.join(fitting)} would do; say which as --component NAME")])
+        columns, wanted = set(self._results.columns), (*self._source.inputs, *self._source.outputs)
+        owners = dict.fromkeys(column.partition(".")[0] for column in self._results.columns)
+        missing = {owner: [n for n in wanted if f"{owner}.{n}" not in columns] for owner in owners}
+        fitting = [owner for owner, names in missing.items() if not names]
+        if asked in fitting:
+            return asked
+        if fitting and not asked:
+            if len(fitting) == 1:
+                return fitting[0]
+            raise InputError([Fault(AT, 0, 0, f"{' and '.join(fitting)} would do; say which as --component NAME")])
+        lacking = missing.get(asked, wanted)
+        whom = asked or f"no component of {self._moment.scenario}"
+        told = f"{', '.join(lacking[:8])}{', …' if len(lacking) > 8 else ''}"
+        message = f"{whom} has not the inputs and outputs of {self._source.title} ({told})"
+        raise InputError([Fault(AT, 0, 0, message)])
 
     def _recorded(self) -> list[str]:
         return list(self._manifest["scenario"].get("record") or ())

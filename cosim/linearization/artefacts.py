@@ -11,6 +11,7 @@ ARTEFACTS = (
         keys=(frozenset({"schema_version", "states", "models"}),),
         verb="cosim linearize",
         marks=("linear.json",),
+        files=("linear.json", "linear.mat", "linear.py", "report.html"),
         folder="the folder of a linearisation",
         folder_step="its report.html opens in a browser, its linear.py loads it in Python",
         sources=("model",),

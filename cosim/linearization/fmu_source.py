@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import (
     DifferentiableFmu,
@@ -174,18 +174,13 @@ class ExchangeSource(Source):
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """About each point."""
-        n, made = len(self.states), []
+        n, made, names = len(self.states), [], (self.states, self.inputs, self.outputs)
         found: list[Found] = self._call(about, list(points), self.step, self._own)
         differences = f"central differences of the FMU, step {self.step:g} of each value or of 1"
         for point, (slopes, rates, after, notes, kinks, own) in zip(points, found, strict=True):
-            method = GIVEN if own else differences
-            made.append(
-                Linear(
-                    slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:], self.states, self.inputs,
-                    self.outputs, Point(point.time, after, point.inputs), rates[:n], rates[n:], self.units, method,
-                    tuple(notes), tuple(kinks),
-                )
-            )  # fmt: skip
+            matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
+            at, told = replace(point, states=after), (GIVEN if own else differences, tuple(notes), tuple(kinks))
+            made.append(Linear(*matrices, *names, at, rates[:n], rates[n:], self.units, *told))
         return made
 
     def _call(self, function: Any, *more: Any) -> Any:
@@ -197,13 +192,9 @@ class ExchangeSource(Source):
 def check_differentiable(path: Path, description: Any) -> None:
     """InputError where an FMU cannot be asked for its derivatives, with what can be."""
     if "model-exchange" not in ways(description):
-        cure = (
-            "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange; "
-            "`cosim build --native` makes one of any model here"
-        )
-        raise InputError(
-            [Fault(path, 0, 0, f"is for co-simulation only, and hides its states and derivatives; {cure}")]
-        )
+        what = "is for co-simulation only, and hides its states and derivatives"
+        cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
+        raise InputError([Fault(path, 0, 0, f"{what}; {cure}; `cosim build --native` makes one of any model here")])
     if len(states_of(description)) != len(description.derivatives):
         raise InputError([Fault(path, 0, 0, "does not say which states its derivatives are of", FmuError.exit_code)])
 
@@ -215,18 +206,13 @@ def typed_values(path: Path, description: Any, given: Mapping[str, Any]) -> dict
         variable = variables.get(name)
         if variable is None or not settable(variable):
             known = [n for n, v in variables.items() if settable(v)]
-            what = (
-                f'has no variable "{name}"{did_you_mean(name, known)}'
-                if variable is None
-                else f"{name} is {kind_of(variable)}"
-            )
-            faults.append(Fault(path, 0, 0, what))
+            unknown = f'has no variable "{name}"{did_you_mean(name, known)}'
+            faults.append(Fault(path, 0, 0, f"{name} is {kind_of(variable)}" if variable else unknown))
             continue
         fitting = typed(description, variable, value)
         if isinstance(fitting, Misfit):
             faults.append(Fault(path, 0, 0, f"{name} is {value!r}; {fitting.reason}"))
         else:
             found[name] = fitting
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

@@ -61,10 +61,8 @@ class Linear:
         """The same as a `control.StateSpace`, with its names."""
         import control
 
-        return control.ss(
-            self.A, self.B, self.C, self.D, states=list(self.states), inputs=list(self.inputs),
-            outputs=list(self.outputs), remove_useless_states=False,
-        )  # fmt: skip
+        names = {name: list(getattr(self, name)) for name in ("states", "inputs", "outputs")}
+        return control.ss(self.A, self.B, self.C, self.D, **names, remove_useless_states=False)
 
     def unit(self, name: str) -> str:
         """Unit of a state, input or output."""
@@ -115,8 +113,14 @@ def chosen(linear: Linear, states: Sequence[str], inputs: Sequence[str], outputs
     y = [linear.outputs.index(n) for n in outputs]
     return replace(
         linear,
-        A=linear.A[np.ix_(x, x)], B=linear.B[np.ix_(x, u)], C=linear.C[np.ix_(y, x)], D=linear.D[np.ix_(y, u)],
-        states=tuple(states), inputs=tuple(inputs), outputs=tuple(outputs),
+        A=linear.A[np.ix_(x, x)],
+        B=linear.B[np.ix_(x, u)],
+        C=linear.C[np.ix_(y, x)],
+        D=linear.D[np.ix_(y, u)],
+        states=tuple(states),
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
         point=Point(linear.point.time, linear.point.states[x], linear.point.inputs[u]),
-        rates=linear.rates[x], values=linear.values[y],
-    )  # fmt: skip
+        rates=linear.rates[x],
+        values=linear.values[y],
+    )

@@ -97,10 +97,8 @@ class EquationSource(Source):
         if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
             raise SimulationError(self.name, point.time, "the equations or their slopes are not finite there")
         kinks, notes = self._kinks(point)
-        return Linear(
-            *matrices, self.states, self.inputs, self.outputs, point, rates, values, self.units, EXACT,
-            (*self._memories(), *notes), tuple(kinks),
-        )  # fmt: skip
+        names, told = (self.states, self.inputs, self.outputs), ((*self._memories(), *notes), tuple(kinks))
+        return Linear(*matrices, *names, point, rates, values, self.units, EXACT, *told)
 
     def _at(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         state, command = tuple(x.tolist()), tuple(u.tolist())

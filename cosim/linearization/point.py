@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import Source
@@ -51,8 +51,8 @@ def read_at(given: Sequence[str]) -> Where:
                 faults.append(Fault(AT, 0, 0, f"{short(text)}: {error}"))
             continue
         for part in text.split(","):
-            name, sign, value = (piece.strip() for piece in part.partition("="))
-            if not (sign and name and value):
+            name, _, value = (piece.strip() for piece in part.partition("="))
+            if not (name and value):
                 what = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
                 faults.append(Fault(AT, 0, 0, f"{short(text)} is {what}"))
                 break
@@ -61,8 +61,7 @@ def read_at(given: Sequence[str]) -> Where:
             values.setdefault(name, value)
     if len(moments) > 1:
         faults.append(Fault(AT, 0, 0, f"{len(moments)} scenarios are named; name one"))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return Where(values, moments[0] if moments else None)
 
 
@@ -91,8 +90,8 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     for name, text in values.items():
         if name not in known:
             message = f'{source.title} has no state or input "{name}"{did_you_mean(name, known)}'
-            faults.append(Fault(AT, 0, 0, f"{message} (states: {', '.join(source.states) or 'none'}; "
-                                          f"inputs: {', '.join(source.inputs) or 'none'})"))  # fmt: skip
+            listed = f"states: {', '.join(source.states) or 'none'}; inputs: {', '.join(source.inputs) or 'none'}"
+            faults.append(Fault(AT, 0, 0, f"{message} ({listed})"))
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))
@@ -103,6 +102,5 @@ def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
             states[source.states.index(name)] = value
         if name in source.inputs:
             inputs[source.inputs.index(name)] = value
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return replace(point, states=states, inputs=inputs)

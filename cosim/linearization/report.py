@@ -49,19 +49,28 @@ def page(outcome: Outcome) -> str:
     return render(
         TEMPLATE,
         {
-            "name": PurePath(outcome.name).name, "description": description, "outcome": headline(found, linear),
-            "badges": _badges(linear, found), "notes": outcome.notes,
+            "name": PurePath(outcome.name).name,
+            "description": description,
+            "outcome": headline(found, linear),
+            "badges": _badges(linear, found),
+            "notes": outcome.notes,
             "states": _values(linear, linear.states, linear.point.states, linear.rates),
             "inputs": _values(linear, linear.inputs, linear.point.inputs),
-            "time": plain(linear.point.time), "map": pole_map(found.poles, charts) if found.poles else None,
-            "poles": pole_rows(found), "rank": (found.controllable, found.observable, len(linear.states)),
+            "time": plain(linear.point.time),
+            "map": pole_map(found.poles, charts) if found.poles else None,
+            "poles": pole_rows(found),
+            "rank": (found.controllable, found.observable, len(linear.states)),
             "condition": number(found.condition) if math.isfinite(found.condition) else "",
-            "bode": shown, "left_out": max(0, len(bode) - MOST),
-            "along": _along(outcome, charts), "data": charts.data(),  # after all that is drawn
+            "bode": shown,
+            "left_out": max(0, len(bode) - MOST),
+            "along": _along(outcome, charts),
+            "data": charts.data(),  # after all that is drawn
             "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
-            "matrices": [_matrix(linear, n) for n in "ABCD"], "largest": LARGEST, "version": __version__,
+            "matrices": [_matrix(linear, n) for n in "ABCD"],
+            "largest": LARGEST,
+            "version": __version__,
         },
-    )  # fmt: skip
+    )
 
 
 def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
@@ -71,17 +80,12 @@ def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
 
 
 def _badges(linear: Linear, found: Structure) -> list[Badge]:
-    sizes = [counted(len(group), noun) for group, noun in (
-        (linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))]  # fmt: skip
-    stable, no = (
-        ("asymptotically stable" if linear.at_rest else "all poles to the left"),
-        "" if found.stable else "not ",
-    )
-    return [
-        *map(Badge, sizes),
-        Badge(no + stable, "good" if found.stable else "plain"),
-        Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero"),
-    ]  # fmt: skip
+    groups = ((linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))
+    sizes = [Badge(counted(len(group), noun)) for group, noun in groups]
+    stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
+    stability = Badge(stable, "good") if found.stable else Badge(f"not {stable}", "plain")
+    rest = Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero")
+    return [*sizes, stability, rest]
 
 
 def _values(linear: Linear, names: Sequence[str], values: Array, rates: Array | None = None) -> list[dict[str, str]]:
@@ -97,9 +101,11 @@ def _matrix(linear: Linear, name: str) -> dict[str, Any]:
     rows = linear.states if name in "AB" else linear.outputs
     columns = linear.states if name in "AC" else linear.inputs
     return {
-        "name": name, "columns": columns, "fits": len(columns) <= LARGEST and len(rows) <= 4 * LARGEST,
+        "name": name,
+        "columns": columns,
+        "fits": len(columns) <= LARGEST and len(rows) <= 4 * LARGEST,
         "rows": [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)],
-    }  # fmt: skip
+    }
 
 
 def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:

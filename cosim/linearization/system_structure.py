@@ -68,10 +68,8 @@ def structure(linear: Linear) -> Structure:
     groups = _grouped(values, SAME * size)
     to, by = reachable(A, B), reachable(A.T, C.T)
     found = tuple(_pole(A, B, C, values[g], size) for g in groups)
-    return Structure(
-        found, to, by, condition(A, B) if to == n > 0 else float("inf"),
-        all(p.value.real < -SAME * size for p in found),
-    )  # fmt: skip
+    stable = all(p.value.real < -SAME * size for p in found)
+    return Structure(found, to, by, condition(A, B) if to == n > 0 else float("inf"), stable)
 
 
 def poles(A: Array) -> Poles:
@@ -161,9 +159,7 @@ def _pole(A: Array, B: Array, C: Array, values: Poles, size: float) -> Pole:
     value = complex(values.mean())
     if abs(value.imag) < SAME * size:
         value = complex(value.real, 0.0)
-    return Pole(
-        value, len(values), jordan_blocks(A, value, len(values)), _full(A, B, value), _full(A.T, C.T, value)
-    )  # fmt: skip
+    return Pole(value, len(values), jordan_blocks(A, value, len(values)), _full(A, B, value), _full(A.T, C.T, value))
 
 
 def _full(A: Array, B: Array, value: complex) -> bool:

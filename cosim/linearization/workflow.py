@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import numpy as np
 
 from cosim.authoring.single import start_pairs
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
@@ -29,7 +30,7 @@ from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
 from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -68,6 +69,7 @@ def linearize(
     side: str | None = None,
     report: bool = True,
     force: bool = True,
+    keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
     """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
@@ -80,6 +82,7 @@ def linearize(
     step:        of central differences, for an FMU in place of its directional derivatives
     side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
     force:       also over what another model's, or another command, left in `out`
+    keep:        files of an earlier one move to `runs` in `out`
     compile:     the sources of an FMU that has no library for this machine are compiled and run
     Raises InputError, FmuError, SimulationError.
     """
@@ -93,7 +96,7 @@ def linearize(
         source = _source(stack, Path(model), given_values, step)
         asked = _checked(source, asked)
         if folder is not None:
-            check_left(folder, "cosim linearize", str(model), force=force)
+            check_left(folder, "cosim linearize", str(model), force=force, keep=keep)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -109,6 +112,8 @@ def linearize(
         notes.append(f"--side {side} changes nothing: slopes of what is kept are the same on both sides here")
     outcome = Outcome(str(model), source.title, tuple(found), structure(found[0]), tuple(notes), folder)
     if folder is not None:
+        if keep:
+            keep_earlier(folder, "cosim linearize")
         write(folder, outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes)
         if report:
             from cosim.linearization.report import page
@@ -168,35 +173,31 @@ def _checked(source: Source, asked: Asked) -> Asked:
     """Names as they are in the model, all where none are given; InputError with every one that is not."""
     faults: list[Fault] = []
     for option, names, known in (
-        ("states", asked.states, source.states), ("inputs", asked.inputs, source.inputs),
-        ("outputs", asked.outputs, source.outputs), ("residualize", asked.fast, source.states),
-    ):  # fmt: skip
+        ("states", asked.states, source.states),
+        ("inputs", asked.inputs, source.inputs),
+        ("outputs", asked.outputs, source.outputs),
+        ("residualize", asked.fast, source.states),
+    ):
+        place = Path(f"--{option}")
         for name in names:
             if name not in known:
                 told = f'{source.title} has no {option.removesuffix("s").replace("residualize", "state")} "{name}"'
-                faults.append(Fault(Path(f"--{option}"), 0, 0, told + did_you_mean(name, known)))
-        faults += [
-            Fault(Path(f"--{option}"), 0, 0, f"{n} is named twice")
-            for n in dict.fromkeys(names)
-            if list(names).count(n) > 1
-        ]
-    faults += [
-        Fault(Path("--residualize"), 0, 0, f"{n} is to be kept by --states too; name it in one of them")
-        for n in asked.fast
-        if n in asked.states
-    ]
-    if faults:
-        raise InputError(faults)
-    rest = [n for n in source.states if n not in asked.fast]
-    return Asked(
-        asked.states or rest, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast)
-    )  # fmt: skip
+                faults.append(Fault(place, 0, 0, told + did_you_mean(name, known)))
+        faults += [Fault(place, 0, 0, f"{n} is named twice") for n, count in Counter(names).items() if count > 1]
+    for name in asked.fast:
+        if name in asked.states:
+            told = f"{name} is to be kept by --states too; name it in one of them"
+            faults.append(Fault(Path("--residualize"), 0, 0, told))
+    refuse(faults)
+    states = asked.states or [n for n in source.states if n not in asked.fast]
+    return Asked(states, asked.inputs or source.inputs, asked.outputs or source.outputs, tuple(asked.fast))
 
 
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:
     """Slopes at every point, without what is not asked for."""
     try:
-        whole = _beside(source, source.linear([settled(source, point, asked.fast) for point in points]), asked, side)
+        whole = source.linear([settled(source, point, asked.fast) for point in points])
+        whole = _without_kinks(whole, asked) if side is None else _beside(source, whole, asked, SIDES[side])
         found = [residualised(each, asked.fast) for each in whole]
     except ValueError as error:
         raise InputError([Fault(Path("--residualize"), 0, 0, str(error))]) from None
@@ -208,29 +209,31 @@ def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | N
     return [chosen(each, asked.states, asked.inputs, asked.outputs) for each in found]
 
 
-def _beside(source: Source, found: Sequence[Linear], asked: Asked, side: str | None) -> list[Linear]:
-    """Those at a kink with the slopes of a side; InputError where none is said.
+def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
+    """Return models without kinks; InputError where what is kept has one."""
+    kinks = dict.fromkeys(kink for each in found for kink in _kinks(each, asked))
+    if kinks:
+        raise InputError([Fault(AT, 0, 0, kink.told + NO_DERIVATIVE) for kink in kinks])
+    return [replace(each, kinks=()) for each in found]
+
+
+def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) -> list[Linear]:
+    """Those at a kink with the slopes of a side, whose sign is given.
 
     One kink after the other is left by a little, those of inputs first, so that all slopes are of one and the same
     branch: where a kink is between two of them, the other is then on its other side.
     """
-    first = [_kinks(each, asked) for each in found]
-    if side is None:
-        faults = [Fault(AT, 0, 0, k.told + NO_DERIVATIVE) for k in dict.fromkeys(k for kinks in first for k in kinks)]
-        if faults:
-            raise InputError(faults)
-        return [replace(each, kinks=()) for each in found]
     made = list(found)
     for _ in range(len(source.states) + len(source.inputs)):
         left = [(i, kinks[-1].variable) for i, each in enumerate(made) if (kinks := _kinks(each, asked))]
         if not left:
             break
-        points = [_moved(source, made[i].point, name, SIDES[side]) for i, name in left]
+        points = [_moved(source, made[i].point, name, sign) for i, name in left]
         for (i, _), each in zip(left, source.linear(points), strict=True):
             made[i] = each
     return [
-        replace(_put_back(each, m), kinks=tuple(k.taken(_slopes(m, k)) for k in ks))
-        for each, m, ks in zip(found, made, first, strict=True)
+        replace(_put_back(at, beside), kinks=tuple(kink.taken(_slopes(beside, kink)) for kink in _kinks(at, asked)))
+        for at, beside in zip(found, made, strict=True)
     ]
 
 

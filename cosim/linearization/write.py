@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
 from cosim.linearization.linear_model import Linear
@@ -57,6 +58,14 @@ def content(
 ) -> dict[str, Any]:
     """linear.json: matrices as lists of rows, one model a time."""
     first = linear[0]
+    models = [
+        {
+            "time": m.point.time,
+            **{name: values.tolist() for name, values in _arrays(m).items()},
+            "kinks": [k.as_json() for k in m.kinks],
+        }
+        for m in linear
+    ]
     return {
         "schema_version": 1,
         "version": __version__,
@@ -68,18 +77,14 @@ def content(
         "inputs": list(first.inputs),
         "outputs": list(first.outputs),
         "units": {n: first.unit(n) for n in (*first.states, *first.inputs, *first.outputs)},
-        "models": [
-            {
-                "time": m.point.time,
-                "x0": m.point.states.tolist(), "u0": m.point.inputs.tolist(), "y0": m.values.tolist(),
-                "f0": m.rates.tolist(),
-                "A": m.A.tolist(), "B": m.B.tolist(), "C": m.C.tolist(), "D": m.D.tolist(),
-                "kinks": [k.as_json() for k in m.kinks],
-            }
-            for m in linear
-        ],
+        "models": models,
         "structure": _plain(structure),
-    }  # fmt: skip
+    }
+
+
+def _arrays(m: Linear) -> dict[str, Array]:
+    point = {"x0": m.point.states, "u0": m.point.inputs, "y0": m.values, "f0": m.rates}
+    return {**point, "A": m.A, "B": m.B, "C": m.C, "D": m.D}
 
 
 def _plain(structure: Structure) -> dict[str, Any]:
@@ -88,12 +93,18 @@ def _plain(structure: Structure) -> dict[str, Any]:
 
     poles = [
         {
-            "real": p.value.real, "imag": p.value.imag, "count": p.count, "jordan_blocks": list(p.blocks),
-            "natural_frequency": p.natural_frequency, "damping_ratio": number(p.damping_ratio),
-            "time_constant": number(p.time_constant), "controllable": p.controllable, "observable": p.observable,
+            "real": p.value.real,
+            "imag": p.value.imag,
+            "count": p.count,
+            "jordan_blocks": list(p.blocks),
+            "natural_frequency": p.natural_frequency,
+            "damping_ratio": number(p.damping_ratio),
+            "time_constant": number(p.time_constant),
+            "controllable": p.controllable,
+            "observable": p.observable,
         }
         for p in structure.poles
-    ]  # fmt: skip
+    ]
     rest = {k: v for k, v in asdict(structure).items() if k != "poles"}
     return {"poles": poles, **rest, "condition": number(structure.condition)}
 
@@ -107,11 +118,7 @@ def mat(linear: Sequence[Linear]) -> bytes:
 
     first = linear[0]
     values: dict[str, Any] = {n: stacked([getattr(m, n) for m in linear]) for n in "ABCD"}
-    columns = {
-        "x0": [m.point.states for m in linear], "u0": [m.point.inputs for m in linear],
-        "y0": [m.values for m in linear], "f0": [m.rates for m in linear],
-    }  # fmt: skip
-    values |= {n: np.array(rows).T for n, rows in columns.items()}
+    values |= {n: np.array([_arrays(m)[n] for m in linear]).T for n in ("x0", "u0", "y0", "f0")}
     values["time"] = np.array([[m.point.time for m in linear]])
     names = {"states": first.states, "inputs": first.inputs, "outputs": first.outputs}
     values |= {n: np.array(list(group), dtype=object) for n, group in names.items()}

@@ -136,7 +136,7 @@ def _check_platforms(platforms: Sequence[str]) -> None:
 
 def _check_compiler(platforms: Sequence[str]) -> None:
     """That there is one, before anything is printed."""
-    from cosim.fmi.native.platforms import NoCompiler, commands
+    from cosim.fmi.native.compiler import NoCompiler, commands
 
     try:
         commands(tuple(platforms))

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import refuse
 from cosim.base.units import parse
 from cosim.loading.equations import effect_faults, equation_faults
 from cosim.loading.names import Found, named, unique, variables
@@ -22,6 +24,7 @@ from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.sensors import Drift, LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
 
+LARGEST = sys.float_info.max
 WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
 DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 
@@ -37,16 +40,14 @@ def checked(kind: type[Model], source: Source) -> Model:
         faults += equation_faults(kind, source)
     if not declared and not values and not faults:
         faults += effect_faults(kind, source)
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     model = kind()
     _refuse(source, variables(model))
     return model
 
 
 def _refuse(source: Source, found: Found) -> None:
-    if faults := [source.fault(*one) for one in found]:
-        raise InputError(faults)
+    refuse([source.fault(*one) for one in found])
 
 
 def _shape(kind: type[Model]) -> Found:
@@ -61,47 +62,39 @@ def _shape(kind: type[Model]) -> Found:
             yield kind, name, f"{name} is a tuple of quantities, with a comma even after a single one"
     for name, base in (("catalogue", Effect), ("sensors", SensorError)):
         given = getattr(kind, name)
-        if not isinstance(given, tuple) or not all(isinstance(k, type) and issubclass(k, base) for k in given):
-            yield (
-                kind,
-                name,
-                f"{name} is a tuple of subclasses of {base.__name__}, with a comma even after a single one",
-            )
-            continue
-        for owner in given:
-            yield from _labelled(owner)
+        if _are_subclasses(given, base):
+            yield from _labelled(given)
+        else:
+            text = f"{name} is a tuple of subclasses of {base.__name__}, with a comma even after a single one"
+            yield kind, name, text
     for name in ("forced", "calibrated", "measured"):
         if not _all(getattr(kind, name), str):
             yield kind, name, f'{name} is a tuple of names, with a comma even after a single one: ("name",)'
-    if not (isinstance(kind.valid, tuple) and _all(kind.valid, Validity)):
+    if not _all(kind.valid, Validity):
         yield kind, "valid", 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'
-    for name, key, value in _MAPPINGS:
+    for name, key, value, written in _MAPPINGS:
         given = getattr(kind, name)
         if not isinstance(given, Mapping) or not _all((*given,), key) or not _all((*given.values(),), value):
-            yield kind, name, f"{name} is a dictionary: {_WRITTEN[name]}"
+            yield kind, name, f"{name} is a dictionary: {written}"
     yield from _undecorated((kind, *_classes(kind)))
 
 
-_MAPPINGS: tuple[tuple[str, type, Any], ...] = (
-    ("suspect", str, tuple),
-    ("drawn_against", str, tuple),
-    ("sensor_variance", str, (int, float)),
-    ("start_variance", str, (int, float)),
-    ("excursion", str, (int, float)),
-    ("told_apart_by", frozenset, str),
+_MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, kind of keys and of values, as it is written
+    ("suspect", str, tuple, '{"parameter": ("input",)}'),
+    ("drawn_against", str, tuple, '{"effect": ("signal",)}'),
+    ("sensor_variance", str, (int, float), '{"output": variance}'),
+    ("start_variance", str, (int, float), '{"state": variance}'),
+    ("excursion", str, (int, float), '{"input or output": how far from its start}'),
+    ("told_apart_by", frozenset, str, '{frozenset({"name", "name"}): "what an experiment needs"}'),
 )
-_WRITTEN = {
-    "suspect": '{"parameter": ("input",)}',
-    "drawn_against": '{"effect": ("signal",)}',
-    "sensor_variance": '{"output": variance}',
-    "start_variance": '{"state": variance}',
-    "excursion": '{"input or output": how far from its start}',
-    "told_apart_by": '{frozenset({"name", "name"}): "what an experiment needs"}',
-}
 
 
 def _all(given: Any, kind: Any) -> bool:
     return isinstance(given, tuple) and all(isinstance(one, kind) for one in given)
+
+
+def _are_subclasses(given: Any, base: type) -> bool:
+    return isinstance(given, tuple) and all(isinstance(k, type) and issubclass(k, base) for k in given)
 
 
 def _classes(kind: type[Model]) -> list[type]:
@@ -110,16 +103,17 @@ def _classes(kind: type[Model]) -> list[type]:
     return [k for group in given for k in group if isinstance(k, type)]
 
 
-def _labelled(owner: type) -> Found:
+def _labelled(owners: Sequence[type]) -> Found:
     """An effect has a name without a dot and an equation in words; its states and memory are quantities."""
-    for name in ("name", "equation"):
-        if not isinstance(getattr(owner, name, None), str):
-            yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
-    if "." in str(getattr(owner, "name", "")):
-        yield owner, "name", f'the name "{getattr(owner, "name", "")}" has a dot, which parts effect and parameter'
-    for name in ("states", "memory"):
-        if not _all(getattr(owner, name), Quantity):
-            yield owner, name, f"{name} is a tuple of quantities, with a comma even after a single one"
+    for owner in owners:
+        for name in ("name", "equation"):
+            if not isinstance(getattr(owner, name, None), str):
+                yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
+        if "." in (name := str(getattr(owner, "name", ""))):
+            yield owner, "name", f'the name "{name}" has a dot, which parts effect and parameter'
+        for name in ("states", "memory"):
+            if not _all(getattr(owner, name), Quantity):
+                yield owner, name, f"{name} is a tuple of quantities, with a comma even after a single one"
 
 
 def _undecorated(owners: Sequence[type]) -> Found:
@@ -137,31 +131,32 @@ def _values(owner: Any) -> Found:
         if not isinstance(p.default, bool) and not p.bounds[0] < p.bounds[1]:
             yield owner, p.name, f"{prefix}{p.name} has bounds {p.bounds}; write the lower one first"
             continue
-        one_sided = p.neutral == p.bounds[0]  # its fit starts at the typical size; other fits only step by it
-        for word, value in (
-            ("default", p.default),
-            ("neutral", p.neutral),
-            ("typical", p.typical if one_sided else None),
-        ):
+        within = {"default": p.default, "neutral": p.neutral}
+        if p.neutral == p.bounds[0]:  # its fit starts at the typical size; other fits only step by it
+            within["typical"] = p.typical
+        for word, value in within.items():
             if (word == "default" or value is not None) and (fault := p.fault(value)):
                 yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
-        share: Any = p.tolerance
-        if share is not None and not (isinstance(share, (int, float)) and 0.0 < share <= WIDEST):
+        if p.tolerance is not None and not _is_size(p.tolerance, WIDEST):
             text = f"the tolerance of {prefix}{p.name} is {p.tolerance!r}; it is a share of the value, as 0.1 for 10 %"
             yield owner, p.name, text
         if p.typical is not None and not 0.0 < p.typical < math.inf:
             yield owner, p.name, f"the typical of {prefix}{p.name} is {p.typical!r}; it is a size above 0"
 
 
+def _is_size(value: Any, most: float) -> bool:
+    """Return whether a value is a number above 0, up to the most."""
+    return isinstance(value, (int, float)) and 0.0 < value <= most
+
+
 def _numbers(kind: type[Model]) -> Found:
     """Times and variances that are positive."""
-    for name, most in (("rate", math.inf), ("substep", math.inf), ("horizon", math.nan)):
-        value = getattr(kind, name)
-        if not isinstance(value, (int, float)) or not value > 0.0 or value == most:
+    for name, most in (("rate", LARGEST), ("substep", LARGEST), ("horizon", math.inf)):
+        if not _is_size(value := getattr(kind, name), most):
             yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
     for attribute in ("sensor_variance", "start_variance", "excursion"):
         for name, value in getattr(kind, attribute).items():
-            if not (math.isfinite(value) and value > 0.0):
+            if not _is_size(value, LARGEST):
                 yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
 
 
@@ -181,47 +176,59 @@ def _effects(kind: type[Model]) -> Found:
     for owner in (*kind.catalogue, *kind.sensors):
         switches = [p for p in parameters_of(owner) if p.neutral is not None]
         if not switches:
-            yield (
-                owner,
-                "",
-                f"{owner.name} has no parameter with a neutral value, so that it can never be awake; add one",
-            )
+            text = f"{owner.name} has no parameter with a neutral value, so that it can never be awake; add one"
+            yield owner, "", text
         for p in switches:
             if p.default != p.neutral:
                 text = f"the default of {owner.name}.{p.name} is {p.default!r}, its neutral value {p.neutral!r}"
                 yield owner, p.name, f"{text}; let them be the same"
         names = [p.name for p in parameters_of(owner)]
-        for name in dict.fromkeys(n for start in owner.starts for n in start if n not in names):
-            yield owner, "starts", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
-        for name in dict.fromkeys(n for pair in owner.at_least.items() for n in pair if n not in names):
-            yield owner, "at_least", f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+        for attribute, groups in (("starts", owner.starts), ("at_least", owner.at_least.items())):
+            for name in dict.fromkeys(chain.from_iterable(groups)):
+                if name not in names:
+                    yield owner, attribute, f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
 
 
 def _sensors(kind: type[Model]) -> Found:
     """A sensor error has one parameter, `value`, and is of outputs of the model."""
     outputs = [q.name for q in kind.outputs]
     for owner in kind.sensors:
-        names = [p.name for p in parameters_of(owner)]
-        if names != ["value"]:
-            has = " and ".join(names) or "none"
-            cure = "let another class hold what is more" if "value" in names else "call it so"
-            text = f'a sensor error has one parameter, called "value"; {owner.name} has {has}'
-            yield owner, (names or [""])[0], f"{text}; {cure}"
-        own = "outputs" if owner.outputs else "output"
+        yield from _value_alone(owner)
         if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
             text = f"{owner.name}: `read` is of one output; name it in `output`, or give `readings` a body"
             yield owner, "outputs", text
-        for attribute in (own, "others") if issubclass(owner, LeverArm) else (own,):
-            given = getattr(owner, attribute, ())
-            if attribute != "output" and isinstance(given, str):
-                text = f'{attribute} is a tuple of names, with a comma even after a single one: ("{given}",)'
-                yield owner, attribute, f"{owner.name}: {text}"
-                continue
-            for name in (given,) if isinstance(given, str) else given or ("",):
-                if name not in outputs:
-                    told = f'no output "{name}"{did_you_mean(str(name), outputs)}' if name else "no output is named"
-                    text = f"{told} in `others`" if attribute == "others" else told
-                    yield owner, attribute, f"{owner.name}: {text} (outputs: {', '.join(outputs)})"
+        yield from _not_outputs(owner, "outputs" if owner.outputs else "output", outputs)
+        if issubclass(owner, LeverArm):
+            yield from _not_outputs(owner, "others", outputs)
+
+
+def _not_outputs(owner: type[SensorError], attribute: str, outputs: Sequence[str]) -> Found:
+    """Names of a sensor error's attribute that are no outputs of the model."""
+    given = getattr(owner, attribute, ())
+    if attribute != "output" and isinstance(given, str):
+        text = f'{attribute} is a tuple of names, with a comma even after a single one: ("{given}",)'
+        yield owner, attribute, f"{owner.name}: {text}"
+        return
+    place = " in `others`" if attribute == "others" else ""
+    for name in (given,) if isinstance(given, str) else given or ("",):
+        if name not in outputs:
+            yield owner, attribute, f"{owner.name}: {_unknown('output', name, outputs, place)}"
+
+
+def _value_alone(owner: type[SensorError]) -> Found:
+    """A sensor error has one parameter, called `value`."""
+    names = [p.name for p in parameters_of(owner)]
+    if names != ["value"]:
+        has = " and ".join(names) or "none"
+        cure = "let another class hold what is more" if "value" in names else "call it so"
+        text = f'a sensor error has one parameter, called "value"; {owner.name} has {has}'
+        yield owner, (names or [""])[0], f"{text}; {cure}"
+
+
+def _unknown(what: str, name: str, known: Sequence[str], place: str = "") -> str:
+    """Say that an input or output of this name, or of none, is not in the model, which has others."""
+    told = f'no {what} "{name}"{did_you_mean(str(name), known)}{place}' if name else f"no {what} is named{place}"
+    return f"{told} ({what}s: {', '.join(known)})"
 
 
 def _delays(kind: type[Model]) -> Found:
@@ -230,14 +237,7 @@ def _delays(kind: type[Model]) -> Found:
     order = [type(e) for e in shaping]
     late = [k for k in kind.catalogue if k.delay is not None]
     for owner in late:
-        names = [p.name for p in parameters_of(owner)]
-        if owner.delay not in names:
-            text = f'{owner.name} has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), names)}'
-            yield owner, "delay", f"{text}; `delay` names the one by which the command is late"
-        most = max((p.bounds[1] for p in parameters_of(owner) if p.name == owner.delay), default=0.0)
-        if issubclass(owner, Delay) and most > owner.longest:
-            text = f"{owner.name} is up to {most:g} s late and remembers {owner.longest:g} s"
-            yield owner, str(owner.delay), f"{text}; set longest = {most:g}"
+        yield from _longest_delay(owner)
         if owner not in order:
             yield owner, "delay", f"{owner.name} delays the command but has no `shape`; give it one"
         elif owner is not order[0] and owner is late[0]:
@@ -249,13 +249,23 @@ def _delays(kind: type[Model]) -> Found:
         yield owner, "delay", f"{owner.name} and {late[0].name} both delay the command; let one of them do it"
 
 
+def _longest_delay(owner: Any) -> Found:
+    """A delay names the parameter by which the command is late, and remembers as long as that may be."""
+    bounds = {p.name: p.bounds for p in parameters_of(owner)}
+    if owner.delay not in bounds:
+        text = f'{owner.name} has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), bounds)}'
+        yield owner, "delay", f"{text}; `delay` names the one by which the command is late"
+    elif issubclass(owner, Delay) and (most := bounds[owner.delay][1]) > owner.longest:
+        text = f"{owner.name} is up to {most:g} s late and remembers {owner.longest:g} s"
+        yield owner, str(owner.delay), f"{text}; set longest = {most:g}"
+
+
 def _gains(kind: type[Model]) -> Found:
     """A gain is of an input of the model."""
     inputs = [q.name for q in kind.inputs]
     for owner in kind.catalogue:
         if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
-            text = f'no input "{name}"{did_you_mean(str(name), inputs)}' if name else "no input is named"
-            yield owner, "input", f"{owner.name}: {text} (inputs: {', '.join(inputs)})"
+            yield owner, "input", f"{owner.name}: {_unknown('input', name, inputs)}"
 
 
 def _timeless(kind: type[Model]) -> Found:
@@ -285,12 +295,8 @@ def _units(kind: type[Model]) -> Found:
     for owner in (kind, *kind.catalogue, *kind.sensors):
         for attribute, declared in _declared_units(owner):
             if declared.unit and parse(declared.unit) is None:
-                text = f'unknown unit "{declared.unit}" of {declared.name}'
-                yield (
-                    owner,
-                    attribute,
-                    f"{text}; write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1",
-                )
+                cure = "write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1"
+                yield owner, attribute, f'unknown unit "{declared.unit}" of {declared.name}; {cure}'
 
 
 def _declared_units(owner: Any) -> Iterator[tuple[str, Quantity | Parameter]]:

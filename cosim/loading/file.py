@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
@@ -25,8 +25,9 @@ from cosim.loading.declared import checked
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import Source
 from cosim.model.model import Model
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import atomic_write
-from cosim.storage.kinds import CODE, MODEL, check_form, kind_by_keys, refuse_other
+from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 
 if TYPE_CHECKING:
@@ -185,8 +186,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
             taken = _taken(yaml, content.parameters_from, model, (*read, path.resolve()))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     values = {**taken, **content.parameters}
     source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
@@ -206,8 +206,7 @@ def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> d
     faults = [yaml.fault(at, f"{name}: {f}") for n, v in taken.items() if (f := model.declared[n].fault(v))]
     if not taken:
         faults = [yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")]
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return taken
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 
 from cosim.fmi.ports import model_ports
 from cosim.model.model import Model
@@ -46,31 +47,14 @@ def variables(model: Model) -> Found:
 
 def named(kind: type[Model]) -> Found:
     """Names that must be those of something else in the model."""
-    states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
-    numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
-    candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]
-    frame = kind.planar if isinstance(kind.planar, PlanarFrame) else None
-    if kind.planar is not None and frame is None:
+    if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
     if kind.base_states and not kind.forced:
         text = "forced names no state; name those whose equations may lack something"
-        yield kind, "forced", f"{text}, the accelerations usually (states: {', '.join(states)})"
-    lists: list[tuple[str, str, list[str], list[str]]] = [
-        ("forced", "state", [*kind.forced], states),
-        ("calibrated", "parameter", [*kind.calibrated], numbers),
-        ("suspect", "parameter", [*kind.suspect], numbers),
-        ("suspect", "input", [n for names in kind.suspect.values() for n in names], inputs),
-        ("sensor_variance", "output", [*kind.sensor_variance], outputs),
-        ("start_variance", "state", [*kind.start_variance], states),
-        ("measured", "output", [*kind.measured], outputs),
-        ("excursion", "input or output", [*kind.excursion], [*inputs, *outputs]),
-        ("valid", "input", [n for v in kind.valid for n in v.inputs], inputs),
-        ("planar", "output", [*frame.names] if frame else [], outputs),
-        ("told_apart_by", "candidate", sorted(n for names in kind.told_apart_by for n in names), candidates),
-        ("drawn_against", "candidate", [*kind.drawn_against], candidates),
-    ]
-    for attribute, what, given, known in lists:
+        states = ", ".join(q.name for q in kind.base_states)
+        yield kind, "forced", f"{text}, the accelerations usually (states: {states})"
+    for attribute, what, given, known in _references(kind):
         for name in dict.fromkeys(given):
             if name not in known:
                 text = f'{attribute}: no {what} "{name}"{did_you_mean(str(name), known)}'
@@ -80,3 +64,24 @@ def named(kind: type[Model]) -> Found:
     for name in kind.suspect:
         if name in kind.calibrated:
             yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'
+
+
+def _references(kind: type[Model]) -> list[tuple[str, str, Iterable[str], list[str]]]:
+    """Attribute, what its names are of, these names, and the names that there are."""
+    states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
+    numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
+    candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]
+    return [
+        ("forced", "state", kind.forced, states),
+        ("calibrated", "parameter", kind.calibrated, numbers),
+        ("suspect", "parameter", kind.suspect, numbers),
+        ("suspect", "input", chain.from_iterable(kind.suspect.values()), inputs),
+        ("sensor_variance", "output", kind.sensor_variance, outputs),
+        ("start_variance", "state", kind.start_variance, states),
+        ("measured", "output", kind.measured, outputs),
+        ("excursion", "input or output", kind.excursion, [*inputs, *outputs]),
+        ("valid", "input", chain.from_iterable(v.inputs for v in kind.valid), inputs),
+        ("planar", "output", kind.planar.names if isinstance(kind.planar, PlanarFrame) else (), outputs),
+        ("told_apart_by", "candidate", sorted(chain.from_iterable(kind.told_apart_by)), candidates),
+        ("drawn_against", "candidate", kind.drawn_against, candidates),
+    ]

@@ -5,4 +5,11 @@ from __future__ import annotations
 from cosim.storage.artefact import Artefact
 from cosim.storage.kinds import LOG
 
-ARTEFACTS = (Artefact(LOG, "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it"),)
+ARTEFACTS = (
+    Artefact(
+        LOG,
+        "`cosim check {file}` checks it, `cosim replay {file}` drives an FMU with it",
+        endings=(".csv",),
+        check="cosim.logs.log_check:check_log",
+    ),
+)

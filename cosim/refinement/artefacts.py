@@ -14,6 +14,7 @@ ARTEFACTS = (
         schema="cosim.refinement.study:StudyFile",
         schema_name="study",
         title="cosim study",
+        check="cosim.refinement.study:check_study",
     ),
     Artefact(
         ANSWER,
@@ -21,9 +22,11 @@ ARTEFACTS = (
         keys=(frozenset({"verdict", "candidates"}),),
         verb="cosim refine",
         marks=("refine.json",),
+        files=("refine.json", "model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "report.html"),
         folder="the folder of a refine",
         folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
         "that decides",
         sources=("study",),
+        reader="cosim.refinement.refined_result:read_refined",
     ),
 )

@@ -18,13 +18,13 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.model.model import Model
 from cosim.refinement.decision.verdict import Grade, Name, Verdict
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.subject.interface import Subject
 
 SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
@@ -204,9 +204,9 @@ class Errors(_Entry):
 class Replays(_Entry):
     """Through which FMUs the logs were replayed."""
 
-    through: Literal["native", "python"] = Field(
+    through: Literal["native", "python", "own"] = Field(
         description="`native`: the native FMU of the model's class, given each variant's values; `python`: FMUs "
-        "that need Python, as plant.fmu does"
+        "that need Python, as plant.fmu does; `own`: the replayer of an object without an FMU"
     )
     why: str = Field(default="", description="why not natively; empty where it was")
     log: str = Field(default="", description="the log that plant.fmu has replayed too")
@@ -227,7 +227,7 @@ class Record(_Entry):
 
     schema_version: Literal[1] = 1
     cosim_version: str = __version__
-    study: str = Field(description="path of the study")
+    study: str = Field(description="path of the study; empty of one that was written in Python")
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
@@ -297,7 +297,7 @@ def record(
     ends:     values of parameters per log with which the filter ends sealed logs
     way:      through which FMUs the logs were replayed
     """
-    judged, static = study.loaded.model.horizon, study.loaded.model.static
+    judged, static = study.subject.horizon, study.subject.static
     rows = LeftOut.model_validate(left_out) if left_out else None
 
     def errors(horizon: float) -> Errors:
@@ -308,18 +308,18 @@ def record(
         return Errors(**sizes)
 
     return Record(
-        study=str(study.path),
+        study=str(study.path or ""),
         verdict=verdict.name,
         sentence=verdict.sentence,
         grade=verdict.grade,
-        effects=effects(study.loaded.model, verdict.claimed, a.tried) if verdict.claimed else [],
+        effects=effects(study.subject, verdict.claimed, a.tried) if verdict.claimed else [],
         rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
         experiment=verdict.experiment,
         nearest=list(near.names) if near and verdict.grade != "claimed" else [],
         per_log=per_log(study, verdict.claimed.fit if verdict.claimed else a.given, ends),
         candidates=ranking(a, verdict),
         hidden=unseen(a, verdict),
-        measured=[q.name for q in study.loaded.model.outputs if any(q.name in log.outputs for log in study.logs)],
+        measured=[q.name for q in study.subject.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),
@@ -354,9 +354,9 @@ def known(channels: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
-def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
+def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
     """What was added, most important first: that whose loss alone would cost most."""
-    declared = model.declared | model.sensor_parameters
+    declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
 
     return [
@@ -372,8 +372,7 @@ def effects(model: Model, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> l
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
     """Every parameter per log: what the fit has of each group, and what the filter ended with where it has nothing."""
-    model = study.loaded.model
-    declared, found = model.declared | model.sensor_parameters, {}
+    declared, found = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
         groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}

@@ -14,6 +14,7 @@ from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.study import Study
+from cosim.subject.interface import Subject
 
 
 @dataclass(frozen=True)
@@ -28,3 +29,8 @@ class Refinement:
     problem: Problem
     variants: Mapping[str, Variant]
     evidence: Mapping[str, Mapping[Part, Evidence]]  # before, recalibrated, after → estimation, validation
+
+    @property
+    def refined(self) -> Subject:
+        """The subject with what was claimed; itself where nothing was."""
+        return self.variants["after"].subject

@@ -8,34 +8,34 @@ import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
 
 from cosim.base.arrays import Rows
 from cosim.base.errors import Fault, InputError, NotExecuted
 from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
-from cosim.estimation.candidates import tolerances
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
 from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.own_run import predicted_outputs
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import find_spikes, without
-from cosim.model.model import Model
-from cosim.model.traits import Traits
-from cosim.refinement.search.groups import full_name, group_of, per_log_faults
+from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.kinds import STUDY, check_form, kind_by_keys, refuse_other
+from cosim.storage.artefact import Checking, kind_by_keys
+from cosim.storage.files import FilePath
+from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
+from cosim.subject.base_parameters import tolerances
+from cosim.subject.interface import Subject
+from cosim.subject.model_subject import ModelSubject
 
 SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
 SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise
@@ -117,60 +117,75 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
 
-    def interpolated(self, model: Model) -> frozenset[str]:
+    def interpolated(self, subject: Subject) -> frozenset[str]:
         """The inputs that run straight from row to row."""
-        ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in model.inputs}
+        ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
         return frozenset(name for name, way in ways.items() if way == "interpolated")
 
-    def tolerance_of(self, model: Model) -> dict[str, float]:
+    def tolerance_of(self, subject: Subject) -> dict[str, float]:
         """Base parameter → share by which it may be off: a number is of all that are recalibrated."""
         if isinstance(self.tolerance, dict):
             return dict(self.tolerance)
-        base = [p.name for p in model.parameters]
-        return dict.fromkeys((*model.calibrated, *(n for n in self.per_log or () if n in base)), self.tolerance)
+        base = [p.name for p in subject.parameters]
+        return dict.fromkeys((*subject.calibrated, *(n for n in self.per_log or () if n in base)), self.tolerance)
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study that is read: the model, the estimation logs cut at their pauses, what the gate warns of in any log.
+    """A study that is read: the subject, the estimation logs cut at their pauses, what the gate warns of in any log.
 
     Validation logs stay sealed until `unseal`: that they can be used is known, nothing of what they hold.
+    path: of its file; None of a study that is written in Python, whose files have whole paths
     """
 
-    path: Path
+    path: Path | None
     content: StudyFile
-    loaded: LoadedModel
+    subject: Subject
     logs: tuple[Log, ...]
     warnings: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:
         """What it reads: itself, its model and its logs."""
-        names = (
-            self.content.model.rpartition(":")[0] or self.content.model,
-            *(n for _, n in _entries(self.content.logs)),
-        )
-        return self.path, *(self.path.parent / name for name in names)
+        logs = tuple(self.folder / name for _, name in _entries(self.content.logs))
+        if self.path is None:
+            return logs
+        model = self.content.model.rpartition(":")[0] or self.content.model
+        return self.path, self.folder / model, *logs
+
+    @property
+    def folder(self) -> Path:
+        """Where the names of its files start."""
+        return Path() if self.path is None else self.path.parent
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.subject.title if self.path is None else self.path.resolve().parent.name
 
     @property
     def settings(self) -> Settings:
         """What it says of its logs, for the fits."""
-        model = self.loaded.model
-        content = self.content
-        per_log = tuple(full_name(model, n) for n in content.per_log or ())
+        subject, content = self.subject, self.content
+        per_log = tuple(full_name(subject, n) for n in content.per_log or ())
         files = [name for _, name in _entries(content.logs)]
-        groups = group_of(self.path.parent, files, content.groups) if per_log else {}
-        return Settings(content.interpolated(model), content.tolerance_of(model), per_log, groups)
+        groups = group_of(self.folder, files, content.groups) if per_log else {}
+        return Settings(content.interpolated(subject), content.tolerance_of(subject), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, when everything is decided."""
-        model = self.loaded.model
-        paths = (self.path.parent / name for name in self.content.logs.validation)
+        subject = self.subject
+        paths = (self.folder / name for name in self.content.logs.validation)
         logs = (
-            read_log(path, model.inputs, model.outputs, table=model.static, columns=self.content.columns)
+            read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=self.content.columns)
             for path in paths
         )
-        return tuple(stretch for log in logs for stretch in judged(without(log, _spikes(log, model)), model.horizon))
+        return tuple(s for log in logs for s in judged(without(log, _spikes(log, subject)), subject.horizon))
+
+
+def check_study(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a study; InputError with its faults."""
+    return [f"warning: {text}" for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:
@@ -189,40 +204,97 @@ def read_study(path: Path) -> Study:
         if faults := [*faults, *_listed_twice(yaml, content.logs, {})]:
             raise InputError(faults) from None
         raise
-    model = loaded.model
-    units = {q.name: q.unit for q in model.outputs}
+    subject = ModelSubject(loaded)
+    units = {q.name: q.unit for q in subject.outputs}
     noise, of_units = yaml.in_units(("noise",), content.noise, units, difference=True)
     content = content.model_copy(update={"noise": noise})
     faults += of_units
-    faults += _unknown_names(yaml, content, loaded)
-    lists, on_trial = content.logs, content.candidates or ()
-    faults += per_log_faults(yaml, model, content.per_log, content.groups, lists.estimation, lists.validation, on_trial)
-    if yaml.root["logs"].get("estimation", []) == []:  # a faulty one is told already
-        cure = "none is left to learn from; move one to estimation"
-        sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
-        faults.append(yaml.fault(("logs", "estimation"), sealed))
+    faults += _faults_of_keys(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
     try:
-        stepping = with_substep(loaded)[0].model
+        stepping = ModelSubject(with_substep(loaded)[0])
     except InputError as error:
-        faults, stepping = [*faults, *error.faults], model
+        faults, stepping = [*faults, *error.faults], subject
     logs, digests, warnings, of_logs = _read_logs(yaml, content, stepping)
-    faults += of_logs
-    faults += _noise_of_no_sensor(yaml, content.noise, logs["estimation"])
-    faults += _listed_twice(yaml, content.logs, digests)
-    faults += _too_few(yaml, content, loaded, logs["estimation"])
+    faults += [*of_logs, *_faults_beside_logs(yaml, content, subject, logs["estimation"], digests)]
     faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     if faults:
         raise InputError(faults)
     loaded, chosen = with_substep(loaded, logs["estimation"])
     warnings += [f"{content.model}: {text}" for text in chosen]
-    return Study(path, content, loaded, tuple(logs["estimation"]), tuple(warnings))
+    return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
+
+
+@dataclass(frozen=True)
+class _Arguments:
+    """The place of faults in a study that is written in Python: `path` names the subject."""
+
+    path: Path
+
+    def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
+        """Return a fault of an argument."""
+        return Fault(self.path, 0, 0, f"{'.'.join(map(str, location))}: {message}")
+
+
+def study_of(
+    subject: Subject,
+    logs: FilePath | Sequence[FilePath],
+    validation: FilePath | Sequence[FilePath] = (),
+    **settings: Any,
+) -> Study:
+    """Return a study of any subject, its logs read and checked as those of a file; InputError with every fault.
+
+    settings: keys of a study file, such as noise={"position": 1e-3} or candidates=["coulomb_friction"]
+    """
+    places = _Arguments(Path(subject.title))
+    lists = {name: [str(Path(f).absolute()) for f in files] for name, files in _lists(logs, validation)}
+    try:
+        content = StudyFile.model_validate({"model": subject.source, "logs": lists, **settings})
+    except ValidationError as error:
+        raise InputError([places.fault(e["loc"], e["msg"]) for e in error.errors()]) from None
+    faults = _faults_of_keys(places, content, subject, unlisted=not logs)
+    read, digests, warnings, of_logs = _read_logs(places, content, subject)
+    faults += [*of_logs, *_faults_beside_logs(places, content, subject, read["estimation"], digests)]
+    if faults:
+        raise InputError(faults)
+    return Study(None, content, subject, tuple(read["estimation"]), tuple(warnings))
+
+
+def _lists(
+    logs: FilePath | Sequence[FilePath], validation: FilePath | Sequence[FilePath]
+) -> Iterator[tuple[str, Sequence[FilePath]]]:
+    """The lists of logs; one file may stand alone."""
+    for name, files in (("estimation", logs), ("validation", validation)):
+        yield name, [files] if isinstance(files, (str, os.PathLike)) else files
+
+
+def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
+    """Everything wrong with a study before its logs are read; unlisted: no log to learn from is listed."""
+    lists, on_trial = content.logs, content.candidates or ()
+    faults = _unknown_names(places, content, subject)
+    faults += per_log_faults(
+        places, subject, content.per_log, content.groups, lists.estimation, lists.validation, on_trial
+    )
+    if unlisted:
+        cure = "none is left to learn from; move one to estimation"
+        sealed = f"every log is sealed, and {cure}" if lists.validation else "no log is listed; list one"
+        faults.append(places.fault(("logs", "estimation"), sealed))
+    return faults
+
+
+def _faults_beside_logs(
+    places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log], digests: Mapping[str, str]
+) -> Iterator[Fault]:
+    """Everything wrong between a study and the logs it learns from."""
+    yield from _noise_of_no_sensor(places, content.noise, logs)
+    yield from _listed_twice(places, content.logs, digests)
+    yield from _too_few(places, content, subject, logs)
 
 
 def _read_logs(
-    yaml: YamlFile, content: StudyFile, model: Model
+    yaml: Places, content: StudyFile, subject: Subject
 ) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
     """Each list's stretches that can be used, the digest of each file, warnings, and every fault."""
-    folder, traits = yaml.path.parent, Traits.of(model)
+    folder, traits = yaml.path.parent, subject.traits
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []
@@ -233,18 +305,20 @@ def _read_logs(
             faults.append(yaml.fault(place, f"{name}: no such file beside the study; its logs are named from there"))
             continue
         try:
-            log = read_log(folder / name, model.inputs, model.outputs, table=model.static, columns=content.columns)
+            log = read_log(
+                folder / name, subject.inputs, subject.outputs, table=subject.static, columns=content.columns
+            )
         except InputError as error:
             faults += error.faults
             continue
         digests[name] = _digest(log)
-        spikes = _spikes(log, model)
-        findings = gate(log, model.rate, traits=traits, spikes=spikes)
+        spikes = _spikes(log, subject)
+        findings = gate(log, subject.rate, traits=traits, spikes=spikes)
         faults += gate_faults(log, findings)
         log = without(log, spikes)
         warnings += [_left_out(name, channel, rows.size) for channel, rows in spikes.items()]
-        whole = judged(log, model.horizon)
-        faults += [] if whole else [_too_short(log, model.horizon)]
+        whole = judged(log, subject.horizon)
+        faults += [] if whole else [_too_short(log, subject.horizon)]
         told = [f for f in findings if f.severity == "warning" and f.kind != "outliers"]
         warnings += [f"{name}: {f.whole}" for f in told]
         if left := 0 if log.table else len(stretches(log)) - len(whole):
@@ -258,7 +332,7 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
 
 
-def _listed_twice(yaml: YamlFile, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
+def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
     """One file, or one content (name → digest), stands once: in whatever list, under whatever name."""
     listed: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
@@ -284,9 +358,9 @@ def _digest(log: Log) -> str:
     return content.hexdigest()
 
 
-def _spikes(log: Log, model: Model) -> dict[str, Rows]:
+def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
     """Readings of a recorder; a table has none."""
-    return {} if log.table else find_spikes(log, partial(predicted_outputs, model, log))
+    return {} if log.table else find_spikes(log, subject.prediction(log))
 
 
 def least_duration(log: Log, horizon: float) -> float:
@@ -316,11 +390,11 @@ def _too_short(log: Log, horizon: float) -> Fault:
     return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
 
 
-def _too_few(yaml: YamlFile, content: StudyFile, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
+def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
     """Tables with fewer rows than it takes to recalibrate the model, to add one parameter, and to see the noise."""
-    if not logs or not loaded.model.static:
+    if not logs or not subject.static:
         return
-    numbers = len(tolerances(loaded.model, content.tolerance_of(loaded.model)))
+    numbers = len(tolerances(subject, content.tolerance_of(subject)))
     rows, least = sum(len(log.time) for log in logs), numbers + 1 + SPARE
     if rows < least:
         of = f"{counted(numbers, 'number')} that may be off, one that is missing, and {SPARE} more to see the noise"
@@ -349,7 +423,7 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
             yield YamlFile(model_file).fault(("sensors", name), text)
 
 
-def _noise_of_no_sensor(yaml: YamlFile, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
+def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
     """Stated noise that is out of all proportion to what was measured: a unit mistaken, or a slip of the keyboard."""
     for name, level in noise.items():
         read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
@@ -360,15 +434,15 @@ def _noise_of_no_sensor(yaml: YamlFile, noise: Mapping[str, float], logs: Sequen
             yield yaml.fault(("noise", name), f"noise.{name}: {text}")
 
 
-def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> list[Fault]:
-    outputs = [q.name for q in loaded.model.outputs]
+def _unknown_names(yaml: Places, content: StudyFile, subject: Subject) -> list[Fault]:
+    outputs = [q.name for q in subject.outputs]
     faults = [
         yaml.fault(("noise", name), f'no output "{name}"{did_you_mean(name, outputs)}', key=True)
         for name in content.noise
         if name not in outputs
     ]
-    faults += _unknown_settings(yaml, content, loaded)
-    known = candidate_names(loaded)
+    faults += _unknown_settings(yaml, content, subject)
+    known = candidate_names(subject)
     if content.candidates is not None and not content.candidates:
         faults.append(yaml.fault(("candidates",), "names none; name some, or leave the key out to try all"))
     for k, name in enumerate(content.candidates or ()):
@@ -377,20 +451,18 @@ def _unknown_names(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> l
     return faults
 
 
-def _unknown_settings(yaml: YamlFile, content: StudyFile, loaded: LoadedModel) -> Iterator[Fault]:
+def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
     """Tolerances of what is no base parameter, and ways of what is no input."""
-    model = loaded.model
-    numbers = [p.name for p in model.parameters if not isinstance(p.default, bool)]
+    numbers = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for name in content.tolerance if isinstance(content.tolerance, dict) else ():
         if name not in numbers:
             yield yaml.fault(("tolerance", name), f'no base parameter "{name}"{did_you_mean(name, numbers)}', key=True)
-    inputs = [q.name for q in model.inputs]
+    inputs = [q.name for q in subject.inputs]
     for name in content.inputs if isinstance(content.inputs, dict) else ():
         if name not in inputs:
             yield yaml.fault(("inputs", name), f'no input "{name}"{did_you_mean(name, inputs)}', key=True)
 
 
-def candidate_names(loaded: LoadedModel) -> Sequence[str]:
+def candidate_names(subject: Subject) -> Sequence[str]:
     """Everything a study may put on trial."""
-    model = loaded.model
-    return [*(k.name for k in (*model.catalogue, *model.sensors)), *model.calibrated, *model.suspect]
+    return [c.name for c in subject.candidates([q.name for q in subject.inputs])]

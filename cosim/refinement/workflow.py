@@ -7,37 +7,29 @@ validation logs are opened when everything is decided.
 from __future__ import annotations
 
 import json
-import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cosim.base.errors import Fault, InputError
-from cosim.estimation.candidates import Candidate, candidates
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
-from cosim.fmi.fmu_build import build
-from cosim.isolation.process import Worker
-from cosim.loading.file import LoadedModel, write_model
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
-from cosim.model.model import Model
 from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness
 from cosim.refinement.decision.judgement import BETTER, decided
 from cosim.refinement.decision.sentences import calmer, holds, rises
 from cosim.refinement.decision.trust import attributed
 from cosim.refinement.decision.verdict import Verdict, judge
 from cosim.refinement.proof.measure import FLOOR_SEED, followed, noise_floor, rmse
-from cosim.refinement.proof.native_replay import LogSets, Replayer, replayed, warnings_of
 from cosim.refinement.proof.nearest import nearest
-from cosim.refinement.proof.refined_models import Variant, of_noise, refined_model, variant_of, variants_of
+from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
+from cosim.refinement.proof.refined_models import Variant, of_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import held_against_replays
 from cosim.refinement.proof.sealed import risen
 from cosim.refinement.proof.table_errors import errors_left_out, on_rows_left_out, with_leftover
@@ -49,7 +41,6 @@ from cosim.refinement.search.input_hold import between_rows
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, left_beside
 from cosim.refinement.study import Study, read_study
-from cosim.residuals.remote_drive import MODULES
 from cosim.storage.files import (
     FilePath,
     atomic_write,
@@ -62,7 +53,9 @@ from cosim.storage.files import (
     uninterrupted,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_left, keep_earlier
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Subject, Workplace
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
 Progress = Callable[[str, float], None]
@@ -71,63 +64,72 @@ Progress = Callable[[str, float], None]
 @one_stop()
 @folder_locks()
 def refine(
-    path: FilePath,
+    study: FilePath | Study,
     folder: FilePath,
     progress: Progress | None = None,
     *,
     report: bool = False,
     force: bool = True,
+    keep: bool = False,
     in_process: bool = False,
 ) -> Refinement:
-    """Run a study; leaves refine.json, model.yaml and plant.fmu in `folder`, all or none of them.
+    """Run a study; leaves refine.json in `folder`, and the files of the refined subject: all or none of them.
 
-    With `report`, report.html too. force: also over what another study or command left there.
-    in_process: FMUs are loaded into this process, for a debugger.
+    Those of a model are model.yaml and plant.fmu.
+    study:  its file, or a study of any subject (`cosim.refinement.study.study_of`)
+    report: write report.html too
+    force:  also over what another study or command left there
+    keep:   the files of an earlier refine move to `runs` in the folder
+    in_process: FMUs are loaded into this process, for a debugger
     Raises InputError, FmuError; SimulationError where an FMU fails.
     """
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
     folder = named_path(folder)
-    study = read_study(Path(path))
-    check_left(folder, "cosim refine", str(path), force=force)
+    study = study if isinstance(study, Study) else read_study(Path(study))
+    subject = study.subject
+    check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
     _refuse_runaway(study, problem)
-    found = attributed(study.loaded.model, problem, _on_trial(study, problem), progress)
+    found = attributed(subject, problem, _on_trial(study, problem), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
     verdict = _judged(study, attribution, found, progress)
-    noted = noise_warnings(problem, attribution.best.fit.noise, study.loaded.model)
+    noted = noise_warnings(problem, attribution.best.fit.noise, subject)
     between = between_rows(found.search.problem, attribution.base)
     study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
     near = _nearest(found, attribution, verdict)
     left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
     verdict = _in_full(study, verdict, near, left_out)
-    with scratch_folder(folder, ".refine-") as scratch:
+    with (
+        scratch_folder(folder, ".refine-") as scratch,
+        Workplace(scratch, study.content.limits, in_process=in_process) as place,
+    ):
         progress("building the refined FMU", 0.0)
-        variants, given = _models(study, attribution, verdict, near, folder, scratch)
+        variants = _variants(study, attribution, verdict, near)
+        files = [*variants["after"].subject.write(scratch, folder, "refined")]
+        if "nearest" in variants:
+            files += variants["nearest"].subject.write(scratch, folder, "nearest")
         progress("replaying through the FMUs", 0.0)
         sets = _unsealed(study)
-        with nullcontext() if in_process else Worker(*MODULES) as worker:
-            replayer = Replayer(problem, sets, worker, study.content.limits)
-            played, way = replayed(replayer, study.loaded, variants, partial(_built, study.loaded, given), scratch)
+        played, way = Proof(problem, sets, place).replayed(variants)
         progress("measuring the noise floor", 0.0)
         floors = _floors(of_noise(variants["after"], attribution, verdict.claimed, found.heard), problem, sets)
-        study = replace(
-            study, warnings=(*study.warnings, *warnings_of(way), *_too_calm(floors, played, study.loaded.model))
-        )
+        study = replace(study, warnings=(*study.warnings, *warnings_of(way), *_too_calm(floors, played, subject)))
         verdict = _opened(verdict, played, study)
         ends = followed(variants["after"], problem, sets.get("validation", ()))
         hold_stops()  # there is an answer to be kept
         took = time.perf_counter() - began
         written = record(study, attribution, verdict, near, problem, between, played, floors, left_out, took, ends, way)
-        _write(scratch / "refine.json", written)
+        _write(scratch / ANSWER, written)
         with uninterrupted():
-            variants = _publish(scratch, folder, variants)
+            if keep:
+                keep_earlier(folder, "cosim refine")
+            _publish(files, scratch / ANSWER, folder)
         release_stops()
-    own = study.loaded.model.horizon
-    evidence = {name: {part: found[own] for part, found in parts.items()} for name, parts in played.items()}
+    evidence = {name: {part: by[subject.horizon] for part, by in parts.items()} for name, parts in played.items()}
     content = written.model_dump(mode="json")
     outcome = Refinement(study, attribution, verdict, content, folder, problem, variants, evidence)
     if report:
@@ -140,9 +142,9 @@ def refine(
 
 def _posed(study: Study) -> Problem:
     """The fitting problem."""
-    loaded, given = study.loaded, study.content.noise
-    problem = build_problem(loaded.model, study.logs, False, given, loaded.values, study.settings)
-    guessed = {n: level for n, level in sensor_noise(problem).items() if n not in loaded.model.sensor_variance}
+    subject, given = study.subject, study.content.noise
+    problem = build_problem(subject, study.logs, noise=given, settings=study.settings)
+    guessed = {n: level for n, level in sensor_noise(problem).items() if n not in subject.sensor_variance}
     return problem.with_noise({n: level for n, level in guessed.items() if n not in given and level > 0.0})
 
 
@@ -158,7 +160,7 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
             lost = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(lost.any(axis=1)))
         cure = "check its parameters, start values and the units of the log, or state a shorter substep in its class"
-        text = f"{study.loaded.model.title} runs away on this log: its prediction is not finite at t = {t:.6g} s"
+        text = f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s"
         faults.append(Fault(log.path, 0, 0, f"{text}; {cure}"))
     if faults:
         raise InputError(faults)
@@ -166,31 +168,30 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
 
 def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
     """The candidates that the study names; all of them where it names none."""
-    model, named = study.loaded.model, study.content.candidates
-    every = candidates(model, problem.values, varied_inputs(model, study.logs))
-    every = list(not_per_log(every, study.settings.per_log))
+    subject, named = study.subject, study.content.candidates
+    every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
     return every if named is None else [c for c in every if c.name in named]
 
 
 def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Verdict:
     """The verdict: by what is left beside the best hypothesis, then by replays."""
-    model, loaded, search = study.loaded.model, study.loaded, found.search
+    subject, search = study.subject, found.search
     progress("looking for what has no name", 0.0)
-    bare = build_problem(model, study.logs, True, study.content.noise, loaded.values, study.settings)
+    bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
     trusted = search.problem.trusted
     coarse, scatter = coarsened(bare, a.best.fit.values), search.problem.scatter
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
-    units = {"time": "s", **{q.name: q.unit for q in model.states}}
-    units |= {f"command {q.name}": q.unit for q in model.inputs}
+    units = {"time": "s", **{q.name: q.unit for q in subject.states}}
+    units |= {f"command {q.name}": q.unit for q in subject.inputs}
     left = left_beside(nameless, a.best.fit, search.price, units)
-    if left.fit is not None and not _follows(nameless, left, left.fit, a.best.fit, model.horizon):
+    if left.fit is not None and not _follows(nameless, left, left.fit, a.best.fit, subject.horizon):
         left = replace(left, terms=(), fit=None, gain=0.0)
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
-    verdict = judge(a, left, model, problem.layout.forced, moves, still=at_rest(problem))
+    verdict = judge(a, left, subject, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
     verdict = held_against_replays(study, a, verdict, found, problem)
-    return with_leftover(verdict, a, problem, model) if model.static else verdict
+    return with_leftover(verdict, a, problem, subject) if subject.static else verdict
 
 
 def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
@@ -218,53 +219,20 @@ def _in_full(
     if study.content.candidates is not None:
         said.append("(Tried: only what the study names as candidates.)")
     if left_out:
-        said.append(on_rows_left_out(left_out, verdict, study.loaded.model))
+        said.append(on_rows_left_out(left_out, verdict, study.subject))
     return replace(verdict, sentence=" ".join(said))
 
 
-def _models(
-    study: Study, a: Attribution, verdict: Verdict, near: Hypothesis | None, folder: Path, scratch: Path
-) -> tuple[dict[str, Variant], Path]:
-    """The refined model and its FMU, the nearest too where not all is claimed: what is replayed.
-
-    And the place of the FMU of the model that was given, which is built when it is needed.
-    """
-    refined, nearer = refined_model(study, verdict.claimed), refined_model(study, near)
-    write_model(scratch / "model.yaml", refined, folder)
-    after, variant = build(refined.recipe(), scratch / "plant.fmu"), None
-    fmus = (after if refined is study.loaded else scratch / "given.fmu"), after
+def _variants(study: Study, a: Attribution, verdict: Verdict, near: Hypothesis | None) -> dict[str, Variant]:
+    """Before, recalibrated and after, and the nearest where not all is claimed: what is replayed."""
+    subject, settings, claimed = study.subject, study.settings, verdict.claimed
+    refined = refined_subject(subject, settings, claimed)
+    variants = variants_of(subject, settings, a, claimed, refined)
     if verdict.grade != "claimed":
-        write_model(scratch / "nearest.yaml", nearer, folder)
-        variant = _nearest_variant(study, a, verdict, near, nearer, fmus, scratch)
-    variants = variants_of(study, a, verdict.claimed, refined, fmus, variant)
-    if variant is not None and variant.fmu == fmus[1]:
-        variants["nearest"] = variants["after"]
-    return variants, fmus[0]
-
-
-def _nearest_variant(
-    study: Study,
-    a: Attribution,
-    verdict: Verdict,
-    near: Hypothesis | None,
-    nearer: LoadedModel,
-    fmus: tuple[Path, Path],
-    scratch: Path,
-) -> Variant:
-    """The nearest model and its FMU: a copy of another's where it is the same."""
-    same = {id(verdict.claimed): fmus[1], id(None): fmus[0]}.get(id(near))
-    target = scratch / "nearest.fmu"
-    if same is not None and same.is_file():
-        shutil.copyfile(same, target)
-    else:
-        build(nearer.recipe(), target)
-    return variant_of(study, nearer, near.fit if near else a.given, same or target)
-
-
-def _built(loaded: LoadedModel, given: Path) -> None:
-    """Have the FMU in Python of the model that was given, which none but replays in Python need."""
-    if not given.is_file():
-        build(loaded.recipe(), given)
+        other = refined_subject(subject, settings, near)
+        of_other = variant_of(other, settings, near.fit if near else a.given)
+        variants["nearest"] = variants["after"] if near is claimed else of_other
+    return variants
 
 
 def _unsealed(study: Study) -> LogSets:
@@ -281,20 +249,20 @@ def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
 
 def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:
     """The verdict, whose sentence begins with an error that rises on the sealed logs. They change nothing else."""
-    model = study.loaded.model
+    subject = study.subject
     variant, file = ("after", REFINED[0]) if verdict.claimed is not None else ("nearest", NEAREST[0])
     if "validation" not in replayed["before"] or variant not in replayed:
         return verdict
-    before, after = (replayed[name]["validation"][model.horizon] for name in ("before", variant))
-    said = rises(risen(before, after), {q.name: q.unit for q in model.outputs}, file)
+    before, after = (replayed[name]["validation"][subject.horizon] for name in ("before", variant))
+    said = rises(risen(before, after), {q.name: q.unit for q in subject.outputs}, file)
     return replace(verdict, sentence=f"{said} {verdict.sentence}") if said else verdict
 
 
-def _too_calm(floors: Floors, replayed: Replayed, model: Model) -> Iterator[str]:
+def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:
     """Where a floor is above the error."""
-    units = {q.name: q.unit for q in model.outputs}
+    units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
-        if found := floor.above(known(rmse(replayed["after"][part][model.horizon]))):
+        if found := floor.above(known(rmse(replayed["after"][part][subject.horizon]))):
             yield calmer(part, found, units)
 
 
@@ -305,13 +273,9 @@ def _write(path: Path, written: Record) -> None:
         stream.write("\n")
 
 
-def _publish(scratch: Path, folder: Path, variants: Mapping[str, Variant]) -> dict[str, Variant]:
+def _publish(files: Sequence[Path], answer: Path, folder: Path) -> None:
     """Move the results to where they stay, refine.json last; an earlier report goes: it is of other results."""
-    (folder / "report.html").unlink(missing_ok=True)
-    for name in RESULTS:
-        if (scratch / name).is_file():
-            (scratch / name).replace(folder / name)
-        else:
-            (folder / name).unlink(missing_ok=True)  # an earlier study's
-    kept = {scratch / name: folder / name for name in ("plant.fmu", "nearest.fmu")}
-    return {n: replace(v, fmu=kept.get(v.fmu, v.fmu)) for n, v in variants.items()}
+    for name in {"report.html", *RESULTS} - {path.name for path in (*files, answer)}:
+        (folder / name).unlink(missing_ok=True)  # an earlier study's
+    for path in (*files, answer):
+        path.replace(folder / path.name)

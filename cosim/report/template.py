@@ -1,4 +1,4 @@
-"""Pages out of templates. What all pages share stands here (style, script, plots); others keep their page beside."""
+"""Pages out of templates: what all pages share is in `templates`; a page's own style and script are beside it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 TEMPLATES = Path(__file__).with_name("templates")
+SCRIPTS = ("charts.js", "report.js")
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
-    """One self-contained page; its template finds those shared by all, and those in further folders.
+    """Return a self-contained page; its template finds the shared ones and those in further folders.
 
-    A style or script that stands beside the page, as `NAME.css` and `NAME.js`, comes with those of all pages.
+    Every `.css` and `.js` in the folder of the page goes into it. A line of a template literal loses its indentation.
     """
     # jinja2 is needed by nothing else, so `import cosim.report` does without it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -26,15 +27,16 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
         lstrip_blocks=True,
     )
     environment.filters["code"] = _code
-    stem = page.name.partition(".")[0]
     # a page's own script listens to that of all pages, so it comes first; a style goes over that of all pages
-    style = "".join(_text(f) for f in (TEMPLATES / "report.css", page.with_name(f"{stem}.css")))
-    script = "".join(_text(f) for f in (page.with_name(f"{stem}.js"), TEMPLATES / "charts.js", TEMPLATES / "report.js"))
+    style = _inlined([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
+    script = _inlined([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8") if path.is_file() else ""
+def _inlined(files: Sequence[Path]) -> str:
+    """Return the texts of files without indentation and lines of comment."""
+    text = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
 
 
 def _code(text: str) -> str:

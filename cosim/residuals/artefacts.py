@@ -12,8 +12,10 @@ ARTEFACTS = (
         without=frozenset({"scenario", "differences", "estimates"}),
         verb="cosim replay",
         marks=("replay.json", "residual.csv"),
+        files=("replay.json", "residual.*", "results.*", "report.html"),
         folder="the folder of a replay",
         folder_step="`cosim compare {file} OTHER` compares it with another",
         sources=("log", "fmu"),
+        reader="cosim.residuals.replay_signals:read_replay",
     ),
 )

@@ -44,7 +44,7 @@ from cosim.storage.files import (
     release_stops,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import REPLAY, check_left
+from cosim.storage.folders import REPLAY, check_left, keep_earlier
 from cosim.storage.results import Results, remove_rows, rows_name
 
 SCHEMA_VERSION = 1
@@ -62,6 +62,7 @@ def replay(
     columns: Sequence[str] = (),
     report: bool = True,
     force: bool = True,
+    keep: bool = False,
     in_process: bool = False,
     limits: str = "",
     format_: str = "csv",
@@ -73,14 +74,15 @@ def replay(
     columns: of the log under other names than the FMU's, `measured_speed=motor.w`
     Leaves results.csv, residual.csv, replay.json and report.html in `folder`.
     Raises InputError, FmuError, SimulationError.
-    force: also over what another command left there. in_process: the FMU is loaded into this process, for a debugger.
+    force: also over what another command left there. keep: files of an earlier replay move to `runs`.
+    in_process: the FMU is loaded into this process, for a debugger.
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
     rows_name("results", format_)  # or why it cannot be written
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force)
+    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -98,6 +100,7 @@ def replay(
             worker=worker,
             limits=most,
             format_=format_,
+            keep=keep,
             progress=progress,
         )
 
@@ -116,6 +119,7 @@ def write_replay(
     worker: Worker | None = None,
     limits: Limits | None = None,
     format_: str = "csv",
+    keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and leave results.csv, residual.csv, replay.json and report.html in `folder`.
@@ -125,6 +129,7 @@ def write_replay(
     passing: the FMU is that of this package, built for this replay only.
     rate: step the log must have [s]; without, the FMU's own step is a warning only.
     worker: where the FMU runs, within limits; in this process without.
+    keep: the files of an earlier replay move to `runs` in the folder.
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
@@ -141,6 +146,8 @@ def write_replay(
         findings += _older(drive)
         refuse_faults(log, findings)
         check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
+        if keep:
+            keep_earlier(folder, "cosim replay")
         for name in ("report.html", REPLAY):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
         remove_rows(folder, "residual")

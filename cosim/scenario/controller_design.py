@@ -133,14 +133,12 @@ def _contradictions(
     file: ScenarioFile, component: str, given: Mapping[str, Any], own: Mapping[str, Any]
 ) -> list[Fault]:
     """Options that the component's own start values leave without effect: one of both is not meant."""
-    return [
-        file.fault(
-            ("components", component, "start", name),
-            f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out",
-        )
-        for name, value in given.items()
-        if isinstance(value, str) and name in own and own[name] != value
-    ]
+    faults = []
+    for name, value in given.items():
+        if isinstance(value, str) and name in own and own[name] != value:
+            message = f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out"
+            faults.append(file.fault(("components", component, "start", name), message))
+    return faults
 
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:

@@ -17,7 +17,8 @@ from cosim.base.registry import BASE, is_model
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, kind_by_keys, refuse_other
+from cosim.storage.artefact import kind_by_keys
+from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
@@ -109,31 +110,21 @@ class ScenarioFile:
             return [self.fault(("step",), message)]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
-        cure = s.duration / max(1, math.ceil(count))
-        overrides = self.yaml.overrides
-        return [
-            self.fault(
-                ("duration",) if ("duration",) in overrides and ("step",) not in overrides else ("step",),
-                f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one",
-            )
-        ]
+        cure, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
+        key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
+        message = f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one"
+        return [self.fault((key,), message)]
 
     def _criteria_faults(self) -> list[Fault]:
         faults = []
         for kind, k, criterion in self.scenario.goals:
             where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
             if (kind == "settling_time") != (criterion.band is not None):
-                faults.append(
-                    self.fault(where, f"{kind} needs a band" if kind == "settling_time" else f"{kind} takes no band")
-                )
-            end = self.scenario.duration if criterion.until is None else criterion.until
-            if not 0 <= criterion.after < end <= self.scenario.duration or end - criterion.after < self.scenario.step:
-                faults.append(
-                    self.fault(
-                        where,
-                        f"{kind} looks from {criterion.after:g} s to {end:g} s of {self.scenario.duration:g} s",
-                    )
-                )
+                faults.append(self.fault(where, f"{kind} {'needs a' if kind == 'settling_time' else 'takes no'} band"))
+            start, whole = criterion.after, self.scenario.duration
+            end = whole if criterion.until is None else criterion.until
+            if not 0 <= start < end <= whole or end - start < self.scenario.step:
+                faults.append(self.fault(where, f"{kind} looks from {start:g} s to {end:g} s of {whole:g} s"))
         return faults
 
 
@@ -166,8 +157,9 @@ class Salvage:
             else:
                 self.data.pop(str(first), None)
         for key, faulty in entries.items():
-            kept = [k for k in range(len(self.data[key])) if k not in faulty]
-            self.data[key], self.places[key] = ([part[k] for k in kept] for part in (self.data[key], self.places[key]))
+            parts: tuple[dict[str, Any], ...] = (self.data, self.places)
+            for part in parts:
+                part[key] = [entry for k, entry in enumerate(part[key]) if k not in faulty]
 
     def _drop_from_component(self, name: str, rest: list[int | str]) -> None:
         component = self.data["components"].get(name)
@@ -188,9 +180,11 @@ def _numbered(data: Mapping[str, Any]) -> dict[str, list[int]]:
     return {key: list(range(len(entries))) if isinstance(entries := data.get(key), list) else [] for key in LISTS}
 
 
-def _place(key: str, node: list[Any]) -> int | None:
-    """A key as the place of an item that is there."""
-    return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
+def _index(node: Any, key: str, *, new: bool) -> str | int | None:
+    """Where a key leads in a node: the place of an item that is there, a key, which may be `new`; None: nowhere."""
+    if isinstance(node, list):
+        return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
+    return key if isinstance(node, dict) and (key in node or new) else None
 
 
 def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Location:
@@ -205,23 +199,15 @@ def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Locati
     node: Any = data
     keys = keys_of(target.strip())
     at: list[str | int] = []
-    for depth, key in enumerate(keys[:-1]):
-        if isinstance(node, list) and (place := _place(key, node)) is not None:
-            node = node[place]
-            at.append(place)
-        elif isinstance(node, dict) and (key in node or depth not in NAMED.get(keys[0], ())):
-            node = node.setdefault(key, {})
-            at.append(key)
-        else:
+    for depth, key in enumerate(keys):
+        index = _index(node, key, new=depth not in NAMED.get(keys[0], ()))
+        if index is None:
             break
-    else:
-        last = keys[-1]
-        if isinstance(node, dict) and (last in node or len(keys) - 1 not in NAMED.get(keys[0], ())):
-            node[last] = _from_here(keys, _value(value))
-            return (*at, last)
-        if isinstance(node, list) and (place := _place(last, node)) is not None:
-            node[place] = _value(value)
-            return (*at, place)
+        at.append(index)
+        if len(at) == len(keys):
+            node[index] = _from_here(keys, _value(value))
+            return tuple(at)
+        node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
         known = ", ".join(map(short, islice(components, 20)))
         hint = did_you_mean(keys[1], components)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,17 +50,21 @@ def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
         array = variables.get(name.rpartition("[")[0])
         if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
             continue
-        values = found.get(array.name, array.start)
-        values = values.split() if isinstance(values, str) else values
-        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:
-            values = [_number(v) for v in values] * (len(names) // len(values))
-        elif values is None or isinstance(values, (int, float)):
-            values = [values or 0.0] * len(names)
-        else:
-            continue  # what is given for the whole does not fit, which is told
-        del found[name]
-        found[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
+        values = _elements(found.get(array.name, array.start), len(names))
+        if values is not None:
+            del found[name]
+            found[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
     return found
+
+
+def _elements(given: Any, count: int) -> list[Any] | None:
+    """Return what is given for a whole array as a list; None where it does not fit, which is told elsewhere."""
+    if given is None or isinstance(given, (int, float)):
+        return [given or 0.0] * count
+    values = given.split() if isinstance(given, str) else given
+    if isinstance(values, (list, tuple)) and len(values) in {1, count}:
+        return [_number(v) for v in values] * (count // len(values))
+    return None
 
 
 def _number(text: Any) -> Any:
@@ -88,26 +92,38 @@ def _typed(description: Any, variable: Any, given: Any) -> Any:
     kind = kinds_of(description.fmiVersion).get(variable.type)
     if kind is None:
         return Misfit(f"it is a {variable.type}, which is not supported")
-    if variable.type == "Boolean":
-        return given if isinstance(given, bool) else Misfit("it is true or false")
-    if variable.type == "String":
-        return given if isinstance(given, str) else Misfit("it is text")
-    if variable.type == "Binary":
-        return given if isinstance(given, str) and HEX.fullmatch(given) else Misfit("it is text of hexadecimal digits")
+    if variable.type in NOT_NUMBERS:
+        fits, reason = NOT_NUMBERS[variable.type]
+        return given if fits(given) else Misfit(reason)
     if isinstance(given, str):
         given = _named(variable, given) if variable.type == "Enumeration" else converted(description, variable, given)
         if isinstance(given, Misfit):
             return given
+    if reason := _why_no_number(variable, kind, given):
+        return Misfit(reason)
+    return int(given) if kind.low is not None else float(given)
+
+
+NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "Boolean": (lambda v: isinstance(v, bool), "it is true or false"),
+    "String": (lambda v: isinstance(v, str), "it is text"),
+    "Binary": (lambda v: isinstance(v, str) and HEX.fullmatch(v) is not None, "it is text of hexadecimal digits"),
+}
+
+
+def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
+    """Say why a variable does not take a value as its number; "" if it does."""
+    unit = unit_of(variable)
     if isinstance(given, bool) or not isinstance(given, (int, float)):
-        return Misfit(f"it is a number [{unit_of(variable) or '1'}]")
+        return f"it is a number [{unit or '1'}]"
     if kind.low is not None and given != int(given):
-        return Misfit("it is a whole number")
+        return "it is a whole number"
     if variable.type == "Enumeration" and (items := _items(variable)) and int(given) not in items.values():
-        return Misfit(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
+        return f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}"
     low, high = _bounds(variable, kind)
     if not low <= given <= high:
-        return Misfit(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
-    return int(given) if kind.low is not None else float(given)
+        return f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip()
+    return ""
 
 
 def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:

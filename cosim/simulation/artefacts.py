@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.storage.artefact import Artefact
-from cosim.storage.kinds import FMU, MANIFEST, RESULTS, SCENARIO
+from cosim.storage.kinds import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP
 
 ARTEFACTS = (
     Artefact(
@@ -13,6 +13,7 @@ ARTEFACTS = (
         schema="cosim.scenario.scenario:Scenario",
         schema_name="scenario",
         title="cosim scenario",
+        check="cosim.simulation.trial:check_scenario",
     ),
     Artefact(
         MANIFEST,
@@ -20,17 +21,33 @@ ARTEFACTS = (
         keys=(frozenset({"scenario", "schema_version"}),),
         verb="cosim run",
         marks=("manifest.json",),
+        files=("manifest.json", "results.*", "report.html", "figures/*.png", "system/*"),
         folder="the folder of a run",
         folder_step="`cosim report {file}` makes its page again, `cosim compare {file} OTHER` compares it with another",
+        check="cosim.simulation.trial:check_scenario",
+        reader="cosim.simulation.run_signals:read_run",
     ),
     Artefact(
         RESULTS,
         "`cosim compare {file} OTHER` compares it with another, `cosim replay {file} --plant FMU --column "
         "COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
+        beside=("results.csv", "manifest.json"),
+        taken_as=LOG,
     ),
     Artefact(
         FMU,
         "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
         "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
+        endings=(".fmu",),
+        member="modelDescription.xml",
+        check="cosim.simulation.trial:check_fmu_file",
+    ),
+    Artefact(
+        SSP,
+        "`cosim run {file}` runs it",
+        endings=(".ssp", ".ssd"),
+        text=r"(?s)(<\?xml[^>]*>\s*)?<\w*:?SystemStructureDescription\b",
+        member="SystemStructure.ssd",
+        check="cosim.simulation.trial:check_ssp",
     ),
 )

@@ -22,6 +22,7 @@ from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import Package, opened
 from cosim.ssp.structure import Structure
 from cosim.storage.files import atomic_write, check_writable
+from cosim.storage.folders import keep_earlier
 from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
@@ -90,11 +91,18 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
         yield Unpacked(scenario, files, places, warnings)
 
 
-def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
-    """The scenario of an SSP, written with its FMUs into `folder`/system, and warnings; InputError before it is."""
+def lay_out(
+    path: Path, folder: Path, overrides: Sequence[str] = (), *, keep: bool = False
+) -> tuple[ScenarioFile, list[str]]:
+    """The scenario of an SSP, written with its FMUs into `folder`/system, and warnings; InputError before it is.
+
+    keep: the files of an earlier run move to `runs` in the folder
+    """
     with unpacked(path, overrides) as found:
         within = folder / FOLDER
         check_writable(within, (SCENARIO, *found.files), [path, *found.files.values()])
+        if keep:
+            keep_earlier(folder, "cosim run")
         for name, source in found.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)

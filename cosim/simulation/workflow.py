@@ -36,7 +36,7 @@ from cosim.storage.files import (
     uninterrupted,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_ours, folder_named
+from cosim.storage.folders import check_ours, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import System, build_system
@@ -81,8 +81,8 @@ def run(
 ) -> Outcome:
     """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
 
-    folder:  results/NAME of the scenario without; of an SSP the scenario that it is run as, and its FMUs, are left in
-             its `system`
+    folder:  results/NAME of the scenario without, whose earlier run moves to `runs` in it; of an SSP the scenario that
+             it is run as, and its FMUs, are left in its `system`
     force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
     format_: of the rows, which are then in results.parquet or the like in place of results.csv.
@@ -97,13 +97,14 @@ def run(
         if worker is not None:
             worker.start()  # it gets ready while files are read
         file, place, told_before = _read(path, folder, overrides, force=force)
+        keep = folder is None and not is_ssp(path)  # of an SSP they were kept before its system was laid out
         if nearest:
             take_nearest(file)
         check_pinned(file)
         designed = designed_apart(file, worker)
         system = build_system(file, designed)
         if not is_ssp(path):
-            check_ours(place, file.scenario.name, force=force)
+            check_ours(place, file.scenario.name, force=force, keep=keep)
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
         loaded = time.perf_counter()
@@ -114,7 +115,7 @@ def run(
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = _left(place / rows_file, file.scenario, stepped, record, report=report, figures=figures)
+        failure = _left(place / rows_file, file.scenario, stepped, record, report=report, figures=figures, keep=keep)
     if failure is not None:
         failure.left = place
         raise failure
@@ -129,17 +130,26 @@ def _read(
         file = ScenarioFile(path, overrides)
         return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
     place = folder_named(path.stem) if folder is None else named_path(folder)
-    check_ours(place, ssp=path, force=force)
-    file, warnings = lay_out(path, place, overrides)
+    check_ours(place, ssp=path, force=force, keep=folder is None)
+    file, warnings = lay_out(path, place, overrides, keep=folder is None)
     return file, place, warnings
 
 
 def _left(
-    file: Path, scenario: Scenario, stepped: Stepped, record: dict[str, Any], *, report: bool, figures: bool
+    file: Path,
+    scenario: Scenario,
+    stepped: Stepped,
+    record: dict[str, Any],
+    *,
+    report: bool,
+    figures: bool,
+    keep: bool,
 ) -> SimulationError | None:
     """Leave everything beside the file of rows, or what fits of it; the failure of the run, or of the disk."""
     written: list[str] = []
     try:
+        if keep:
+            keep_earlier(file.parent, "cosim run")
         _write(file, stepped.results, record, written)
         release_stops()
         _draw(file.parent, stepped.results, record, report=report, figures=figures)

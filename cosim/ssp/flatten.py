@@ -92,12 +92,8 @@ class _Flattener:
             return
         known = level.system.connectors if name is None else elements[name].connectors
         if connector not in known:
-            owner = (
-                f"its system has no connector {shown(connector)}"
-                if name is None
-                else f"{name} has no connector {shown(connector)}"
-            )
-            self.reader.note(element, f"{side}Connector: {owner}{did_you_mean(connector, known)}")
+            what = f"{name or 'its system'} has no connector {shown(connector)}{did_you_mean(connector, known)}"
+            self.reader.note(element, f"{side}Connector: {what}")
 
     def _links(self, level: Level) -> Iterator[Link]:
         """Connections that end at FMUs of a level, followed to the output from which they come."""

@@ -85,23 +85,28 @@ class ParameterReader(Notes):
         if kind in REALS:
             return self._number(typed, "value", None, needed=True)
         if kind in WHOLE:
-            value = self._number(typed, "value", None, needed=True)
-            if value is not None and value != int(value):
-                self.note(typed, f"value {shown(text)}: it is a whole number")
-                return None
-            return None if value is None else int(text) if text and text.strip().lstrip("+-").isdigit() else int(value)
+            return self._whole_number(typed)
         if kind == "Boolean":
             if text not in TRUTH:
                 self.note(typed, f"value {shown(text)}: it is true or false")
             return TRUTH.get(text or "")
-        if kind in {"String", "Enumeration", "Binary"}:
-            if text is None:
-                self.note(typed, "it has no value; add it")
-            return text
-        self.note(
-            typed, f"is no type of a value{did_you_mean(kind, (*REALS, *WHOLE, 'Boolean', 'String', 'Enumeration'))}"
-        )
-        return None
+        if kind not in {"String", "Enumeration", "Binary"}:
+            hint = did_you_mean(kind, (*REALS, *WHOLE, "Boolean", "String", "Enumeration"))
+            self.note(typed, f"is no type of a value{hint}")
+            return None
+        if text is None:
+            self.note(typed, "it has no value; add it")
+        return text
+
+    def _whole_number(self, typed: Element) -> int | None:
+        """Return a whole number with all its digits; None where it is none, which is noted."""
+        value, text = self._number(typed, "value", None, needed=True), typed.get("value") or ""
+        if value is None:
+            return None
+        if value != int(value):
+            self.note(typed, f"value {shown(text)}: it is a whole number")
+            return None
+        return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
     def _mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
         """Parameters under the names that a mapping gives them; those that it does not name are not applied."""

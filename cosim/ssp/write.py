@@ -122,13 +122,8 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
 
 
 def _component(model: Model, source: str) -> Element:
-    element = Element(
-        "ssd:Component",
-        name=model.name,
-        type="application/x-fmu-sharedlibrary",
-        source=source,
-        implementation="CoSimulation",
-    )
+    kind = "application/x-fmu-sharedlibrary"
+    element = Element("ssd:Component", name=model.name, type=kind, source=source, implementation="CoSimulation")
     if model.ports:
         connectors = SubElement(element, "ssd:Connectors")
         for port in model.ports:

@@ -1,6 +1,6 @@
 """The one cache: what is made of a source, kept by its content.
 
-It holds compiled libraries and Python, which this user's commands execute. So it is a folder of this user that nobody
+It holds compiled libraries, which this user's commands execute. So it is a folder of this user that nobody
 else can write, with files of this user in it; otherwise a private temporary folder takes its place.
 """
 
@@ -29,10 +29,9 @@ ROOT, UNMAPPED = 0, 65534  # users who own folders above a user's own; the secon
 
 
 def cached(source: str, suffix: str) -> Path:
-    """Return where to keep what is made of a source; files there that others could have written are removed."""
+    """Return where to keep what is made of a source; a file there that others could have written is removed."""
     path = cache_folder() / f"{_hash(source)[:32]}{suffix}"
-    compiled = path.parent / "__pycache__"  # Python's bytecode and numba's pickled code
-    if not discard_untrusted([path, compiled, *compiled.glob(f"{path.stem}.*")]):
+    if not discard_untrusted([path]):
         path = _temporary() / path.name
     return path
 

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError
 from cosim.storage.artefact import artefacts
+from cosim.storage.files import atomic_write, uninterrupted
 from cosim.storage.folder_lock import take_folder
 
 RESULTS = Path("results")
+EARLIER = "runs"  # within a folder of results: those of earlier runs, 0001 and so on
+MOVING, LIST = ".moving", ".files"  # within EARLIER: an earlier run on its way there, and which files it has
+UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a key of YAML whose value is a path from here upwards
 REPLAY = "replay.json"  # beside the rows of a replay
 CURE = "give another folder as --out, or write over it by --force"
 
@@ -60,9 +68,11 @@ def left_by_replay(folder: Path) -> dict[str, Any]:
     return content_of(folder / REPLAY)
 
 
-def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
+def check_ours(
+    folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False, keep: bool = False
+) -> None:
     """Lock a folder; InputError if it holds what the run of another scenario or SSP, or another command, left."""
-    take_folder(folder)
+    prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
     manifest = manifest_in(folder)
@@ -75,13 +85,16 @@ def check_ours(folder: Path, name: str = "", *, ssp: Path | None = None, force: 
     check_left(folder, "cosim run")
 
 
-def check_left(folder: Path, by: str, *sources: str, force: bool = False) -> None:
-    """Lock a folder; InputError if it holds what another command left, or the same one of other sources."""
-    take_folder(folder)
+def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
+    """Lock a folder; InputError if it holds what another command left, or the same one of other sources.
+
+    keep: the files of an earlier run will be moved to `runs` in the folder
+    """
+    prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
     for other in artefacts():
-        if other.verb not in ("", by) and any((folder / mark).is_file() for mark in other.marks):
+        if other.verb not in ("", by) and other.is_left_in(folder):
             raise InputError([Fault(folder, 0, 0, f"holds what `{other.verb}` left; {CURE}")])
     own = next((a for a in artefacts() if a.verb == by and a.sources), None)
     if not sources or own is None:
@@ -99,3 +112,79 @@ def _same(one: str, other: str) -> bool:
         return one == other or Path(one).resolve() == Path(other).resolve()
     except (OSError, ValueError):
         return False
+
+
+# -- earlier runs -------------------------------------------------------------------------------------
+
+
+def prepare_folder(folder: Path, *, keep: bool) -> None:
+    """Lock a folder and finish a move to its `runs` that was cut off; with keep, InputError if none is possible."""
+    take_folder(folder)
+    _finish_move(folder)
+    earlier = folder / EARLIER
+    if not keep or not os.path.lexists(earlier):
+        return  # it is made in the folder, which must be writable
+    cure = "move it away, or give another folder as --out"
+    if not earlier.is_dir():
+        raise InputError([Fault(earlier, 0, 0, f"is a file; earlier runs are kept in a folder of this name; {cure}")])
+    if not os.access(earlier, os.W_OK | os.X_OK) or earlier.stat().st_dev != folder.stat().st_dev:
+        why = "cannot be written, or is on another disk; earlier runs are kept there"
+        raise InputError([Fault(earlier, 0, 0, f"{why}; {cure}")])
+
+
+def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | None:
+    """Move the files of an earlier run in a folder to the next of runs/0001, runs/0002 …; return that folder.
+
+    None if there are none. The files are those that the verb declares, with `also`, and those of other verbs whose
+    marks are in the folder; files of the user stay. A move that is cut off is finished by the next verb that takes the
+    folder.
+    """
+    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
+    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *also))
+    paths = dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file())
+    if not paths:
+        return None
+    moving = folder / EARLIER / MOVING
+    with uninterrupted():
+        moving.mkdir(parents=True, exist_ok=True)
+        with atomic_write(moving / LIST) as stream:
+            stream.write("\n".join(path.relative_to(folder).as_posix() for path in paths))
+        return _finish_move(folder)
+
+
+def _finish_move(folder: Path) -> Path | None:
+    """Move the files of an earlier run that are listed in `runs`, if any are; return the folder there."""
+    moving = folder / EARLIER / MOVING
+    if not moving.is_dir() or moving.is_symlink():
+        return None
+    if (moving / LIST).is_file():
+        names = (moving / LIST).read_text(encoding="utf-8").splitlines()
+        for name in names:
+            _move(folder / name, moving / name)
+        remove_drafts(moving, names)
+        (moving / LIST).unlink()
+    remove_drafts(moving, (LIST,))
+    if not any(moving.iterdir()):
+        moving.rmdir()
+        return None
+    numbers = (int(path.name) for path in moving.parent.iterdir() if path.name.isdecimal())
+    place = moving.parent / f"{max(numbers, default=0) + 1:04d}"
+    moving.rename(place)
+    return place
+
+
+def _move(path: Path, place: Path) -> None:
+    """Move a file; paths upwards in a YAML file of ours are told from the new place. Nothing if it was moved before."""
+    if not path.is_file():
+        return
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".yaml":
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+        if UPWARDS.search(text):
+            with draft_of(place) as draft:
+                draft.write_text(UPWARDS.sub(r"\1../../", text), encoding="utf-8", errors="surrogateescape")
+            path.unlink()
+            return
+    path.replace(place)
+    with suppress(OSError):  # a folder in which there is no other file
+        path.parent.rmdir()

@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 import shlex
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from cosim.base.errors import Fault, InputError
-from cosim.storage import artefact
+from cosim.storage.artefact import artefacts, kind_by_keys, kind_where, left_in, of_kind
 from cosim.storage.table_source import suffixes
 from cosim.storage.yaml_file import YamlFile
 
@@ -18,44 +16,7 @@ LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, T
     "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
     "a model's Python file", "a sweep", "the rows of a run", "a table of runs",
 )  # fmt: skip
-PAGE, PICTURE, NOTEBOOK, MATRICES, WORKBOOK, ARCHIVE, LIBRARY, DATABASE, SCHEMA, POINTER, TEXT, DOCUMENT = (
-    "a page for a browser", "a picture", "a notebook", "a file of matrices", "a workbook",
-    "an archive that holds no FMU", "a compiled library", "a database", "a JSON schema", "a pointer of Git LFS",
-    "a text", "a PDF",
-)  # fmt: skip
-DESCRIPTION, BINARY = "XML", "a binary file"
-UNREAD = "no command reads it; `cosim --help` lists what each takes"
-OTHERS = {  # kinds that no verb declares: files of other tools, and what may be done with them
-    PAGE: "a browser opens it; `cosim report FOLDER` makes that of a run again",
-    PICTURE: "a browser opens it; `cosim graph SCENARIO` draws one",
-    NOTEBOOK: "Jupyter opens it; in it, `import cosim`",
-    MATRICES: "of its columns write a CSV, `time` first, and `cosim check` checks that",
-    WORKBOOK: "save the sheet as CSV, `time` first, and `cosim check` checks that",
-    ARCHIVE: "unpack it; `cosim info` lists an FMU that is in it",
-    LIBRARY: "an FMU holds libraries; `cosim info` lists what an FMU has",
-    DATABASE: "`cosim sweep SWEEP.yaml` goes on with one that it left, named with its --out",
-    SCHEMA: "an editor reads it; `cosim schema` prints it",
-    POINTER: "`git lfs pull` fetches the file itself; then `cosim check` checks it",
-    DESCRIPTION: "`cosim info` lists what the FMU has that it is of",
-    TEXT: UNREAD,
-    DOCUMENT: UNREAD,
-    BINARY: UNREAD,
-}
-AS = {RESULTS: LOG}  # taken wherever the other is
-RUNS = "sweep.parquet"  # the table of runs; any other Parquet file is a log, or the rows of a run
-HEADS = (  # first bytes of a file
-    (b"\x89PNG", PICTURE), (b"\xff\xd8\xff", PICTURE), (b"GIF8", PICTURE), (b"%PDF-", DOCUMENT),
-    (b"MATLAB", MATRICES), (b"\x89HDF\r\n", MATRICES), (b"\x7fELF", LIBRARY), (b"MZ", LIBRARY),
-    (b"\xcf\xfa\xed\xfe", LIBRARY), (b"SQLite format 3\0", DATABASE), (b"\xd0\xcf\x11\xe0", WORKBOOK),
-    (b"version https://git-lfs.", POINTER),
-)  # fmt: skip
-MARKS = (  # beginnings of a text
-    (re.compile(r"<!doctype html|<html", re.I), PAGE),
-    (re.compile(r"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*|<!doctype[^>]*>\s*)*<svg\b", re.I | re.S), PICTURE),
-    (re.compile(r"(<\?xml[^>]*>\s*)?<\w*:?SystemStructureDescription\b", re.S), SSP),
-    (re.compile(r"<(\?xml|[A-Za-z][\w:]*[ >])"), DESCRIPTION),
-)
-ENDINGS = {".py": CODE, ".ssp": SSP, ".ssd": SSP, ".fmu": FMU, ".ipynb": NOTEBOOK, ".mat": MATRICES}
+TEXT, BINARY = "a text", "a binary file"
 WRITTEN = {".yaml", ".yml", ".json"}  # whose keys say what they are
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of some instrument
@@ -64,6 +25,7 @@ FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
 KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
 HEAD = 1024  # bytes
+UNREAD = "no command reads it; `cosim --help` lists what each takes"
 
 
 def kind_by_form(path: Path) -> str | None:
@@ -73,35 +35,34 @@ def kind_by_form(path: Path) -> str | None:
         head = _head(path) if path.is_file() else b""
     except (OSError, ValueError):
         head = b""
-    if head.startswith(b"PAR1") or (ending in suffixes() and ending != ".csv"):
-        return TABLE if path.name == RUNS else _of_rows(path)
-    kind = next((kind for magic, kind in HEADS if head.startswith(magic)), None)
+    kind = kind_where(lambda a: head.startswith(a.heads) if a.heads else False)
     if kind is None and head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
         kind = _packed(path)
     if kind is None and ending not in WRITTEN:
         kind = _marked(head)
     if kind is not None:
         return kind
-    if ending == ".csv":
-        return _of_csv(path, head)
-    if ending in ENDINGS or not head:
-        return ENDINGS.get(ending)
+    if beside := kind_where(lambda a: a.beside and _is_named(path, a.beside)):
+        return beside
+    if head.startswith(b"PAR1") or (ending in suffixes() and ending != ".csv"):
+        return LOG  # its columns say whether it is one
+    if ending == ".csv" and _no_text(head):
+        return BINARY
+    if ending == ".csv" and _keyed(head):
+        return _by_keys(path) or LOG
+    by_ending = kind_where(lambda a: ending in a.endings)
+    if by_ending is not None or not head:
+        return by_ending
     if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
 
 
-def _of_rows(path: Path) -> str:
-    """The kind of a table with a row a moment: what a run left, or a log."""
-    return RESULTS if path.stem == "results" and (path.parent / "manifest.json").is_file() else LOG
-
-
-def _of_csv(path: Path, head: bytes) -> str:
-    """The kind of a file that ends as CSV does."""
-    kind = _of_rows(path)
-    if kind == LOG and _no_text(head):
-        return BINARY
-    return _by_keys(path) or LOG if kind == LOG and _keyed(head) else kind
+def _is_named(path: Path, beside: tuple[str, str]) -> bool:
+    """Whether a file has a name, or that of the same rows in another format than CSV, and another file is beside it."""
+    name, other = beside
+    rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
+    return (path.name == name or rows) and (path.parent / other).is_file()
 
 
 def _head(path: Path) -> bytes:
@@ -116,11 +77,7 @@ def _packed(path: Path) -> str | None:
             names = set(archive.namelist())
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
         return None
-    if "modelDescription.xml" in names:
-        return FMU
-    if "SystemStructure.ssd" in names:
-        return SSP
-    return WORKBOOK if any(n.startswith("xl/") for n in names) else ARCHIVE
+    return kind_where(lambda a: a.member and any(a.member == "*" or name.startswith(a.member) for name in names))
 
 
 def _tabular(head: bytes) -> bool:
@@ -147,23 +104,13 @@ def _keyed(head: bytes) -> bool:
 def _marked(head: bytes) -> str | None:
     """The kind of a text that begins as XML does."""
     text = head.decode("utf-8", errors="replace").lstrip("\ufeff \t\r\n")
-    return next((kind for mark, kind in MARKS if mark.match(text)), None)
-
-
-def kind_by_keys(root: Any) -> str | None:
-    """Return the kind of a YAML or JSON file by its keys; None where they do not say."""
-    keys = set(root) if isinstance(root, dict) else set()
-    if "nbformat" in keys:
-        return NOTEBOOK
-    if "$schema" in keys and keys & {"properties", "$defs"}:
-        return SCHEMA
-    return artefact.kind_by_keys(root)
+    return kind_where(lambda a: a.text and re.match(a.text, text))
 
 
 def next_step(kind: str, path: Path) -> str:
     """Return what may be done with a file of a kind."""
-    text = OTHERS[kind] if kind in OTHERS else artefact.of_kind(kind).next_step
-    return text.format(file=as_typed(path))
+    declared = of_kind(kind)
+    return UNREAD if declared is None else declared.next_step.format(file=as_typed(path))
 
 
 def kind_of(path: Path) -> str | None:
@@ -182,7 +129,9 @@ def _by_keys(path: Path) -> str | None:
 
 def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
     """InputError where a file is of another kind than is wanted, with the command that reads it."""
-    if kind is not None and kind not in wanted and AS.get(kind) not in wanted and path.is_file():
+    declared = of_kind(kind) if kind is not None else None
+    taken = {kind, declared.taken_as} if declared is not None else {kind}
+    if kind is not None and taken.isdisjoint(wanted) and path.is_file():
         message = f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}"
         raise InputError([Fault(path, 0, 0, message)])
 
@@ -223,15 +172,14 @@ def as_typed(path: Path) -> str:
 
 def refuse_folder(path: Path, what: str) -> None:
     """InputError where a folder is one that a command left, and not what is wanted."""
-    if (left := artefact.left_in(path)) is not None:
+    if (left := left_in(path)) is not None:
         message = f"is {left.folder}, not {what}: {left.folder_step.format(file=as_typed(path))}"
         raise InputError([Fault(path, 0, 0, message)])
 
 
 def _folder(path: Path, what: str) -> str:
     """That a folder is not what is wanted; what in it may be meant."""
-    endings: Mapping[str, set[str]] = {FMU: {".fmu"}, LOG: set(suffixes()), SSP: {".ssp"}, CODE: {".py"}}
-    meant = {e for kind, those in endings.items() if kind in what for e in those} or {".yaml", ".yml"}
+    meant = {ending for a in artefacts() if a.kind in what for ending in a.endings} or {".yaml", ".yml"}
     inside = sorted(p.name for p in path.iterdir() if p.suffix.lower() in meant and p.is_file())
     some = f" {', '.join(inside[:3])}{', …' if inside[3:] else ''}" if inside else " none by its ending"
     return f"is a folder, not {what}; in it:{some}"

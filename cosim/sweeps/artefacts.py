@@ -14,6 +14,7 @@ ARTEFACTS = (
         schema="cosim.sweeps.sweep_file:SweepFile",
         schema_name="sweep",
         title="cosim sweep",
+        check="cosim.sweeps.reading:check_sweep",
     ),
     Artefact(
         "an answer of `cosim sweep`",
@@ -21,8 +22,19 @@ ARTEFACTS = (
         keys=(frozenset({"schema_version", "sweep", "runs"}),),
         verb="cosim sweep",
         marks=("sweep.json",),
+        files=("sweep.json", "sweep.parquet", "runs.sqlite", "report.html"),
         folder="the folder of a sweep",
         folder_step="`cosim.read` reads it in Python",
+        reader="cosim.sweeps.sweep_table:read_runs",
     ),
-    Artefact(TABLE, "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one"),
+    Artefact(
+        TABLE,
+        "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
+        beside=("sweep.parquet", "sweep.json"),
+    ),
+    Artefact(
+        "a database",
+        "`cosim sweep SWEEP.yaml` goes on with one that it left, named with its --out",
+        heads=(b"SQLite format 3\0",),
+    ),
 )

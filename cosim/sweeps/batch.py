@@ -26,19 +26,25 @@ LIMIT = 1 << 28  # bytes of rows and noise that are held at once
 
 def kinds_of(system: System) -> dict[str, Kind] | str:
     """How twins of every component are made; or why the runs are made through FMUs, in words."""
-    if system.events:
-        return "events change parameters while it runs"
-    if system.apart or system.beside:
-        return "signals are no doubles, or a component has a process of its own"
-    if any(stage.every != 1 for stage in system.stages):
-        return "components have steps of their own"
-    if any(t.faults or t.items is not None for t in _transfers(system)):
-        return "faults are injected, or enumerations connected"
-    found = {stage.component.name: kind_of(stage.component) for stage in system.stages}
-    missing = [name for name, kind in found.items() if kind is None]
+    obstacles = {
+        "events change parameters while it runs": system.events,
+        "signals are no doubles, or a component has a process of its own": system.apart or system.beside,
+        "components have steps of their own": any(stage.every != 1 for stage in system.stages),
+        "faults are injected, or enumerations connected": any(
+            t.faults or t.items is not None for t in _transfers(system)
+        ),
+    }
+    for reason, applies in obstacles.items():
+        if applies:
+            return reason
+    kinds: dict[str, Kind] = {}
+    for stage in system.stages:
+        if (kind := kind_of(stage.component)) is not None:
+            kinds[stage.component.name] = kind
+    missing = [stage.component.name for stage in system.stages if stage.component.name not in kinds]
     if missing:
         return f"{', '.join(missing)}: no equations of an FMU of this kind are known here"
-    return {name: kind for name, kind in found.items() if kind is not None}
+    return kinds
 
 
 def why_not_on_arrays(system: System) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import cosim.fmi.native
 from cosim.base.arrays import Array
-from cosim.fmi.native.compiler import compiler, loaded
+from cosim.fmi.native.compiler import CompilerFailed, compiler, loaded
 from cosim.model.integrate import substeps
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Lanes, Unprintable
@@ -19,6 +19,7 @@ from cosim.storage.cache import fingerprint, kept
 
 WIDTH = 16  # runs side by side: numbers of runs are multiples of it
 SOURCE = Path(__file__).with_name("lanes.c")
+RK4 = Path(cosim.fmi.native.__file__).with_name("rk4.h")
 PRINTING = ("cosim.model.symbolic", "cosim.model")
 
 
@@ -72,7 +73,7 @@ def _of(effect: Any, model: Any) -> list[str]:
 
 @cache
 def _compiled(source: str) -> Any:
-    library = loaded(source)
+    library = loaded(source, RK4)
     function = library.steps
     number, address = ctypes.c_double, ctypes.c_void_p
     function.argtypes = [ctypes.c_long, number, number, ctypes.c_int, number, address, address, address, address]
@@ -92,7 +93,7 @@ def _function(
         try:
             source, names = _printed(model, awake, dict(flags))
             _FUNCTIONS[key] = _compiled(source), tuple(names)
-        except (Unprintable, OSError, subprocess.SubprocessError, TypeError, AttributeError):
+        except (Unprintable, CompilerFailed, TypeError, AttributeError):
             _FUNCTIONS[key] = None
     return _FUNCTIONS[key]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,29 +52,24 @@ class Factors:
 
     def _check_size(self) -> None:
         """Before anything is made of very many."""
-        sampled = [n for n, v in self.file.vary.items() if _size(v) is None and v.each is None]
-        listed = {name: size for name, v in self.file.vary.items() if (size := _size(v)) is not None}
-        count = 1
-        for size in listed.values():
-            count *= size
-        counted = any(v.each is not None for v in self.file.vary.values())
-        count *= drawn_rows(len(sampled), counted, self.file.runs, self.file.sampling)
+        vary = self.file.vary
+        listed = {name: size for name, v in vary.items() if (size := _size(v)) is not None}
+        counted = sum(v.each is not None for v in vary.values())
+        sampled = len(vary) - len(listed) - counted
+        count = math.prod(listed.values()) * drawn_rows(sampled, counted > 0, self.file.runs, self.file.sampling)
         if count > MOST_RUNS:
-            largest = max(listed, key=lambda n: listed[n], default=None)
-            in_list = largest is not None and (not sampled or listed[largest] > self.file.runs)
-            where: Location = ("vary", str(largest)) if in_list else ("runs",)
-            message = (
-                f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
-            )
-            raise InputError([self.yaml.fault(where, message, key=in_list)])
-        if self.file.sampling == "saltelli":
-            if not sampled or listed:
-                message = (
-                    "saltelli needs distributions, and nothing listed; vary by distributions, or take another sampling"
-                )
-                self.faults.append(self.yaml.fault(("sampling",), message))
-            elif not saltelli_base(self.file.runs, len(sampled)):
-                self.faults.append(self.yaml.fault(("runs",), f"saltelli needs {len(sampled) + 2} runs at least"))
+            largest = max(listed, key=lambda n: listed[n], default="")
+            in_list = bool(listed) and (not sampled or listed[largest] > self.file.runs)
+            where: Location = ("vary", largest) if in_list else ("runs",)
+            message = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have"
+            raise InputError([self.yaml.fault(where, f"{message}; give fewer values or runs", key=in_list)])
+        if self.file.sampling != "saltelli":
+            return
+        if listed or not sampled:
+            cure = "vary by distributions, or take another sampling"
+            self._note(("sampling",), f"saltelli needs distributions, and nothing listed; {cure}")
+        elif not saltelli_base(self.file.runs, sampled):
+            self._note(("runs",), f"saltelli needs {sampled + 2} runs at least")
 
     def _note(self, where: Location, message: str, *, key: bool = False) -> None:
         self.faults.append(self.yaml.fault(where, message, key=key))
@@ -105,27 +101,30 @@ class Factors:
             return None
         return Factor("seed", values=values)
 
-    def _of_variable(self, name: str, component: str, variable_name: str, varied: Varied) -> Factor | None:
-        block = self.components.get(component)
+    def _settable_variable(self, name: str, block: Any) -> Any:
+        """Return the variable `component.variable` of an FMU, or text: why it cannot be varied."""
+        component, _, variable_name = name.partition(".")
         if not isinstance(block, FmuBlock):
             cure = f"vary a path such as components.{component}.… by values"
-            self._note(("vary", name), f"{component} is no FMU and has no start values; {cure}", key=True)
-            return None
+            return f"{component} is no FMU and has no start values; {cure}"
         variables = {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
-        if variable is None or not settable(variable):
-            if variable is None:
-                known = [v.name for v in variables.values() if settable(v)]
-                what = f'{component} has no variable "{short(variable_name)}"{did_you_mean(variable_name, known)}'
-            else:
-                what = f"{name} is {kind_of_variable(variable)}; it takes no start value"
-            self._note(("vary", name), what, key=True)
-            return None
+        if variable is None:
+            hint = did_you_mean(variable_name, [v.name for v in variables.values() if settable(v)])
+            return f'{component} has no variable "{short(variable_name)}"{hint}'
+        if not settable(variable):
+            return f"{name} is {kind_of_variable(variable)}; it takes no start value"
         if variable.shape:
-            self._note(("vary", name), "is an array; vary a path of the scenario by values", key=True)
-            return None
+            return "is an array; vary a path of the scenario by values"
         if variable_name in block.connected:
-            self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
+            return "is an input that is connected; vary what feeds it"
+        return variable
+
+    def _of_variable(self, name: str, component: str, variable_name: str, varied: Varied) -> Factor | None:
+        block: Any = self.components.get(component)
+        variable = self._settable_variable(name, block)
+        if isinstance(variable, str):
+            self._note(("vary", name), variable, key=True)
             return None
 
         def value(where: Location, given: Any) -> Any:
@@ -193,7 +192,7 @@ class Factors:
             faults, found = error.faults, None
         except (KeyError, IndexError, TypeError):
             faults, found = (), None
-        if isinstance(found, (int, float)) and not isinstance(found, bool):
+        if _is_number(found):
             return float(found)
         raise ValueError(faults[0].message if faults else f"{name} is {given!r}; it is a number")
 
@@ -222,27 +221,23 @@ class Factors:
     def _made(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
         """The factor, its values by `value`, which notes what is wrong with one."""
         way = varied.way
+        given: Any = getattr(varied, way)
         if way == "values":
-            return Factor(name, unit, [value(("values", k), v) for k, v in enumerate(varied.values or ())])
+            return Factor(name, unit, [value((way, k), v) for k, v in enumerate(given)])
         if way == "grid":
-            assert varied.grid is not None
-            ends = [value(("grid", key), v) for key, v in (("from", varied.grid.begin), ("to", varied.grid.end))]
-            if any(isinstance(e, (bool, str)) or e is None for e in ends):
+            ends = [value((way, "from"), given.begin), value((way, "to"), given.end)]
+            if not all(map(_is_number, ends)):
                 self._not_numbers(name, way, ends)
                 return None
-            return Factor(name, unit, np.linspace(ends[0], ends[1], varied.grid.count).tolist())
-        given = getattr(varied, way)
+            return Factor(name, unit, np.linspace(ends[0], ends[1], given.count).tolist())
         numbers = [value((way, k), v) for k, v in enumerate(given)]
-        within = None if varied.within is None else [value(("within", k), v) for k, v in enumerate(varied.within)]
-        if any(
-            (isinstance(e, (bool, str, int)) and not isinstance(e, float)) or e is None
-            for e in (*numbers, *(within or ()))
-        ):
-            self._not_numbers(name, way, [*numbers, *(within or ())])
-        if any(isinstance(e, (bool, str)) or e is None for e in (*numbers, *(within or ()))):
+        within = [value(("within", k), v) for k, v in enumerate(varied.within or ())]
+        if not all(isinstance(v, float) for v in (*numbers, *within)):
+            self._not_numbers(name, way, [*numbers, *within])
+        if not all(map(_is_number, (*numbers, *within))):
             return None
         try:
-            return Factor(name, unit, drawn=distribution(way, [float(n) for n in numbers], within))
+            return Factor(name, unit, drawn=distribution(way, list(map(float, numbers)), within))
         except ValueError as error:
             self._note(("vary", name, way), str(error))
             return None
@@ -294,6 +289,10 @@ class Factors:
                 for f in error.faults:
                     told = f"{factor.name} would be {drawn:g}: {f.message}; {_cure(way)}"
                     yield self.yaml.fault(("vary", factor.name, way), told, exit_code=f.exit_code)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _cure(way: str) -> str:

@@ -53,25 +53,13 @@ INLINE double smaller(double a, double b)
 
 /*LANES*/
 
-INLINE void weighed(double (*restrict z)[W], Lanes x, double h, Lanes k)
-{
-    for (int j = 0; j < NX; j++) for (int i = 0; i < W; i++) z[j][i] = x[j][i] + h * k[j][i];
-}
-
-INLINE void rk4(double t, double h, double (*restrict x)[W], Lanes u, Lanes p)
-{
-    double k1[NX][W], k2[NX][W], k3[NX][W], k4[NX][W], z[NX][W];
-    const double half = 0.5 * h, sixth = h / 6.0;
-    deriv(t, (Lanes)x, u, p, k1);
-    weighed(z, (Lanes)x, half, (Lanes)k1);
-    deriv(t + half, (Lanes)z, u, p, k2);
-    weighed(z, (Lanes)x, half, (Lanes)k2);
-    deriv(t + half, (Lanes)z, u, p, k3);
-    weighed(z, (Lanes)x, h, (Lanes)k3);
-    deriv(t + h, (Lanes)z, u, p, k4);
-    for (int j = 0; j < NX; j++)
-        for (int i = 0; i < W; i++) x[j][i] += sixth * (k1[j][i] + 2.0 * (k2[j][i] + k3[j][i]) + k4[j][i]);
-}
+#define KIND INLINE
+#define SHAPE [NX][W]
+#define EACH for (int j = 0; j < NX; j++) for (int i = 0; i < W; i++)
+#define AT [j][i]
+#define ARGUMENTS double (*restrict x)[W], Lanes u, Lanes p
+#define RATES(t, moment, x, k) deriv(t, (Lanes)(x), u, p, k)
+#include "rk4.h"
 
 #define LOAD(to, from, rows) for (int j = 0; j < (rows); j++) for (int i = 0; i < W; i++) to[j][i] = from[j * runs + b + i]
 

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolved
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
+from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
 from cosim.sweeps.factors import Factors, Location, beside
@@ -73,6 +74,11 @@ class Sweep:
         return Asked(run, tuple(overrides), starts, seed)
 
 
+def check_sweep(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a sweep; InputError with its faults."""
+    return [f"warning: {text}" for text in read_sweep(path).warnings]
+
+
 def read_sweep(path: Path) -> Sweep:
     """Read a sweep; InputError with every fault, those of its scenario too."""
     check_given(path, SWEEP)
@@ -99,11 +105,9 @@ def read_sweep(path: Path) -> Sweep:
     designed_for = None if design is None else design.component
     faults += [*reading.faults, *reading.signal_faults()]
     faults += overlap_faults(yaml, file, scenario.scenario.components, designed_for)
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     columns = columns_of(factors, file.runs, file.sampling, file.seed)
-    if faults := list(reading.drawn_faults(factors, columns)):
-        raise InputError(faults)
+    refuse(list(reading.drawn_faults(factors, columns)))
     signals = tuple(file.signals) or _signals(scenario.scenario, system)
     compiled = len(next(iter(columns.values()))) * scenario.scenario.steps >= WORTH_COMPILING
     watched = Watched.of(system, scenario.scenario.step)
@@ -123,6 +127,10 @@ def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -
 
 def _signals(scenario: Scenario, system: System) -> tuple[str, ...]:
     of_criteria = dict.fromkeys(criterion.of for _, _, criterion in scenario.goals)
-    outputs = [f"{s.component.name}.{o.name}" for s in system.stages for o in s.component.outputs
-               if isinstance(s.component, FmuBlock)]  # fmt: skip
+    outputs = [
+        f"{s.component.name}.{o.name}"
+        for s in system.stages
+        for o in s.component.outputs
+        if isinstance(s.component, FmuBlock)
+    ]
     return tuple(of_criteria) or tuple(outputs[:MOST_SIGNALS]) or tuple(system.columns[:MOST_SIGNALS])

@@ -32,11 +32,8 @@ def page(swept: Swept) -> str:
     drawing = charts.over(np.array(record["times"], float), 5 * len(names))
     failed, runs = record["failed"], record["runs"]
     agree = "DO NOT" not in record["check"]["sentence"]
-    badges = [
-        Badge(counted(runs, "run")),
-        Badge(way_of(record)),
-        Badge(f"{failed} failed" if failed else "none failed", "bad" if failed else "good"),
-    ]
+    failures = Badge(f"{failed} failed", "bad") if failed else Badge("none failed", "good")
+    badges = [Badge(counted(runs, "run")), Badge(way_of(record)), failures]
     return render(
         TEMPLATE,
         {
@@ -64,9 +61,12 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     low, high = c["ci95"]
     return {
-        "name": c["name"], "max": joined(plain(c["max"] * factor, None), unit), "met": f"{c['met']} of {c['of']}",
-        "share": percent(c["met"] / c["of"]) if c["of"] else "–", "interval": f"{percent(low)} … {percent(high)}",
-    }  # fmt: skip
+        "name": c["name"],
+        "max": joined(plain(c["max"] * factor, None), unit),
+        "met": f"{c['met']} of {c['of']}",
+        "share": percent(c["met"] / c["of"]) if c["of"] else "–",
+        "interval": f"{percent(low)} … {percent(high)}",
+    }
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
@@ -87,15 +87,14 @@ def _factors(swept: Swept) -> list[Mapping[str, str]]:
         varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
         given: Any = getattr(varied, varied.way)
         said = given.model_dump(by_alias=True) if hasattr(given, "model_dump") else given
-        text = (
-            ", ".join(map(str, said[:8])) + (", …" if len(said) > 8 else "") if isinstance(said, list | tuple) else said
-        )
+        text = str(said)
         if isinstance(said, dict):
             text = ", ".join(f"{key} {value}" for key, value in said.items())
-        found.append({
-            "name": factor.name, "unit": written(factor.unit), "way": varied.way.replace("_", " "), "said": str(text),
-            "different": counted(len(set(map(str, values))), "value"),
-        })  # fmt: skip
+        elif isinstance(said, list | tuple):
+            text = ", ".join(map(str, said[:8])) + (", …" if len(said) > 8 else "")
+        way, different = varied.way.replace("_", " "), counted(len(set(map(str, values))), "value")
+        shown = {"unit": written(factor.unit), "way": way, "said": text, "different": different}
+        found.append({"name": factor.name, **shown})
     return found
 
 
@@ -104,9 +103,7 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
     if not values.size or values.shape[1] != len(record["times"]):  # no run came to its end
         return Panel(name, unit or "1", ())
     q = quantiles(values) * factor
-    traces = (
-        Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"),
-    )  # fmt: skip
+    traces = (Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"))
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 
 

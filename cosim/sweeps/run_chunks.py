@@ -139,18 +139,22 @@ class _Prepared:
         values = designed_values(file)
         if file.faults:
             return None
+        blocks = {s.component.name: s.component for s in self.system.stages}
         found: dict[str, dict[str, Any]] = {}
-        for block in (s.component for s in self.system.stages if s.component.name in values):
-            own = getattr(file.scenario.components[block.name], "start", None) or {}
-            if not isinstance(block, FmuBlock) or any("[" in name for name in own):
+        for name, given in values.items():
+            block = blocks.get(name)
+            own = getattr(file.scenario.components[name], "start", None) or {}
+            if not isinstance(block, FmuBlock) or any("[" in variable for variable in own):
                 return None
-            variables = {v.name: v for v in block.description.modelVariables}
-            new = {n: v for n, v in values[block.name].items() if n not in own}
-            if not new.keys() <= variables.keys():
-                return None
-            found[block.name] = {n: typed(block.description, variables[n], v) for n, v in new.items()}
-        fits = not any(isinstance(v, Misfit) for start in found.values() for v in start.values())
-        return found if fits and found.keys() == values.keys() else None
+            variables, found[name] = {v.name: v for v in block.description.modelVariables}, {}
+            for variable in (v for v in given if v not in own):
+                if variable not in variables:
+                    return None
+                value = typed(block.description, variables[variable], given[variable])
+                if isinstance(value, Misfit):
+                    return None
+                found[name][variable] = value
+        return found
 
     def starts(self, asked: Asked) -> Starts:
         """Every start value of a run, by component."""
@@ -203,8 +207,9 @@ def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
                     known[one.overrides] = None
             designed = known[one.overrides]
             if designed is not None:
-                starts = {name: {**designed.get(name, {}), **one.starts.get(name, {})}
-                          for name in (*designed, *one.starts)}  # fmt: skip
+                starts = {
+                    name: {**designed.get(name, {}), **one.starts.get(name, {})} for name in (*designed, *one.starts)
+                }
                 one = replace(one, overrides=rest, starts=starts)
         found.append(one)
     return found

@@ -39,7 +39,7 @@ class Factor:
     first: int | None = None
 
 
-def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None) -> Callable[[Array], Array]:
+def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
     """Inverse distribution function; ValueError says what is wrong with its numbers."""
     from scipy.stats import norm, triang, truncnorm  # takes longer than all else that is imported
 
@@ -47,7 +47,7 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
         mean, deviation = numbers
         if not deviation > 0:
             raise ValueError(f"a standard deviation of {deviation:g} is none; give one above 0")
-        if within is None:
+        if not within:
             return lambda u: norm.ppf(u, mean, deviation)
         low, high = within
         if not low < high:
@@ -84,22 +84,19 @@ def saltelli_base(runs: int, count: int) -> int:
 
 def columns_of(factors: Sequence[Factor], runs: int, sampling: Sampling, seed: int) -> dict[str, list[Any]]:
     """Factor → its value in each run."""
-    listed = [f for f in factors if f.values is not None]
-    combinations = list(itertools.product(*(f.values or () for f in listed)))
-    sampled = [f for f in factors if f.drawn is not None]
-    rows = drawn_rows(len(sampled), any(f.first is not None for f in factors), runs, sampling)
-    shares = _shares(len(sampled), rows, sampling, seed)
-    found: dict[str, list[Any]] = {}
-    for k, factor in enumerate(sampled):
-        assert factor.drawn is not None
-        values = factor.drawn(shares[:, k]).tolist()
-        found[factor.name] = [v for v in values for _ in combinations]
-    for k, factor in enumerate(listed):
-        found[factor.name] = [c[k] for c in combinations] * rows
+    combinations = list(itertools.product(*(f.values for f in factors if f.values is not None)))
+    sampled = sum(f.drawn is not None for f in factors)
+    rows = drawn_rows(sampled, any(f.first is not None for f in factors), runs, sampling)
+    listed, shares = zip(*combinations, strict=True), iter(_shares(sampled, rows, sampling, seed).T)
+    columns: dict[str, list[Any]] = {}
     for factor in factors:
         if factor.first is not None:
-            found[factor.name] = list(range(factor.first, factor.first + rows * len(combinations)))
-    return {f.name: found[f.name] for f in factors}
+            columns[factor.name] = list(range(factor.first, factor.first + rows * len(combinations)))
+        elif factor.drawn is not None:
+            columns[factor.name] = np.repeat(factor.drawn(next(shares)), len(combinations)).tolist()
+        else:
+            columns[factor.name] = [*next(listed)] * rows
+    return columns
 
 
 def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:

@@ -69,11 +69,10 @@ class Database:
 
     def add(self, runs: Iterable[Made], table: str = MADE) -> None:
         """Keep runs, all of them or none."""
-        rows = [
-            (m.run, m.status, m.through, np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(),
-             m.signals.tobytes(), len(m.signals))
-            for m in runs
-        ]  # fmt: skip
+        rows = []
+        for m in runs:
+            blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
+            rows.append((m.run, m.status, m.through, *blobs, len(m.signals)))
         with self._base:
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
@@ -96,9 +95,13 @@ class Database:
 
 
 def write_table(
-    path: Path, runs: Iterable[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str],
-    signals: Sequence[str], about: Mapping[str, Any],
-) -> None:  # fmt: skip
+    path: Path,
+    runs: Iterable[Made],
+    design: Mapping[str, Sequence[Any]],
+    criteria: Sequence[str],
+    signals: Sequence[str],
+    about: Mapping[str, Any],
+) -> None:
     """One row a run: its number, what varied, how it went, each criterion's value and whether it is met, each signal.
 
     A signal is a list of values at the times that stand in the metadata, as JSON under `cosim`.

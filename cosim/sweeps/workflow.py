@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +21,10 @@ from cosim.base.version import __version__
 from cosim.scenario.scenario import Criterion
 from cosim.storage.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named
+from cosim.storage.folders import check_left, folder_named, keep_earlier
 from cosim.sweeps.batch import why_not_on_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.run_chunks import MOST_ROWS, Way, sampled_rows
+from cosim.sweeps.run_chunks import MOST_ROWS, Job, Way, sampled_rows
 from cosim.sweeps.run_statistics import share
 from cosim.sweeps.store import CHECKED, DATABASE, MADE, TABLE, Database, read_table, write_table
 from cosim.sweeps.sweep_result import Swept, criterion_names
@@ -42,25 +43,35 @@ Progress = Callable[[int, int], None]
 @one_stop()
 @folder_locks()
 def sweep(
-    path: FilePath, out: FilePath | None = None, *, workers: Count | None = None, dask: str | None = None,
-    report: bool = True, force: bool = False, in_process: bool = False, progress: Progress | None = None,
-) -> Swept:  # fmt: skip
+    path: FilePath,
+    out: FilePath | None = None,
+    *,
+    workers: Count | None = None,
+    dask: str | None = None,
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    progress: Progress | None = None,
+) -> Swept:
     """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
 
-    What an earlier call that was stopped has made is gone on with; `force` begins anew.
+    What an earlier call that was stopped has made is gone on with; `force` begins anew, in results/NAME with the
+    files of the earlier one moved to `runs`.
     workers: processes, one a core without; dask: address of a scheduler, over that of the file
     Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
     """
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)
     read = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
-    check_left(folder, "cosim sweep", force=force)
+    check_left(folder, "cosim sweep", force=force, keep=out is None)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
     for library in ("pyarrow", "SALib"):  # before anything runs
         optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
+        if force and out is None:
+            keep_earlier(folder, "cosim sweep")
         if force:
             for name in (DATABASE, TABLE, RECORD, REPORT):
                 (folder / name).unlink(missing_ok=True)
@@ -108,7 +119,12 @@ class _Sweep:
         try:
             with makers(workers, client, in_process=in_process) as who:
                 way, why = self._way(who)
-                self._make(who, range(self.study.count), way, MADE)
+                there, begun = len(self.base.there()), time.perf_counter()
+                for made in self._make(who, range(self.study.count), way, self.study.job, MADE):
+                    self.count += made
+                    if self.progress is not None:
+                        self.progress(there + self.count, self.study.count)
+                self.seconds = time.perf_counter() - begun
                 hold_stops()  # there is a table to be written
         except (KeyboardInterrupt, Terminated) as stop:
             there = len(self.base.there())
@@ -118,14 +134,9 @@ class _Sweep:
                 error.exit_code = Terminated.exit_code
             raise error from None
         record = self._record(way, why)
-        names = [c["name"] for c in record["criteria"]]
-        about = {
-            "key": self.study.key,
-            "times": record["times"],
-            "units": record["units"],
-            "signals": self.study.job.signals,
-        }
-        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, self.study.job.signals, about)
+        names, signals = [c["name"] for c in record["criteria"]], self.study.job.signals
+        about = {"key": self.study.key, "times": record["times"], "units": record["units"], "signals": signals}
+        write_table(self.folder / TABLE, self.base.runs(), self.study.columns, names, signals, about)
         with atomic_write(self.folder / RECORD) as stream:
             json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
             stream.write("\n")
@@ -141,9 +152,9 @@ class _Sweep:
         why = str(who.ask(why_not_on_arrays, self.study.system))
         way: Way = "fmus" if why else "arrays"
         if way == "arrays":
-            repeated = self._repeated()
-            self._make(who, repeated, "fmus", CHECKED)
-            job = replace(self.study.job, whole=True)
+            repeated, job = self._repeated(), replace(self.study.job, whole=True)
+            for _ in self._make(who, repeated, "fmus", job, CHECKED):
+                pass
             future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
             on_arrays = who.runs(next(iter(who.done({future})[0])))
             apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
@@ -158,34 +169,25 @@ class _Sweep:
         found = rng.choice(self.study.count, min(REPEATED, self.study.count), replace=False)
         return sorted(int(k) for k in found)
 
-    def _make(self, who: Makers, runs: Iterable[int], way: Way, table: str) -> None:
-        """Make what is not there yet, chunk by chunk, and keep each."""
+    def _make(self, who: Makers, runs: Iterable[int], way: Way, job: Job, table: str) -> Iterator[int]:
+        """Make the runs that are not in the table yet, in chunks, and keep each; yield the number kept after a wait."""
         there = self.base.there(table)
-        limits = self.study.scenario.limits
-        size = 1 if way == "fmus" and limits is not None else CHUNK[way]
-        chunks: dict[int, list[int]] = {}
-        for run in runs:
-            if run not in there:
-                chunks.setdefault(run // size, []).append(run)
-        job = self.study.job if table == MADE else replace(self.study.job, whole=True)
-        begun, done, total = time.perf_counter(), len(there), len(there) + sum(map(len, chunks.values()))
-        waiting, pending = list(reversed(chunks.values())), set[Any]()
+        limits = self.study.scenario.limits if way == "fmus" else None
+        size = 1 if limits is not None else CHUNK[way]
+        chunks = itertools.groupby((run for run in runs if run not in there), lambda run: run // size)
+        waiting, pending = [[*chunk] for _, chunk in chunks][::-1], set[Any]()
         while waiting or pending:
             while waiting and len(pending) < who.count + AHEAD:
                 asked = [self.study.asked(run) for run in waiting.pop()]
-                pending.add(who.submit(job, asked, way, limits if way == "fmus" else None, len(self.goals)))
+                pending.add(who.submit(job, asked, way, limits, len(self.goals)))
             finished, pending = who.done(pending)
+            kept = 0
             for future in finished:
                 found = who.runs(future)
                 with uninterrupted():
                     self.base.add(found, table)
-                done += len(found)
-                if table == MADE:
-                    self.count += len(found)
-            if self.progress is not None and table == MADE:
-                self.progress(done, total)
-        if table == MADE:
-            self.seconds = time.perf_counter() - begun
+                kept += len(found)
+            yield kept
 
     def _record(self, way: Way, why: str) -> dict[str, Any]:
         study, scenario = self.study, self.study.scenario
@@ -220,11 +222,17 @@ class _Sweep:
             "times": [scenario.start_time + scenario.step * k for k in rows],
             "units": {name: study.system.units.get(name, "") for name in study.job.signals},
             "criteria": [
-                {"name": name, "max": goal.max, "unit": _unit(kind, goal, study),
-                 "met": s.hits, "of": s.of, "ci95": [s.low, s.high]}
+                {
+                    "name": name,
+                    "max": goal.max,
+                    "unit": _unit(kind, goal, study),
+                    "met": s.hits,
+                    "of": s.of,
+                    "ci95": [s.low, s.high],
+                }
                 for name, (kind, _, goal), s in zip(criterion_names(study), scenario.goals, shares, strict=True)
             ],
-        }  # fmt: skip
+        }
 
     def _checked(self, count: int, way: Way, why: str) -> dict[str, Any]:
         """How far the runs that are kept are from those repeated through the FMUs."""

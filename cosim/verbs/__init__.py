@@ -1,22 +1,59 @@
-"""Commands, but for the first of them; `cosim.verbs.cli` takes them all by `register`."""
+"""The verbs: a module `NAME_verb` each, with the command `cosim NAME` and the function `cosim.NAME` of Python.
+
+A verb is registered by its line in `VERBS`, or by the entry point of an installed package.
+"""
 
 from __future__ import annotations
 
-import typer
+import warnings
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from cosim.base.registry import attempt, extensions
-from cosim.verbs import consistency_verb as consistency
-from cosim.verbs import fmus, linear, logs, pictures, runs, sweep
-from cosim.verbs.manner import with_manner
+from cosim.base.registry import ExtensionWarning, Verb, added_verbs
+
+if TYPE_CHECKING:  # signatures of the functions, for type checkers
+    from cosim.authoring.export import export_ssp as export_ssp
+    from cosim.estimators.workflow import consistency as consistency
+    from cosim.experiment.excite import excite as excite
+    from cosim.linearization.workflow import linearize as linearize
+    from cosim.loading.build import build as build
+    from cosim.sweeps.workflow import sweep as sweep
+    from cosim.verbs.check_verb import check as check
+    from cosim.verbs.compare_verb import compare as compare
+    from cosim.verbs.read_verb import read as read
+    from cosim.verbs.refine_verb import refine as refine
+    from cosim.verbs.replay_verb import replay as replay
+    from cosim.verbs.run_verb import run as run
+    from cosim.verbs.simulate_verb import simulate as simulate
+
+VERBS = {  # in the order of `cosim --help`
+    "run": Verb("cosim.verbs.run_verb:command", "cosim.verbs.run_verb:run"),
+    "build": Verb("cosim.verbs.build_verb:command", "cosim.loading.build:build"),
+    "export-ssp": Verb("cosim.verbs.export_ssp_verb:command", "cosim.authoring.export:export_ssp"),
+    "check": Verb("cosim.verbs.check_verb:command", "cosim.verbs.check_verb:check"),
+    "replay": Verb("cosim.verbs.replay_verb:command", "cosim.verbs.replay_verb:replay"),
+    "refine": Verb("cosim.verbs.refine_verb:command", "cosim.verbs.refine_verb:refine"),
+    "excite": Verb("cosim.verbs.excite_verb:command", "cosim.experiment.excite:excite"),
+    "info": Verb("cosim.verbs.info_verb:command"),
+    "init": Verb("cosim.verbs.init_verb:command"),
+    "simulate": Verb("cosim.verbs.simulate_verb:command", "cosim.verbs.simulate_verb:simulate"),
+    "compare": Verb("cosim.verbs.compare_verb:command", "cosim.verbs.compare_verb:compare"),
+    "report": Verb("cosim.verbs.report_verb:command"),
+    "graph": Verb("cosim.verbs.graph_verb:command"),
+    "schema": Verb("cosim.verbs.schema_verb:command"),
+    "linearize": Verb("cosim.verbs.linearize_verb:command", "cosim.linearization.workflow:linearize"),
+    "consistency": Verb("cosim.verbs.consistency_verb:command", "cosim.estimators.workflow:consistency"),
+    "sweep": Verb("cosim.verbs.sweep_verb:command", "cosim.sweeps.workflow:sweep"),
+    "read": Verb(function="cosim.verbs.read_verb:read"),
+}
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this room, and to every command there is -q and -v."""
-    for module in (logs, fmus, runs, pictures, linear, consistency, sweep):
-        module.register(app)
-    for name, extension in extensions():
-        if extension.command and (add := attempt(name, extension.command)) is not None:
-            add(app)
-    for command in app.registered_commands:
-        if command.callback is not None:
-            command.callback = with_manner(command.callback)
+def verbs() -> Iterator[tuple[str, Verb]]:
+    """Yield every verb by name, those of installed packages last; one that bears a name of ours is a warning."""
+    yield from VERBS.items()
+    for name, verb in added_verbs():
+        if name in VERBS:
+            message = f"{name}: an installed package registers a verb that cosim has; it is left out"
+            warnings.warn(message, ExtensionWarning, stacklevel=2)
+        else:
+            yield name, verb

@@ -8,22 +8,18 @@ from typing import Annotated
 import typer
 
 from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import folder_named
 from cosim.verbs.terminal import Force, Json, Open, Report, judged, progress_bar, say, say_json, show, table
 
 
-def register(app: typer.Typer) -> None:
-    """Add this command."""
-    app.command()(consistency)
-
-
 @folder_locks()
-def consistency(
+def command(
     runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")
-    ] = Path("results/consistency"),
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/consistency without.")
+    ] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -35,10 +31,11 @@ def consistency(
     from cosim.estimators.workflow import consistency as over_runs
 
     check_size(runs, steps)
-    check_folder(out, force=force)
+    keep, out = out is None, out or folder_named("consistency")
+    check_folder(out, force=force, keep=keep)
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-    write(out, rows, steps, seed, report=report)
+    write(out, rows, steps, seed, report=report, keep=keep)
     if report and open_:
         show(out / "report.html")
     if as_json:

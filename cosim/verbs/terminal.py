@@ -147,6 +147,11 @@ def show(report: Path) -> None:
         warn(f"no browser is found here; open {report}")
 
 
+def files_in(folder: Path, *names: str) -> dict[str, str]:
+    """Return what is in a folder, by name without its ending."""
+    return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
+
+
 @contextmanager
 def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
     """A bar for long runs on a terminal; nothing where nobody watches."""

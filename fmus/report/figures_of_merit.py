@@ -89,10 +89,8 @@ def _response_row(answer: Response) -> ResponseRow:
     target = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}"
     ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
     sizes = (amount(value, unit, 2) for value in (answer.overshoot, answer.rms, answer.final))
-    return ResponseRow(
-        SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, _settling(answer.settling, unit),
-        _settling(answer.believed, unit), *sizes,
-    )  # fmt: skip
+    settling = (_settling(value, unit) for value in (answer.settling, answer.believed))
+    return ResponseRow(SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, *settling, *sizes)
 
 
 def error_grid(craft: Craft) -> Grid | None:

@@ -93,10 +93,9 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
         believed = metrics.settling_time(rows[0][held], estimate[held], target, BAND)
     before = float(rows[2][step.begin - 1]) if step.begin else float(signal[0])
     ramp = float(rows[0][step.arrived] - rows[0][step.begin]) if step.is_ramp else 0.0
-    return Response(
-        variable, float(time[0]), before, target, ramp, settling, believed,
-        metrics.overshoot(signal, target), metrics.rms_error(signal, reference), metrics.final_error(signal, reference),
-    )  # fmt: skip
+    errors = metrics.rms_error(signal, reference), metrics.final_error(signal, reference)
+    overshoot = metrics.overshoot(signal, target)
+    return Response(variable, float(time[0]), before, target, ramp, settling, believed, overshoot, *errors)
 
 
 def error_rms(signal: Array | None, target: Array | None) -> float:

@@ -185,10 +185,8 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
     magnified = max(1.0, SMALLEST * width / (2000 * (ARM + RADIUS)))
     every = _mark_interval(crafts[0])
     bodies = tuple(_body(craft, rows, every) for craft in crafts)
-    return View(
-        box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, _thrust_note(crafts[0]),
-        f"a dot every {every:g} s" if bodies[0].marks else "", bodies,
-    )  # fmt: skip
+    note, marks = _thrust_note(crafts[0]), f"a dot every {every:g} s" if bodies[0].marks else ""
+    return View(box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, note, marks, bodies)
 
 
 def _companions(craft: Craft) -> list[Track | None]:
@@ -225,12 +223,21 @@ def _body(craft: Craft, rows: Rows, every: float) -> Body:
     right, left = (0.0 if tilt is None else number(tilt[last], 0.0) * DEGREES for tilt in tilts)
     arrows = tuple("" if force is None else arrow(float(force[last]), scale) for force in forces)
     return Body(
-        craft.name, path(true, rows), path(estimate, rows), path(reference, rows), pose(true, 0), pose(true, last),
-        pose(estimate, last) if estimate else "", _millimetres(start, "arm", ARM),
-        _millimetres(start, "propeller_radius", RADIUS), right if math.isfinite(right) else 0.0,
-        left if math.isfinite(left) else 0.0, (arrows[0], arrows[1]), (craft.tilt_limit or 0.0) * DEGREES,
+        craft.name,
+        path(true, rows),
+        path(estimate, rows),
+        path(reference, rows),
+        pose(true, 0),
+        pose(true, last),
+        pose(estimate, last) if estimate else "",
+        _millimetres(start, "arm", ARM),
+        _millimetres(start, "propeller_radius", RADIUS),
+        right if math.isfinite(right) else 0.0,
+        left if math.isfinite(left) else 0.0,
+        (arrows[0], arrows[1]),
+        (craft.tilt_limit or 0.0) * DEGREES,
         _marks(true, craft.run.time, every),
-    )  # fmt: skip
+    )
 
 
 def _millimetres(start: Any, name: str, usual: float) -> int:

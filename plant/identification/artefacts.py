@@ -5,6 +5,8 @@ from __future__ import annotations
 from cosim.storage.artefact import Artefact
 
 PROTOCOL = "a protocol of a testing bench"
+
+
 ARTEFACTS = (
     Artefact(
         PROTOCOL,
@@ -22,6 +24,7 @@ ARTEFACTS = (
         keys=(frozenset({"schema_version", "estimates"}),),
         verb="cosim identify",
         marks=("identify.json",),
+        files=("identify.json", "powertrain.yaml", "model.yaml", "report.html"),
         folder="the folder of an identification",
         folder_step="`cosim build --model` takes the model file in it",
     ),

@@ -79,16 +79,11 @@ class Cell:
     @property
     def left_one_out(self) -> Array:
         """What a curve without each inner point misses it by."""
-        inner = range(1, self.loads.size - 1)
-        return np.array(
-            [
-                float(
-                    replace(self, loads=np.delete(self.loads, k), volts=np.delete(self.volts, k)).force(self.volts[k])
-                )
-                - self.loads[k]
-                for k in inner
-            ]
-        )
+        missed = []
+        for k in range(1, self.loads.size - 1):
+            rest = replace(self, loads=np.delete(self.loads, k), volts=np.delete(self.volts, k))
+            missed.append(float(rest.force(self.volts[k])) - self.loads[k])
+        return np.array(missed)
 
 
 Cells = Mapping[str, Cell]
@@ -108,9 +103,8 @@ def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, left_o
     steps = np.diff(f)
     if not (np.all(np.diff(v) > 0) and (np.all(steps > 0) or np.all(steps < 0))):
         bad = next((k for k in range(steps.size) if v[k + 1] <= v[k] or steps[k] * np.median(steps) <= 0), 0)
-        raise ValueError(
-            f"between {v[bad]:.4g} V and {v[bad + 1]:.4g} V the load turns back; measure those points again"
-        )
+        place = f"between {v[bad]:.4g} V and {v[bad + 1]:.4g} V"
+        raise ValueError(f"{place} the load turns back; measure those points again")
     return Cell(f, v, error, tuple(left_out))
 
 
@@ -119,9 +113,11 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
     cells, known = {}, protocol.known
     for channel in CHANNELS:
         cell, unit = protocol.file.cells[channel], load_in_si(protocol, channel)
-        pairs = [(load * unit, volts) for load, volts in cell.points] or [
-            (load * unit, float(r.volts[channel].mean())) for load, r in zip(cell.loads, hung[channel], strict=True)
-        ]
+        points = cell.points
+        if not points:
+            hanging = zip(cell.loads, hung[channel], strict=True)
+            points = [(load, float(r.volts[channel].mean())) for load, r in hanging]
+        pairs = [(load * unit, volts) for load, volts in points]
         error = cell.error * cell.full_scale * unit
         outside = [v for _, v in pairs if not -RAIL_SLACK <= v / known.converter_range <= 1.0 + RAIL_SLACK]
         if outside:
@@ -133,11 +129,10 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
         if len(kept) < LEAST_POINTS:
             message = f"{len(kept)} of {len(pairs)} points are left, the others at an end of the converter's range"
             raise ValueError(f"cells.{channel}: {message} or within their error of it; measure more points inside it")
+        left_out = [load for (load, _), out in zip(pairs, rail, strict=True) if out]
         try:
-            cells[channel] = cell_of(
-                [f for f, _ in kept], [v for _, v in kept], error,
-                [f for (f, _), out in zip(pairs, rail, strict=True) if out],
-            )  # fmt: skip
+            loads, volts = zip(*kept, strict=True)
+            cells[channel] = cell_of(loads, volts, error, left_out)
         except ValueError as fault:
             raise ValueError(f"cells.{channel}: {fault}") from None
     return cells

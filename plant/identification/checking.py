@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cosim.storage.artefact import Checking
 from plant.identification.cells import calibrated
 from plant.identification.craft import read_craft
 from plant.identification.input_kind import craft_file
@@ -11,7 +12,7 @@ from plant.identification.prepared import prepare
 from plant.identification.workflow import checked_results
 
 
-def check_protocol(path: Path) -> list[str]:
+def check_protocol(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a protocol; raise InputError with every fault of it, or of logs of a craft.
 
     Recordings that were measured are analysed, so that a number that cannot be is a fault here as in `identify`.
@@ -24,4 +25,4 @@ def check_protocol(path: Path) -> list[str]:
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
     results = checked_results(protocol, calibrated(protocol, {}), measured, draw=False)
-    return [f"{r.test}: {text}" for r in results for text in r.warnings]
+    return [f"warning: {r.test}: {text}" for r in results for text in r.warnings]

@@ -37,16 +37,16 @@ class BenchColumn:
     cure: str
 
 
+HEIGHT_CURE = f"say its unit, {{name}} [mm]; {MAX_HEIGHT:g} m is as good as no ground"
 VOLTAGE_CURE = "say its unit in the column's name, {name} [mV], or `converter_range` under `parameters`"
 COLUMNS = {
     "duty": BenchColumn("%", 0.0, 100.0, "duty of the speed controller", f"write it in % of the frame: {PULSE}"),
     "servo_duty": BenchColumn("%", 0.0, 100.0, "duty of the servo", f"write it in % of the frame: {PULSE}"),
-    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "height of the propeller over the ground",
-                          f"say its unit, {{name}} [mm]; {MAX_HEIGHT:g} m is as good as no ground"),
+    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "height of the propeller over the ground", HEIGHT_CURE),
     "volts_z": BenchColumn("V", 0.0, None, "vertical cell", VOLTAGE_CURE),
     "volts_x": BenchColumn("V", 0.0, None, "horizontal cell", VOLTAGE_CURE),
     "volts_m": BenchColumn("V", 0.0, None, "cell of the moment about the tilting axis", VOLTAGE_CURE),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ def out_of_range(known: Bench, values: dict[str, Array]) -> Iterator[OutOfRange]
         duty_found |= name == "servo_duty"
         row = _first(outside)
         value = f"{name} is {values[name][row]:.4g} {column.unit} here"
-        allowed = f"beyond the converter's 0 to {high:g} V" if column.high is None else (
-            f"beyond {column.low:g} to {high:g} {column.unit} ({column.meaning})"
-        )  # fmt: skip
+        allowed = f"beyond {column.low:g} to {high:g} {column.unit} ({column.meaning})"
+        if column.high is None:
+            allowed = f"beyond the converter's 0 to {high:g} V"
         yield OutOfRange(row, f"{value}, {allowed}; {column.cure.format(name=name)}")
     angle = servo_angle(values["servo_duty"], known.servo_neutral, known.servo_slope)
     if not duty_found and (outside := np.abs(angle) > MAX_TILT).any():

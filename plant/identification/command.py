@@ -7,20 +7,15 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.logs import files_in
-from cosim.verbs.terminal import Force, Json, Open, Report, say, say_json, show, stages, warn
+from cosim.verbs.terminal import Force, Json, Open, Report, files_in, say, say_json, show, stages, warn
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to the app."""
-    app.command()(identify)
-
-
-def identify(
+def command(
     protocol: Annotated[
         Path,
         typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
     ],
+    *,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
@@ -39,7 +34,7 @@ def identify(
 
     place = results_of(protocol) if out is None else out
     with stages() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force, keep=out is None)
     for text in outcome.warnings:
         warn(text)
     for line in outcome.sentences:

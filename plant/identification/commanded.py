@@ -63,9 +63,12 @@ def lacks(known: Bench, name: str, test: Test, r: Recording, place: str, *, own:
         begins = f", and thrust begins above {see.idle:.2f} %" if own else ""
         begins += ", as of a share of one, duty [1]" if 0.0 < see.top <= 1.0 else ""
         yield Lack(
-            "duty" if isinstance(test, SineTest) else "phases", 0,
-            f"duty is {see.top:g} % at most{begins}: the phase with thrust is missing", "record it", "add it",
-        )  # fmt: skip
+            "duty" if isinstance(test, SineTest) else "phases",
+            0,
+            f"duty is {see.top:g} % at most{begins}: the phase with thrust is missing",
+            "record it",
+            "add it",
+        )
         return
     rested = see.duty[see.rest].max()
     if (name != "moment" and rested >= see.duty[~see.rest].max(initial=-np.inf)) or (
@@ -151,9 +154,9 @@ def _ramp(see: _Seen, place: str) -> Iterator[Lack]:
         what = f"the duty does not vary from {start:g} to {end:g} s: the ramp is missing"
         yield Lack("window", see.first(see.seen), what, "record it", "move the window to it")
     elif not with_thrust.any() or np.ptp(see.duty[with_thrust]) < LEAST_DUTY:
-        what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %, where "
-        yield Lack("window", see.first(see.seen), f"{what}thrust begins", "record a ramp that goes higher",
-                   "move the window, or let the ramp go higher")  # fmt: skip
+        what = f"of the ramp from {start:g} to {end:g} s less than {LEAST_DUTY:g} % is above {see.idle:.2f} %"
+        cure, row = "move the window, or let the ramp go higher", see.first(see.seen)
+        yield Lack("window", row, f"{what}, where thrust begins", "record a ramp that goes higher", cure)
     before = see.run.rows((start - (long := SETTLED * (see.known.lag + see.test.low_pass)), start))
     moved, ramp = (np.abs(np.diff(see.duty[rows])) for rows in (before, see.seen))
     at = float(see.run.time[before][1 + int(np.argmax(moved))]) if moved.size else -np.inf
@@ -198,24 +201,29 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
     assert isinstance(see.test, StepTest)
     r, at, (start, end) = see.run, see.test.at, see.test.window
     thrust = see.name == "thrust_step"
-    own, other, what = (see.duty, see.angle, "duty") if thrust else (see.angle, see.duty, "servo_duty")
+    if thrust:
+        own, other, what, other_name, least = see.duty, see.angle, "duty", "servo_duty", LEAST_STEP
+    else:
+        own, other, what, other_name, least = see.angle, see.duty, "servo_duty", "duty", LEAST_ANGLE
     row = min(int(np.searchsorted(r.time, at)), r.time.size - 1)
     near = (r.time >= at - 2.5 * r.step) & (r.time <= at + 2.5 * r.step)
-    least, step = LEAST_STEP if thrust else LEAST_ANGLE, np.abs(np.diff(own[near])).max(initial=0.0)
+    step = np.abs(np.diff(own[near])).max(initial=0.0)
     if step < least:
-        plan = f"phases of two values at one time make a step; {_steps(own, r.time, thrust)}"
-        small = 10.0 * step > least  # slower motion is none
-        size, need = (f"{v:.3g} %" if thrust else f"{np.degrees(v):.3g}°" for v in (step, least))
-        told = f"{what} steps by {size} at {at:g} s, less than {need}" if small else f"{what} has no step at {at:g} s"
-        further = f"let it step by {need} at least"
-        yield Lack("at", row, told, further if small else f"say when it is in {place}.at", further if small else plan)
+        if 10.0 * step > least:
+            size, need = (f"{v:.3g} %" if thrust else f"{np.degrees(v):.3g}°" for v in (step, least))
+            cure = f"let it step by {need} at least"
+            yield Lack("at", row, f"{what} steps by {size} at {at:g} s, less than {need}", cure, cure)
+        else:  # slower motion is none
+            plan = f"phases of two values at one time make a step; {_steps(own, r.time, least)}"
+            yield Lack("at", row, f"{what} has no step at {at:g} s", f"say when it is in {place}.at", plan)
         return
     if not start - 0.5 * r.step <= at <= end:
         told = f"`window` from {start:g} to {end:g} s does not hold the step `at` {at:g} s"
         cure = f"change {place}.window, or {place}.at"
         yield Lack("window", row, told, cure, "let it begin with the step, and end when its answer has settled")
         return
-    if (after := int(r.rows((at, end)).sum())) < LEAST_ROWS or int((r.time < at - 0.5 * r.step).sum()) < LEAST_BEFORE:
+    after, before = (int(rows.sum()) for rows in (r.rows((at, end)), r.time < at - 0.5 * r.step))
+    if after < LEAST_ROWS or before < LEAST_BEFORE:
         told = f"{after} rows stand after the step at {at:g} s in `window`, and {int((r.time < at).sum())} before it"
         cure = f"{LEAST_ROWS} after it and {LEAST_BEFORE} before it are needed"
         yield Lack("window", row, f"{told}; {cure}", f"change {place}.window", "move its end, or the step")
@@ -224,15 +232,13 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
     begin = max(float(r.time[0]), at - BEFORE - SETTLED * (see.known.lag + see.test.low_pass))
     seen = r.rows((begin, end))
     if np.ptp(other[seen]) > LEAST_ANGLE if thrust else moves(other[seen]):
-        told = (
-            f"{'servo_duty' if thrust else 'duty'} changes too about the step of {what}, from {begin:.4g} to {end:g} s"
-        )
+        told = f"{other_name} changes too about the step of {what}, from {begin:.4g} to {end:g} s"
         yield Lack("window", row, told, "record the step alone", "let the other stand from before the step on")
 
 
-def _steps(signal: Array, time: Array, thrust: bool) -> str:
-    """When a command steps."""
-    found = time[1:][np.abs(np.diff(signal)) >= (LEAST_STEP if thrust else LEAST_ANGLE)]
+def _steps(signal: Array, time: Array, least: float) -> str:
+    """When a command steps by as much."""
+    found = time[1:][np.abs(np.diff(signal)) >= least]
     return f"there is one at {', '.join(f'{t:g}' for t in found[:3])} s" if 0 < found.size < 20 else "there is none"
 
 

@@ -44,12 +44,11 @@ def coverage(path: Path, seeds: Sequence[int], tell: Callable[[int, int], None] 
 
 
 def _of(key: str, estimates: Sequence[Estimate]) -> Coverage:
-    values = np.array([e.value for e in estimates])
-    return Coverage(
-        key, estimates[0].unit, estimates[0].truth, float(np.mean([e.holds for e in estimates])), float(values.mean()),
-        float(np.nanmean([e.thesis for e in estimates])), float(np.mean([0.5 * (e.high - e.low) for e in estimates])),
-        float(values.std(ddof=1)) if values.size > 1 else 0.0,
-    )  # fmt: skip
+    first, values = estimates[0], np.array([e.value for e in estimates])
+    share, thesis = float(np.mean([e.holds for e in estimates])), float(np.nanmean([e.thesis for e in estimates]))
+    half = float(np.mean([0.5 * (e.high - e.low) for e in estimates]))
+    spread = float(values.std(ddof=1)) if values.size > 1 else 0.0
+    return Coverage(key, first.unit, first.truth, share, float(values.mean()), thesis, half, spread)
 
 
 def table(rows: Sequence[Coverage], seeds: int) -> str:

@@ -8,14 +8,14 @@ distance: {parameter: friction, output: x, covered: 1.5, files: [a.csv, b.csv, c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
@@ -124,29 +124,40 @@ def read_craft(yaml: YamlFile) -> Craft:
         raise
     if content.distance is not None:
         faults += _names(yaml, content.distance, loaded)
-    model, rest, runs = loaded.model, list[Log](), list[Log]()
-    for part, found, inputs in (("rest", rest, ()), ("distance", runs, model.inputs)):
-        asked, before = getattr(content, part), dict[bytes, str]()
-        for k, name in enumerate(asked.files if asked else ()):
-            path = yaml.path.parent / name
-            if not path.is_file():
-                faults.append(yaml.fault((part, "files", k), f"no such file: {name}"))
-                continue
-            if (same := before.setdefault(path.read_bytes(), f"file {k + 1}, {name}")) != f"file {k + 1}, {name}":
-                told = f"{name} holds what {same} does; each is a recording of its own, so leave one out"
-                faults.append(yaml.fault((part, "files", k), told))
-                continue
-            try:
-                found.append(read_log(path, inputs, model.outputs))
-            except InputError as error:
-                faults += error.faults
+    model = loaded.model
+    rest = _logs(yaml, "rest", content.rest, lambda path: read_log(path, (), model.outputs), faults)
+    runs = _logs(yaml, "distance", content.distance, lambda path: read_log(path, model.inputs, model.outputs), faults)
     if content.rest is not None and not faults:
         faults += rest_faults(yaml, rest, content.rest.window)
     if content.distance is not None and not faults:
-        faults += matching_faults(loaded.model, runs)
-    if faults:
-        raise InputError(faults)
+        faults += matching_faults(model, runs)
+    refuse(faults)
     return Craft(yaml, content, loaded, rest, runs)
+
+
+def _logs(
+    yaml: YamlFile,
+    part: str,
+    asked: RestFile | DistanceFile | None,
+    read: Callable[[Path], Log],
+    faults: list[Fault],
+) -> list[Log]:
+    """The logs that a part of the file names; what is wrong with one is added to the faults."""
+    logs, contents = list[Log](), dict[bytes, str]()
+    for k, name in enumerate(asked.files if asked else ()):
+        path, place = yaml.path.parent / name, (part, "files", k)
+        if not path.is_file():
+            faults.append(yaml.fault(place, f"no such file: {name}"))
+        elif (content := path.read_bytes()) in contents:
+            told = f"{name} holds what {contents[content]} does; each is a recording of its own, so leave one out"
+            faults.append(yaml.fault(place, told))
+        else:
+            contents[content] = f"file {k + 1}, {name}"
+            try:
+                logs.append(read(path))
+            except InputError as error:
+                faults += error.faults
+    return logs
 
 
 def _names(yaml: YamlFile, asked: DistanceFile, loaded: LoadedModel) -> Iterator[Fault]:

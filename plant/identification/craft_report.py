@@ -19,25 +19,28 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 def page(outcome: CraftOutcome) -> str:
     """One self-contained page."""
     craft, charts = outcome.craft, Charts()
-    rows = [
-        {
-            "name": e.name, "value": number(e.value, e.unit, 0.5 * (e.high - e.low)), "origin": e.origin,
-            "interval": " … ".join(number(v, e.unit, 0.5 * (e.high - e.low)) for v in (e.low, e.high)),
-            "thesis": number(e.thesis, e.unit, 0.5 * (e.high - e.low)),
-        }
-        for e in outcome.estimates.values()
-    ]  # fmt: skip
+    rows = []
+    for e in outcome.estimates.values():
+        value, low, high, thesis = (number(v, e.unit, e.half_width) for v in (e.value, e.low, e.high, e.thesis))
+        shown = {"value": value, "interval": f"{low} … {high}", "thesis": thesis}
+        rows.append({"name": e.name, "origin": e.origin, **shown})
     return render(
         TEMPLATE,
         {
-            "name": craft.file.name, "rows": rows, "version": __version__,
+            "name": craft.file.name,
+            "rows": rows,
+            "version": __version__,
             "badges": [Badge(craft.loaded.model.title), Badge(counted(len(craft.rest) + len(craft.runs), "log"))],
             "parts": [
-                {"name": r.test, "title": TITLES[r.test], "notes": r.notes,
-                 "plots": [(plot_of(f, charts), f.x_label) for f in r.figures]}
+                {
+                    "name": r.test,
+                    "title": TITLES[r.test],
+                    "notes": r.notes,
+                    "plots": [(plot_of(f, charts), f.x_label) for f in r.figures],
+                }
                 for r in outcome.results
             ],
             "repeat": f"cosim identify {craft.yaml.path}",
             "data": charts.data(),  # after all that is drawn
         },
-    )  # fmt: skip
+    )

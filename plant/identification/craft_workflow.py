@@ -17,8 +17,11 @@ from plant.identification.write import RECORD, REPORT, model_text, write
 FILES = ("model.yaml", RECORD, REPORT)
 
 
-def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True) -> CraftOutcome:
-    """Leave model.yaml, identify.json and report.html in `out`; raises InputError."""
+def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool = False) -> CraftOutcome:
+    """Write model.yaml, identify.json and report.html to `out`; raises InputError.
+
+    keep: the files of an earlier identification move to `runs` in `out`
+    """
     craft = read_craft(yaml)
     check_writable(out, FILES, craft.files)
     outcome, file = CraftOutcome(craft), craft.file
@@ -33,6 +36,7 @@ def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True) -> CraftOu
         {"name": file.name},
         outcome.results,
         (lambda: page(outcome)) if report else None,
+        keep=keep,
     )
     return outcome
 

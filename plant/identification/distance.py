@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
 from cosim.model import Model, Stepper
@@ -41,20 +41,17 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
                 observed.append(matched(observer, wanted, declared.bounds, near))
             except ValueError:
                 observed.append(float("nan"))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     thesis = float(np.mean(observed)) if observed else float("nan")
     named = [(parameter, declared.unit, thesis, float("nan"))]
     (estimate,) = made(named, np.array(values)[:, None], np.zeros((0, 1)), "distance covered (§5.5)")
     value = estimate.value
     found = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
-    figures = [
-        Figure(f"{run.path.name}: {output}", "time [s]", _unit(model, output), [
-            (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true"),
-            ("covered", run.time[-1:], np.array([wanted]), "dots"),
-        ])
-        for run, wanted in zip(runs, covered, strict=True)
-    ]  # fmt: skip
+    unit, figures = next(q.unit for q in model.outputs if q.name == output), []
+    for run, wanted in zip(runs, covered, strict=True):
+        path = (f"model, {parameter} = {value:.3g}", run.time, _path(run, found, output), "true")
+        end = ("covered", run.time[-1:], np.array([wanted]), "dots")
+        figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
     notes = []
     if observed and np.isnan(thesis):
         notes.append(f"the observer of App. F reaches the distance of some run with no {parameter}")
@@ -138,7 +135,3 @@ def _by_observer(run: Log, model: Model, parameter: str, output: str) -> Covered
         return float(kf.x[0])
 
     return covered
-
-
-def _unit(model: Model, output: str) -> str:
-    return next(q.unit for q in model.outputs if q.name == output)

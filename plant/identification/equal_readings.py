@@ -61,20 +61,19 @@ def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> Equ
             if count >= max(MIN_CLIPPED, MIN_CLIPPED_SHARE * inside.size):
                 row = int(np.flatnonzero(window & (volts == extreme))[0])
                 return EqualReadings("clipped", row, count, extreme)
-    changes = np.abs(np.diff(volts[window | rest]))
-    changes = changes[changes > 0.0]
+    return _coarse(volts[window | rest], near, equal, int(first))
+
+
+def _coarse(volts: Array, near: Array, equal: Flags, first: int) -> EqualReadings | None:
+    """Return readings that are repeated, or as coarse as what they measure; None where there are none."""
+    changes, jumps = (d[d > 0.0] for d in (np.abs(np.diff(volts)), np.abs(np.diff(near))))
     if not changes.size:
         return None
-    step = float(changes.min())
-    whole = float(equal.mean())
-    if (
-        whole > MIN_REPEATED_SHARE
-        and float(np.median(np.abs(np.diff(near))[np.diff(near) != 0.0])) > REPEATED_JUMP * step
-    ):
-        return EqualReadings("repeated", int(first), int(equal.sum()), 1.0 / (1.0 - whole))
-    span = float(np.ptp(volts[window | rest]))
-    if whole > MAX_EQUAL_SHARE and span < (MIN_LEVELS - 0.5) * step:
-        return EqualReadings("coarse", int(first), round(span / step), step)
+    share, step, span = float(equal.mean()), float(changes.min()), float(np.ptp(volts))
+    if share > MIN_REPEATED_SHARE and float(np.median(jumps)) > REPEATED_JUMP * step:
+        return EqualReadings("repeated", first, int(equal.sum()), 1.0 / (1.0 - share))
+    if share > MAX_EQUAL_SHARE and span < (MIN_LEVELS - 0.5) * step:
+        return EqualReadings("coarse", first, round(span / step), step)
     return None
 
 

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from plant.identification.cells import Cell, Cells
+from plant.bench import Bench
+from plant.identification.cells import Cell, Cells, force_of
+from plant.identification.recordings import Recording
 
 CONFIDENCE = 0.95
 
@@ -29,6 +31,11 @@ class Estimate:
     repetitions: int
     origin: str
     truth: float = float("nan")
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval."""
+        return 0.5 * (self.high - self.low)
 
     @property
     def holds(self) -> bool:
@@ -60,6 +67,39 @@ class Result:
     figures: list[Figure] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The recordings of a test, and what is known of the bench; `truth` where ours is played."""
+
+    recordings: Sequence[Recording]
+    cells: Cells
+    known: Bench
+    test: Any
+    truth: Bench | None = None
+
+    @property
+    def gram(self) -> float:
+        """Gram-force in a newton, at the bench's gravity."""
+        return 1000.0 / self.known.gravity
+
+    def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
+        """Force of a cell over a recording, its tare read at rest."""
+        return force_of(r, using or self.cells, channel, self.test.rest)
+
+    def printed_force(self, r: Recording, channel: str) -> Array:
+        """Force of a cell as the thesis reads it, tare and all."""
+        return force_of(r, self.cells, channel, None)
+
+    def true(self, name: str) -> float:
+        """The true value of a parameter, NaN where it is not known."""
+        return getattr(self.truth, name) if self.truth else float("nan")
+
+    def alike(self) -> list[Recording]:
+        """The recordings with as many rows in the window as the first."""
+        count = self.recordings[0].rows(self.test.window).sum()
+        return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)
@@ -99,12 +139,7 @@ def moved(cells: Cells, channel: str, point: int) -> Mapping[str, Cell]:
     return {**cells, channel: cells[channel].moved(point, cells[channel].error)}
 
 
-def made(
-    names: Sequence[tuple[str, str, float, float]],
-    each: Array,
-    shifts: Array,
-    origin: str,
-) -> list[Estimate]:
+def made(names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str) -> list[Estimate]:
     """Estimates of numbers, each (name, unit, by the thesis' estimator, true value), from (N, p) and shifts."""
     value, half, scatter, calibration = interval(each, shifts)
     return [

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.model.namespaces import arrays
-from plant.bench import Bench
-from plant.identification.cells import Cells, force_of
-from plant.identification.estimates import Figure, Result, interval, made, pseudo_values, shifts_of
+from plant.identification.cells import Cells
+from plant.identification.estimates import Figure, Measured, Result, interval, made, pseudo_values, shifts_of
 from plant.identification.protocol import HeightTest
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
@@ -19,77 +18,58 @@ CHEESEMAN_BENNETT = 2.0
 MISFIT_CHANCE = 1e-3  # of a warning where eq 4.28 is right
 
 
-def analyse(
-    recordings: Sequence[Recording],
-    cells: Cells,
-    known: Bench,
-    test: HeightTest,
-    truth: Bench | None,
-    *,
-    draw: bool = True,
-) -> Result:
+def analyse(m: Measured, *, draw: bool = True) -> Result:
     """Exponent k: the thesis by ln((Γ−1)/Γ) (4.24), which has no value where Γ ≤ 1; ours by least squares on Γ."""
-    sets = _sets(recordings, test)
-    main, others = sets[0], sets[1:]
-    heights = np.array(sorted(h for h in main if h < test.free_height))
+    main, *others = _sets(m.recordings, m.test)
+    heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free = max(main)
     count = min(len(main[h]) for h in main)
-    radius = known.propeller_radius
+    radius = m.known.propeller_radius
 
-    def forces(using: Cells, chosen: dict[float, list[Recording]]) -> Array:
+    def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Mean force, shape (heights with the free one last, repetitions)."""
-        return np.array(
-            [
-                [float(force_of(r, using, "z", test.rest)[r.rows(test.window)].mean()) for r in chosen[h][:count]]
-                for h in (*heights, free)
-            ]
-        )
+        rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
+        return np.array(rows)
 
-    def exponents(using: Cells) -> Array:
-        f = forces(using, main)
-
-        def of(rows: Rows) -> Array:
-            gains = f[:-1, rows].mean(axis=1) / f[-1, rows].mean()
-            return np.array([fit(heights, gains, radius, free)])
-
-        return pseudo_values(of, count)
-
-    raw = np.array(
-        [
-            [float(force_of(r, cells, "z", None)[r.rows(test.window)].mean()) for r in main[h][:count]]
-            for h in (*heights, free)
-        ]
-    )
-    thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
+    def modelled(exponent: float) -> Array:
+        return _gain(heights, radius, exponent) / _gain(np.array([free]), radius, exponent)
 
     def gains(using: Cells) -> Array:
         """Pseudo-values of Γ, shape (repetitions, heights)."""
-        f = forces(using, main)
+        f = forces(lambda r: m.force(r, "z", using))
         return pseudo_values(lambda rows: np.asarray(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
 
-    each = exponents(cells)
-    names = [("ground_effect_exponent", "1", thesis, truth.ground_effect_exponent if truth else np.nan)]
-    result = Result("ground_effect", made(names, each, shifts_of(exponents, cells, "z", each), "Test 2, fit on Γ, 1/Z̄"))
+    def exponents(using: Cells) -> Array:
+        f = forces(lambda r: m.force(r, "z", using))
+
+        def of(rows: Rows) -> Array:
+            return np.array([fit(heights, f[:-1, rows].mean(axis=1) / f[-1, rows].mean(), radius, free)])
+
+        return pseudo_values(of, count)
+
+    raw = forces(lambda r: m.printed_force(r, "z"))
+    thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
+    each = exponents(m.cells)
+    names = [("ground_effect_exponent", "1", thesis, m.true("ground_effect_exponent"))]
+    shifts = shifts_of(exponents, m.cells, "z", each)
+    result = Result("ground_effect", made(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
     if dropped:
         result.notes.append(
             f"{dropped} of {count * heights.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "
             "estimator leaves them out and is biased by it."
         )
-    k = result.estimates[0].value
-    result.warnings += _misfit(
-        heights / radius, _gain(heights, radius, k) / _gain(np.array([free]), radius, k), gains(cells),
-        shifts_of(gains, cells, "z"),
-    )  # fmt: skip
+    model = modelled(result.estimates[0].value)
+    result.warnings += _misfit(heights / radius, model, gains(m.cells), shifts_of(gains, m.cells, "z"))
     result.more = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
-        f = forces(cells, chosen)
-        error = f[:-1].mean(axis=1) / f[-1].mean() - _gain(heights, radius, k) / _gain(np.array([free]), radius, k)
-        duty = float(np.median(chosen[free][0].duty[chosen[free][0].rows(test.window)]))
-        rms = float(np.sqrt(np.mean(error**2)))
+        f = forces(lambda r: m.force(r, "z"), chosen)
+        run = chosen[free][0]
+        duty = float(np.median(run.duty[run.rows(m.test.window)]))
+        rms = float(np.sqrt(np.mean((f[:-1].mean(axis=1) / f[-1].mean() - model) ** 2)))
         result.more["validation_rmse"] = rms
         result.notes.append(f"Validation at {duty:g} % of duty, not used in the fit: Γ is missed by {rms:.4f} (rms).")
     if draw:
-        result.figures = _figures(result, heights / radius, forces(cells, main))
+        result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")))
     return result
 
 
@@ -165,26 +145,21 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
     def curve(k: float) -> Array:
         return _gain(grid, 1.0, k)
 
-    pseudo = np.array(
-        [
-            forces.shape[1] * f.mean() / forces[-1].mean()
-            - (forces.shape[1] - 1) * (f.sum() - f) / (forces[-1].sum() - forces[-1])
-            for f in forces[:-1]
-        ]
-    ).T
+    n, free = forces.shape[1], forces[-1]
+    rest = free.sum() - free
+    pseudo = np.array([n * f.mean() / free.mean() - (n - 1) * (f.sum() - f) / rest for f in forces[:-1]]).T
     mean, half, _, _ = interval(pseudo, np.zeros((0, ratios.size)))
-    band = (curve(estimate.high), curve(estimate.low))
+    band = ("95 % of k", grid, curve(estimate.high), curve(estimate.low))
+    several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
+    readings = ("single ratios", z, single.ravel(), "dots")
+    models = [
+        (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
+        ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
+    ]
+    axes, title = ("height / radius", "Γ"), "Ground effect with 95 % intervals"
+    bars = [(ratios, mean - half, mean + half)]
     return [
-        Figure("Γ for several k", "height / radius", "Γ", [
-            (f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))
-        ], counterpart="Fig 4.6"),
-        Figure("Ground effect: single ratios and models", "height / radius", "Γ", [
-            ("single ratios", z, single.ravel(), "dots"),
-            (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
-            ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
-        ], counterpart="Fig 4.12"),
-        Figure("Ground effect with 95 % intervals", "height / radius", "Γ", [
-            (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
-            ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
-        ], band=("95 % of k", grid, *band), bars=[(ratios, mean - half, mean + half)], counterpart="Fig 4.13"),
-    ]  # fmt: skip
+        Figure("Γ for several k", *axes, several, counterpart="Fig 4.6"),
+        Figure("Ground effect: single ratios and models", *axes, [readings, *models], counterpart="Fig 4.12"),
+        Figure(title, *axes, models, band=band, bars=bars, counterpart="Fig 4.13"),
+    ]

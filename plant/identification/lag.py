@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from plant.bench import Bench
-from plant.identification.cells import Cells, force_of
+from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, held_lag, low_pass, tilt_response
 from plant.identification.commanded import BEFORE
-from plant.identification.estimates import Figure, Result, least, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, least, made, shifts_of
 from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording
 
@@ -19,75 +16,65 @@ SETTLED = (0.68, 0.88)  # [s] after the step, over which App. D.3.4 takes the en
 SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2).sum()
 
 
-def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: StepTest, truth: Bench | None, *,
-    draw: bool = True,    thrust: bool = False,
-) -> Result:  # fmt: skip
+def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
     """τ by a fit of F_x(t), behind the servo that is known; beside it by 63 %, by rise time, by slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     # every repetition plays the same commands; measured ones are told from their own
-    rows = [r.rows((test.at - BEFORE, test.window[1])) for r in recordings]
+    rows = [r.rows((m.test.at - BEFORE, m.test.window[1])) for r in m.recordings]
     shapes: dict[bytes, Array] = {}
 
     def shape(r: Recording, chosen: Flags) -> Array:
-        command = r.duty if thrust else r.servo_duty
-        key = command.tobytes() + chosen.tobytes()
+        key = (r.duty if thrust else r.servo_duty).tobytes() + chosen.tobytes()
         if key not in shapes:
-            if thrust:
-                effective = np.maximum(r.duty, -known.thrust_offset / known.thrust_slope)
-                table = np.stack([held_lag(effective, r.step, tau) for tau in LAGS], axis=1)
-            else:
-                table = np.sin(tilt_response(known, r.time, r.servo_duty, LAGS))
-            table = low_pass(table, r.step, test.low_pass)[chosen]
+            table = _response(m, r, LAGS, thrust=thrust)[chosen]
             table = table - table.mean(axis=0)
             shapes[key] = table / np.sqrt((table**2).sum(axis=0))
         return shapes[key]
 
     def lags(using: Cells) -> Array:
         cost = []
-        for r, chosen in zip(recordings, rows, strict=True):
-            y = force_of(r, using, channel, test.rest)[chosen]
+        for r, chosen in zip(m.recordings, rows, strict=True):
+            y = m.force(r, channel, using)[chosen]
             y = y - y.mean()
             cost.append(y @ y - (shape(r, chosen).T @ y) ** 2)
         return least(LAGS, np.array(cost))[:, None]
 
-    each = lags(cells)
-    hand = np.array([by_hand(r, force_of(r, cells, channel, None), test) for r in recordings])
-    true = truth.lag if truth else np.nan
-    origin = f"Test 4, fit of the {title} after a step"
-    shifts = shifts_of(lags, cells, channel, each)
-    ways = ("63 %", "rise time", "slope")
-    result = Result(
-        "thrust_step" if thrust else "step",
-        made([(name, "s", _mean(hand[:, 0]), true)], each, shifts, origin),
-    )
-    result.more = {
-        w: {
-            "mean": _mean(hand[:, k]),
-            "half_width_of_one": 1.96 * _deviation(hand[:, k]),
-        }
-        for k, w in enumerate(ways)
-    }
+    each = lags(m.cells)
+    hand = np.array([by_hand(r, m.printed_force(r, channel), m.test) for r in m.recordings])
+    names = [(name, "s", _mean(hand[:, 0]), m.true("lag"))]
+    shifts, origin = shifts_of(lags, m.cells, channel, each), f"Test 4, fit of the {title} after a step"
+    result = Result("thrust_step" if thrust else "step", made(names, each, shifts, origin))
+    told = []
+    for k, way in enumerate(("63 %", "rise time", "slope")):
+        mean, half = _mean(hand[:, k]), 1.96 * _deviation(hand[:, k])
+        result.more[way] = {"mean": mean, "half_width_of_one": half}
+        told.append(f"{1000 * mean:.1f} ± {1000 * half:.1f} ms by {way}")
     result.more["single_fits"] = {"mean": float(each.mean()), "half_width_of_one": float(1.96 * each.std(ddof=1))}
     result.notes.append(
-        "As the thesis reads it: "
-        + ", ".join(
-            f"{1000 * result.more[w]['mean']:.1f} ± {1000 * result.more[w]['half_width_of_one']:.1f} ms by {w}"
-            for w in ways
-        )
-        + f"; single fits {1000 * each.mean():.1f} ± {1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test)."
+        f"As the thesis reads it: {', '.join(told)}; single fits {1000 * each.mean():.1f} ± "
+        f"{1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test)."
     )
-    step = max(r.step for r in recordings)
+    step = max(r.step for r in m.recordings)
     if step > result.estimates[0].value:
         result.warnings.append(
             f"rows are {step:.3g} s apart, more than the lag of {result.estimates[0].value:.3g} s: nothing of its "
             "shape is in them, and the number rests on the equation of first order; record faster"
         )
-    if not thrust and truth:
+    if not thrust and m.truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
     if draw:
-        result.figures = _figures(result, recordings, cells, known, test, channel, thrust)
+        result.figures = [_figure(m, result.estimates[0].value, thrust=thrust)]
     return result
+
+
+def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
+    """Shape of the force behind the command of a run for each lag, shape (rows, lags)."""
+    if thrust:
+        effective = np.maximum(r.duty, -m.known.thrust_offset / m.known.thrust_slope)
+        table = np.stack([held_lag(effective, r.step, tau) for tau in lags], axis=1)
+    else:
+        table = np.sin(tilt_response(m.known, r.time, r.servo_duty, lags))
+    return low_pass(table, r.step, m.test.low_pass)
 
 
 def _mean(values: Array) -> float:
@@ -123,42 +110,21 @@ def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, f
     return reached(0.63), (reached(0.9) - reached(0.1)) / 2.2, 1.0 / slope if slope > 0 else float("nan")
 
 
-def _figures(
-    result: Result,
-    recordings: Sequence[Recording],
-    cells: Cells,
-    known: Bench,
-    test: StepTest,
-    channel: str,
-    thrust: bool,
-) -> list[Figure]:
-    gram, lines = 1000.0 / known.gravity, []
+def _figure(m: Measured, tau: float, *, thrust: bool) -> Figure:
+    channel, window = "z" if thrust else "x", (m.test.at - 0.1, m.test.at + 0.9)
     x, y = [], []
-    for r in recordings:
-        rows = r.rows((test.at - 0.1, test.at + 0.9))
-        f = gram * force_of(r, cells, channel, test.rest)
-        x += [*(r.time[rows] - test.at), np.nan]
-        y += [*f[rows], np.nan]
-    lines.append((f"{len(recordings)} tests", np.array(x), np.array(y), "s0"))
-    r, tau = recordings[0], result.estimates[0].value
-    rows = r.rows((test.at - 0.1, test.at + 0.9))
-    if thrust:
-        shape = held_lag(np.maximum(r.duty, -known.thrust_offset / known.thrust_slope), r.step, tau)
-    else:
-        shape = np.sin(tilt_response(known, r.time, r.servo_duty, np.array([tau]))[:, 0])
-    shape = low_pass(shape, r.step, test.low_pass)[rows]
-    mean = np.mean(
-        [gram * force_of(q, cells, channel, test.rest)[rows] for q in recordings if q.time.size == r.time.size], axis=0
-    )
-    slope, offset = np.polyfit(shape, mean, 1)
-    lines.append((f"fit, τ = {1000 * tau:.1f} ms", r.time[rows] - test.at, offset + slope * shape, "true"))
-    what = "thrust after a step of the duty" if thrust else "horizontal force after a step of the tilt"
-    return [
-        Figure(
-            f"Answer of the {what}",
-            "time after the step [s]",
-            "gf",
-            lines,
-            counterpart="no counterpart" if thrust else "Fig 4.16",
-        )
-    ]
+    for r in m.recordings:
+        rows = r.rows(window)
+        x += [*(r.time[rows] - m.test.at), np.nan]
+        y += [*m.gram * m.force(r, channel)[rows], np.nan]
+    r = m.recordings[0]
+    rows = r.rows(window)
+    shape = _response(m, r, np.array([tau]), thrust=thrust)[rows, 0]
+    forces = [m.gram * m.force(q, channel)[rows] for q in m.recordings if q.time.size == r.time.size]
+    slope, offset = np.polyfit(shape, np.mean(forces, axis=0), 1)
+    tests = (f"{len(m.recordings)} tests", np.array(x), np.array(y), "s0")
+    fit = (f"fit, τ = {1000 * tau:.1f} ms", r.time[rows] - m.test.at, offset + slope * shape, "true")
+    what, like = ("thrust after a step of the duty", "no counterpart")
+    if not thrust:
+        what, like = "horizontal force after a step of the tilt", "Fig 4.16"
+    return Figure(f"Answer of the {what}", "time after the step [s]", "gf", [tests, fit], counterpart=like)

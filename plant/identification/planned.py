@@ -31,15 +31,15 @@ def _step_faults(yaml: YamlFile, content: ProtocolFile, tests: list[tuple[str, T
     """A step that is too long for windows and sines, or too short to be played, at the step itself."""
     step = content.step
     if step < LONGEST / MOST_ROWS and (longest := max((_end(t) for _, t in tests), default=0.0)) / step > MOST_ROWS:
-        message = (
-            f"a run of {longest:g} s has {longest / step:.3g} rows, {MOST_ROWS} at most; {longest / MOST_ROWS:.1g}"
-        )
-        yield yaml.fault(("step",), f"{message} s or more")
+        rows, least_step = f"{longest / step:.3g}", f"{longest / MOST_ROWS:.1g}"
+        message = f"a run of {longest:g} s has {rows} rows, {MOST_ROWS} at most; {least_step} s or more"
+        yield yaml.fault(("step",), message)
         return
-    least = [((end - start) / LEAST_ROWS, f"tests.{n}.{key}")
-             for n, t in tests for key, (start, end) in windows_of(t).items()]  # fmt: skip
-    least += [(2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s")
-              for n, t in tests if isinstance(t, SineTest) for w in t.frequencies]  # fmt: skip
+    least = []
+    for n, t in tests:
+        least += [((end - start) / LEAST_ROWS, f"tests.{n}.{key}") for key, (start, end) in windows_of(t).items()]
+        for w in t.frequencies if isinstance(t, SineTest) else ():
+            least.append((2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s"))
     short = sorted(pair for pair in least if pair[0] < step * (1.0 - 1e-9))
     if len(short) > 1:
         others = f"{short[0][1]} and {counted(len(short) - 1, 'other')}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import is_model
 from cosim.loading.file import load_model, named_model
 from cosim.model import Model
@@ -31,8 +31,7 @@ def read_protocol(path: Path) -> Protocol:
     """Read a protocol; InputError with every fault that can be known without its model and recordings."""
     protocol, faults = partly_read(path)
     faults = faults or planned_faults(protocol.yaml, protocol.file, protocol.known)
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return protocol
 
 
@@ -96,8 +95,7 @@ def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
         faults += repeated(found[name])
         if cells is not None:
             faults += recording_faults(protocol, name, found[name], cells)
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found
 
 

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cosim.base.arrays import Array
-from plant.bench import Bench
-from plant.identification.cells import Cells, force_of
+from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Result, made, shifts_of
-from plant.identification.protocol import HoldTest
-from plant.identification.recordings import Recording, alike
+from plant.identification.estimates import Figure, Measured, Result, made, shifts_of
+from plant.identification.recordings import Recording
 from plant.powertrain import servo_angle
 
 BIN = np.radians(2.5)
 
 
-def analyse(
-    recordings: Sequence[Recording],
-    cells: Cells,
-    known: Bench,
-    test: HoldTest,
-    truth: Bench | None,
-    *,
-    draw: bool = True,
-) -> Result:
+def analyse(m: Measured, *, draw: bool = True) -> Result:
     """Factors on cos α and sin α in F_z and F_x over the thrust held upright: 1 where these project it."""
+    recordings, known, test = m.recordings, m.known, m.test
     tilts: dict[bytes, Array] = {}
 
     def tilt(r: Recording) -> Array:
@@ -40,19 +29,18 @@ def analyse(
         rows = []
         for r in recordings:
             w, alpha = r.rows(test.window), tilt(r)
-            fz, fx = (force_of(r, using, c, test.rest) for c in "zx")
+            fz, fx = (m.force(r, c, using) for c in "zx")
             total = fz[r.rows(test.hold)].mean()
             cos, sin = (low_pass(f(alpha), r.step, test.low_pass)[w] for f in (np.cos, np.sin))
             rows.append([fz[w] @ cos / (cos @ cos) / total, fx[w] @ sin / (sin @ sin) / total])
         return np.array(rows)
 
-    each = factors(cells)
-    thesis = _thesis(recordings, cells, known, test)
-    one = 1.0 if truth else np.nan
+    each = factors(m.cells)
+    thesis = _thesis(m)
+    one = 1.0 if m.truth else np.nan
     names = [("vertical_projection", "1", thesis[0], one), ("horizontal_projection", "1", thesis[1], one)]
-    result = Result(
-        "projection", made(names, each, shifts_of(factors, cells, "zx", each), "Test 3, over cos α and sin α")
-    )
+    shifts = shifts_of(factors, m.cells, "zx", each)
+    result = Result("projection", made(names, each, shifts, "Test 3, over cos α and sin α"))
     # deviation of the functions themselves, in bins of the angle
     edges = BIN * np.arange(-36, 37)
     deviation: dict[str, Array] = {}
@@ -60,7 +48,7 @@ def analyse(
         measured = []
         for r in recordings:
             w, alpha = r.rows(test.window), tilt(r)
-            force = force_of(r, cells, c, test.rest)[w] / force_of(r, cells, "z", test.rest)[r.rows(test.hold)].mean()
+            force = m.force(r, c)[w] / m.force(r, "z")[r.rows(test.hold)].mean()
             off = force - low_pass(f(alpha), r.step, test.low_pass)[w]
             place = np.digitize(alpha[w], edges)
             measured.append([off[place == j].mean() if (place == j).any() else np.nan for j in range(1, edges.size)])
@@ -74,45 +62,39 @@ def analyse(
         "in bins of 2.5°: sine and cosine project it."
     )
     if draw:
-        result.figures = _figures(recordings, cells, known, test, tilt(recordings[0]))
+        result.figures = _figures(m, tilt(recordings[0]))
     return result
 
 
-def _thesis(recordings: Sequence[Recording], cells: Cells, known: Bench, test: HoldTest) -> tuple[float, float]:
+def _thesis(m: Measured) -> tuple[float, float]:
     """Against the thrust of the first five rows of the fifth test, at the angle that is commanded, no tare."""
-    fifth = recordings[min(4, len(recordings) - 1)]
-    total = float(force_of(fifth, cells, "z", None)[fifth.rows(test.window)][:5].mean())
+    fifth = m.recordings[min(4, len(m.recordings) - 1)]
+    total = float(m.printed_force(fifth, "z")[fifth.rows(m.test.window)][:5].mean())
     top, bottom = np.zeros(2), np.zeros(2)
-    for r in recordings:
-        w = r.rows(test.window)
-        alpha = servo_angle(r.servo_duty[w], known.servo_neutral, known.servo_slope)
+    for r in m.recordings:
+        w = r.rows(m.test.window)
+        alpha = servo_angle(r.servo_duty[w], m.known.servo_neutral, m.known.servo_slope)
         for k, (c, f) in enumerate((("z", np.cos), ("x", np.sin))):
-            top[k] += force_of(r, cells, c, None)[w] @ f(alpha)
+            top[k] += m.printed_force(r, c)[w] @ f(alpha)
             bottom[k] += f(alpha) @ f(alpha)
     v, h = top / bottom / total
     return float(v), float(h)
 
 
-def _figures(recordings: Sequence[Recording], cells: Cells, known: Bench, test: HoldTest, alpha: Array) -> list[Figure]:
-    gram, found = 1000.0 / known.gravity, []
-    w = recordings[0].rows(test.window)
-    angle = np.degrees(alpha[w])
-    some = slice(None, None, max(1, angle.size // 120))
+def _figures(m: Measured, alpha: Array) -> list[Figure]:
+    window, same, found = m.test.window, m.alike(), []
+    angle = np.degrees(alpha[m.recordings[0].rows(window)])
+    some, bars = slice(None, None, max(1, angle.size // 120)), slice(None, None, max(1, angle.size // 10))
     order = np.argsort(angle)
-    same = alike(recordings, test.window)
-    total = gram * np.mean([force_of(r, cells, "z", test.rest)[r.rows(test.hold)].mean() for r in same])
+    total = m.gram * np.mean([m.force(r, "z")[r.rows(m.test.hold)].mean() for r in same])
     for c, f, name in (("z", np.cos, "Vertical"), ("x", np.sin, "Horizontal")):
-        data = gram * np.array([force_of(r, cells, c, test.rest)[r.rows(test.window)] for r in same])
+        data = m.gram * np.array([m.force(r, c)[r.rows(window)] for r in same])
         model = total * f(np.radians(angle))
         spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))
-        what = "T·cos α" if c == "z" else "T·sin α"
-        found.append(Figure(f"{name} force over the tilt", "tilt [°]", "gf", [
-            ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots"),
-            (what, angle[order], model[order], "true"),
-        ], counterpart="Fig 4.14"))  # fmt: skip
-        bars = slice(None, None, max(1, angle.size // 10))
-        found.append(Figure(f"{name} force: 95 % of single readings", "tilt [°]", "gf",
-                            [(what, angle[order], model[order], "true")],
-                            bars=[(angle[bars], (model - spread)[bars], (model + spread)[bars])],
-                            counterpart="Fig 4.15"))  # fmt: skip
+        readings = ("readings", np.tile(angle[some], len(same)), data[:, some].ravel(), "dots")
+        line = (f"T·{f.__name__} α", angle[order], model[order], "true")
+        ends = [(angle[bars], (model - spread)[bars], (model + spread)[bars])]
+        title, axes = f"{name} force", ("tilt [°]", "gf")
+        found.append(Figure(f"{title} over the tilt", *axes, [readings, line], counterpart="Fig 4.14"))
+        found.append(Figure(f"{title}: 95 % of single readings", *axes, [line], bars=ends, counterpart="Fig 4.15"))
     return found

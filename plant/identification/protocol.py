@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from cosim.base.errors import Fault, InputError
@@ -36,6 +37,7 @@ CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is comp
 BENCH = "bench"  # our own
 MAX_OVERLOAD = 1.5  # of full scale, which a cell may be loaded to for its calibration
 MIN_SPAN = 10.0  # errors of a load that the loads of a calibration span, at least
+WINDOWS = ("rest", "window", "hold")  # of a test
 LONGEST = 3600.0  # [s] of a run that is played
 
 Metres = Annotated[Positive, InUnit("m")]
@@ -266,32 +268,38 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
             yield yaml.fault(("cells", name), f"no such cell; a bench has {', '.join(CHANNELS)}", key=True)
             continue
         if factor(cell.unit, CHANNELS[name]) is None:
-            yield yaml.fault(
-                ("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{_force_unit(cell.unit)}"
-            )
-        if not (cell.loads or cell.points) and _given(yaml, name):
-            continue  # what is wrong with them is told already
-        if bool(cell.loads) == bool(cell.points):
+            message = f"{cell.unit} is no unit of {CHANNELS[name]}{_force_unit(cell.unit)}"
+            yield yaml.fault(("cells", name, "unit"), message)
+        written = yaml.root["cells"][name]
+        if bool(cell.loads) != bool(cell.points):
+            yield from _calibration_faults(yaml, content, name, cell)
+        elif cell.loads or not (written.get("loads") or written.get("points")):  # what cannot be read is told already
             cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
             yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
-        elif cell.loads and content.bench is None:
-            yield yaml.fault(("cells", name, "loads"), "no bench is played; give `points` [load, voltage] as measured")
-        elif twice := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
-            for k in twice:
-                yield yaml.fault(("cells", name, "loads", k), f"{cell.loads[k]:g} is hung twice; hang each load once")
-        elif len(cell.loads or cell.points) < 4:
-            key = "loads" if cell.loads else "points"
-            yield yaml.fault(("cells", name, key), "a curve needs four points at least; measure more")
-        elif beyond := [k for k, load in enumerate(_loads(cell)) if abs(load) > MAX_OVERLOAD * cell.full_scale]:
-            load = _loads(cell)[beyond[0]]
-            message = f"{load:g} {cell.unit} is beyond the cell's full_scale of {cell.full_scale:g} {cell.unit}"
-            cure = "correct the unit, the load or full_scale"
-            key = "loads" if cell.loads else "points"
-            yield yaml.fault(("cells", name, key, beyond[0]), f"{message}; {cure}")
-        elif (span := max(_loads(cell)) - min(_loads(cell))) < MIN_SPAN * cell.error * cell.full_scale:
-            message = f"the loads span {span:.3g} {cell.unit}, where the error of each is "
-            message += f"{cell.error * cell.full_scale:.3g} {cell.unit} (`error` of `full_scale`)"
-            yield yaml.fault(("cells", name), f"{message}; correct the unit, or hang larger loads", key=True)
+
+
+def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
+    """Yield what keeps the loads or points of a cell from giving a curve."""
+    at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
+    if cell.loads and content.bench is None:
+        yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
+        return
+    if twice := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
+        for k in twice:
+            yield yaml.fault((*at, key, k), f"{cell.loads[k]:g} is hung twice; hang each load once")
+        return
+    loads = np.array(cell.loads or [load for load, _ in cell.points], float)
+    beyond = np.flatnonzero(np.abs(loads) > MAX_OVERLOAD * cell.full_scale).tolist()
+    span, error = float(np.ptp(loads)), cell.error * cell.full_scale
+    if len(loads) < 4:
+        yield yaml.fault((*at, key), "a curve needs four points at least; measure more")
+    elif beyond:
+        message = f"{loads[beyond[0]]:g} {unit} is beyond the cell's full_scale of {cell.full_scale:g} {unit}"
+        yield yaml.fault((*at, key, beyond[0]), f"{message}; correct the unit, the load or full_scale")
+    elif span < MIN_SPAN * error:
+        message = f"the loads span {span:.3g} {unit}, where the error of each is {error:.3g} {unit}"
+        cure = "correct the unit, or hang larger loads"
+        yield yaml.fault(at, f"{message} (`error` of `full_scale`); {cure}", key=True)
 
 
 def _force_unit(unit: str) -> str:
@@ -299,40 +307,16 @@ def _force_unit(unit: str) -> str:
     return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
 
 
-def _loads(cell: CellFile) -> list[float]:
-    """Return the loads of a calibration, in the cell's unit."""
-    return [float(load) for load in cell.loads] or [float(load) for load, _ in cell.points]
-
-
-def _given(yaml: YamlFile, cell: str) -> bool:
-    """Loads or points stand there, though they could not be read."""
-    written = yaml.root["cells"][cell]
-    return bool(written.get("loads") or written.get("points"))
-
-
 def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
     at = ("tests", name)
-    if not test.files and content.bench is None:
+    if test.files:
+        yield from _file_faults(yaml, at, test.files)
+    elif content.bench is None:
         cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
         yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
-    elif not test.files:
-        if not test.phases and not isinstance(test, SineTest):
-            yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
-        if test.repetitions < LEAST:
-            message = f"{test.repetitions} are too few: intervals come from scatter between {LEAST} or more"
-            yield yaml.fault((*at, "repetitions"), message)
-        times = [p[0] for p in test.phases]
-        if times != sorted(times) or (times and times[-1] > LONGEST):
-            yield yaml.fault((*at, "phases"), f"times of phases increase, up to {LONGEST:g} s")
-        elif times and not isinstance(test, SineTest):
-            yield from _missing_phases(yaml, at, test, times[-1])
-    elif len(test.files) < LEAST:
-        few = f"{counted(len(test.files), 'recording')}, too few"
-        yield yaml.fault((*at, "files"), f"{few}: intervals come from scatter between {LEAST} or more")
-    for k, file in enumerate(test.files):
-        if file in test.files[:k]:
-            yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
-    for key in ("rest", "window", "hold"):
+    else:
+        yield from _phase_faults(yaml, at, test)
+    for key in WINDOWS:
         window = getattr(test, key, None)
         if window is not None and window[0] >= window[1]:
             yield yaml.fault((*at, key), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
@@ -342,8 +326,30 @@ def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -
         yield yaml.fault((*at, "heights"), "two heights at least")
 
 
+def _file_faults(yaml: YamlFile, at: tuple[str, ...], files: list[str]) -> Iterator[Fault]:
+    if len(files) < LEAST:
+        few = f"{counted(len(files), 'recording')}, too few"
+        yield yaml.fault((*at, "files"), f"{few}: intervals come from scatter between {LEAST} or more")
+    for k, file in enumerate(files):
+        if file in files[:k]:
+            yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
+
+
+def _phase_faults(yaml: YamlFile, at: tuple[str, ...], test: Test) -> Iterator[Fault]:
+    if not test.phases and not isinstance(test, SineTest):
+        yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
+    if test.repetitions < LEAST:
+        message = f"{test.repetitions} are too few: intervals come from scatter between {LEAST} or more"
+        yield yaml.fault((*at, "repetitions"), message)
+    times = [p[0] for p in test.phases]
+    if times != sorted(times) or (times and times[-1] > LONGEST):
+        yield yaml.fault((*at, "phases"), f"times of phases increase, up to {LONGEST:g} s")
+    elif times and not isinstance(test, SineTest):
+        yield from _missing_phases(yaml, at, test, times[-1])
+
+
 def _missing_phases(yaml: YamlFile, at: tuple[str, ...], test: Test, end: float) -> Iterator[Fault]:
-    for key in ("rest", "window", "hold"):
+    for key in WINDOWS:
         window = getattr(test, key, None)
         if window is not None and window[1] > end + 1e-9:
             yield yaml.fault((*at, key), f"ends at {window[1]:g} s, the phases at {end:g} s; move it or add a phase")

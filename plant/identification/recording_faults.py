@@ -15,13 +15,15 @@ from plant.identification.columns import MAX_LOWEST_HEIGHT_RATIO, out_of_range, 
 from plant.identification.command_response import held_lag
 from plant.identification.commanded import frequency_of, lacks
 from plant.identification.equal_readings import EqualReadings, equal_readings
+from plant.identification.estimates import Measured
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
 from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_thrust
 from plant.powertrain import servo_angle
 
 SWAPPED = "are the channels swapped? Change their names"
-MOST_AT_RAIL = 0.5  # of the readings of a window
+MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # of the readings of a window; of other tests 0.05
+WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # cells
 LEAST_FORCE = 3.0  # standard deviations of one reading at rest
 PROJECTION = (0.4, 2.5)  # factor on sin α within which angle and cells may be off; beyond it a column is another
 MAX_TARE = 0.25  # of a calibration's voltages, by which a cell at rest may be off
@@ -40,7 +42,7 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if not faults:
         faults += _of_all(protocol, name, test, recordings)
-        if name == "thrust_line" and not rows_with_thrust(recordings, cells, protocol.known, test).enough:
+        if name == "thrust_line" and not rows_with_thrust(Measured(recordings, cells, protocol.known, test)).enough:
             cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
             where = ("tests", name, "window")
             faults.append(protocol.yaml.fault(where, f"the ramp has too little thrust within the cell's range: {cure}"))
@@ -79,31 +81,28 @@ def _missing(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterato
 def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
     """Yield swapped, mirrored, saturated, stuck and coarse channels."""
     window = _window(test, r)
-    wanted = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}.get(
-        name, "x"
-    )
+    wanted, at_most = WANTED.get(name, "x"), MOST_AT_RAIL.get(name, 0.05)
     known = protocol.known
     for c in wanted:
         rail = at_rail(known, r.volts[c]) & window
         share = rail.sum() / window.sum()
-        if share > (1.0 - 0.2 if name == "thrust_line" else MOST_AT_RAIL if name == "projection" else 0.05):
+        if share > at_most:
             row = int(np.flatnonzero(rail)[0])
             cure = "take a cell of a larger range, or less thrust"
             where = f"{r.volts[c][row]:.3g} V, at {100 * share:.0f} % of the readings, first in this row"
             yield _at(protocol, r, f"volts_{c} is at the end of its range, {where}; {cure}", row)
             return
-        if r.path is not None and (
-            found := equal_readings(r.volts[c], window, r.rows(test.rest), at_rail(known, r.volts[c]))
-        ):
-            if found.kind != "repeated" or name in TIMED:
-                yield _at(protocol, r, f"volts_{c} {_told(found, r)}", found.row)
-                return
-        elif r.path is None and np.ptp(r.volts[c][window]) == 0.0:
+        if r.path is None and np.ptp(r.volts[c][window]) == 0.0:
             yield _at(protocol, r, f"volts_{c} stands still at {r.volts[c][window][0]:.4g} V; does the bench move it?")
             return
-    yield from list(_channels_at_fault(protocol, name, test, r, cells, wanted)) or _other_cell(
-        protocol, test, r, cells, wanted
-    )
+        if r.path is None:
+            continue
+        found = equal_readings(r.volts[c], window, r.rows(test.rest), at_rail(known, r.volts[c]))
+        if found and (found.kind != "repeated" or name in TIMED):
+            yield _at(protocol, r, f"volts_{c} {_told(found, r)}", found.row)
+            return
+    faults = list(_channels_at_fault(protocol, name, test, r, cells))
+    yield from faults or _other_cell(protocol, test, r, cells, wanted)
 
 
 def _told(found: EqualReadings, r: Recording) -> str:
@@ -122,22 +121,16 @@ def _told(found: EqualReadings, r: Recording) -> str:
     return f"{told}; record more digits, or more gain"
 
 
-def _channels_at_fault(
-    protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells, wanted: str
-) -> Iterator[Fault]:
+def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
     """Yield channels that do not follow what is commanded."""
     if name == "moment":
         return
     known, window = protocol.known, _window(test, r)
-    change = {}
-    rest = r.rows(test.rest)
+    change, rest = {}, r.rows(test.rest)
     for c in CHANNELS:
-        scale = float(np.ptp(cells[c].loads))
         force = force_of(r, cells, c, test.rest)
-        change[c] = (
-            float(_nearly_all(force[window] - force[rest].mean()) - _nearly_all(force[rest] - force[rest].mean()))
-            / scale
-        )
+        force -= force[rest].mean()
+        change[c] = (_nearly_all(force[window]) - _nearly_all(force[rest])) / float(np.ptp(cells[c].loads))
     upright = name in ("thrust_line", "ground_effect", "thrust_step")
     if upright:
         other = max("xm", key=lambda c: change[c])
@@ -145,12 +138,8 @@ def _channels_at_fault(
             message = f"volts_{other} follows the thrust and volts_z does not, upright: {SWAPPED}"
             yield _at(protocol, r, message, 0)
         elif (force_of(r, cells, "z", test.rest)[window].mean()) < 0:
-            yield _at(
-                protocol,
-                r,
-                "the vertical force falls with the duty: volts_z has the wrong sign or another calibration",
-                0,
-            )
+            message = "the vertical force falls with the duty: volts_z has the wrong sign or another calibration"
+            yield _at(protocol, r, message, 0)
     elif name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
         yield _at(protocol, r, f"volts_m follows the tilt and volts_x does not: {SWAPPED}", 0)
     elif name == "step":
@@ -159,10 +148,9 @@ def _channels_at_fault(
         angle = float(np.mean(servo_angle(r.servo_duty[after], known.servo_neutral, known.servo_slope)))
         one = float(force_of(r, cells, "z", test.rest)[rest].std())
         if max(abs(fz), abs(fx)) < LEAST_FORCE * one:  # noise against noise tells of no channel
-            told = (
-                f"neither volts_z nor volts_x has a force at {np.degrees(angle):.0f}°, beyond what a reading scatters"
-            )
-            yield _at(protocol, r, f"{told}; did the motor run? Record it under thrust", int(np.flatnonzero(after)[0]))
+            told = f"neither volts_z nor volts_x has a force at {np.degrees(angle):.0f}°"
+            cure = "beyond what a reading scatters; did the motor run? Record it under thrust"
+            yield _at(protocol, r, f"{told}, {cure}", int(np.flatnonzero(after)[0]))
             return
         if abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
             message = f"at {np.degrees(angle):.0f}° volts_x says more than volts_z: {SWAPPED}"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
@@ -67,12 +67,6 @@ class Recording:
         slack = 1e-6 * self.step
         rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
-
-
-def alike(recordings: Sequence[Recording], window: tuple[float, float]) -> list[Recording]:
-    """Return the recordings with as many rows in a window as the first."""
-    count = recordings[0].rows(window).sum()
-    return [r for r in recordings if r.rows(window).sum() == count]
 
 
 # -- what a protocol plays --------------------------------------------------------------------
@@ -142,18 +136,18 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
     """Calibration: each load hung for a second; it is off by the error of the scale."""
-    file, found = protocol.file, {}
+    file, found = protocol.file, dict[str, list[Run]]()
     time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
+    at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
     for place, (channel, unit) in enumerate(CHANNELS.items()):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
-        found[channel] = [
-            Run(f"load {load:g} {cell.unit}", time, np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY),
-                FREE_HEIGHT, 0.0, _noise(protocol, rng, time.size, tare=False),
-                tuple((load + e) * to_si * (c == channel) for c in CHANNELS))
-            for load, e in zip(cell.loads, off, strict=True)
-        ]  # fmt: skip
+        found[channel] = []
+        for load, e in zip(cell.loads, off, strict=True):
+            noise = _noise(protocol, rng, time.size, tare=False)
+            loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
+            found[channel].append(Run(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads))
     return found
 
 
@@ -188,11 +182,9 @@ class FmuPlayer:
         self.parameters, self.progress, self.steps = dict(parameters), progress, 0
         self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
         inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
-        lacking = [n for n in (*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS))
-                   if n not in inputs and n not in outputs]  # fmt: skip
-        if lacking:
-            cure = f"it has {', '.join((*inputs, *outputs))}"
-            raise InputError([Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; {cure}') for n in lacking])
+        wanted, cure = [*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS)], ", ".join(inputs + outputs)
+        lacking = [n for n in wanted if n not in inputs and n not in outputs]
+        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; it has {cure}') for n in lacking)
         self.order = [[q.name for q in Bench.inputs].index(n) for n in inputs]
         self.read = [len(inputs) + outputs.index(f"volts_{c}") for c in CHANNELS]
         self.row = (ctypes.c_double * (len(inputs) + len(outputs)))()
@@ -330,6 +322,5 @@ def read_recordings(protocol: Protocol, name: str) -> list[Recording]:
             found.append(read_recording(protocol.folder / text))
         except InputError as error:
             faults += error.faults
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found

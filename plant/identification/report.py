@@ -24,10 +24,14 @@ from plant.identification.recordings import load_in_si
 
 TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
 TITLES = {
-    "thrust_line": "Test 1: thrust line", "ground_effect": "Test 2: ground effect", "projection": "Test 3: projections",
-    "step": "Test 4: a step of the tilt", "frequency": "Test 4: sines of the tilt",
-    "thrust_step": "A step of the duty", "moment": "Test 5: moment",
-}  # fmt: skip
+    "thrust_line": "Test 1: thrust line",
+    "ground_effect": "Test 2: ground effect",
+    "projection": "Test 3: projections",
+    "step": "Test 4: a step of the tilt",
+    "frequency": "Test 4: sines of the tilt",
+    "thrust_step": "A step of the duty",
+    "moment": "Test 5: moment",
+}
 
 
 def page(outcome: Outcome) -> str:
@@ -38,10 +42,8 @@ def page(outcome: Outcome) -> str:
     charts = Charts()
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
     if known:
-        held = sum(e.holds for e in known)
-        badges.append(
-            Badge(f"{held} of {len(known)} intervals hold the true value", "good" if held == len(known) else "plain")
-        )
+        held, tone = sum(e.holds for e in known), "good" if all(e.holds for e in known) else "plain"
+        badges.append(Badge(f"{held} of {len(known)} intervals hold the true value", tone))
     return render(
         TEMPLATE,
         {
@@ -54,16 +56,19 @@ def page(outcome: Outcome) -> str:
             "calibration": [plot_of(_calibration(outcome, c), charts) for c in CHANNELS],
             "cells": [_cell(outcome, c) for c in CHANNELS],
             "tests": [
-                {"name": r.test, "title": TITLES[r.test],
-                 "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
-                 "plots": [(plot_of(f, charts), f.x_label, f.counterpart) for f in r.figures]}
+                {
+                    "name": r.test,
+                    "title": TITLES[r.test],
+                    "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
+                    "plots": [(plot_of(f, charts), f.x_label, f.counterpart) for f in r.figures],
+                }
                 for r in outcome.results
             ],
             "data": charts.data(),  # after all that is drawn
             "repeat": f"cosim identify {protocol.yaml.path}",
             "version": __version__,
         },
-    )  # fmt: skip
+    )
 
 
 def number(value: float, unit: str, like: float) -> str:
@@ -77,14 +82,18 @@ def number(value: float, unit: str, like: float) -> str:
 
 
 def _row(key: str, e: Estimate) -> Mapping[str, Any]:
-    half = 0.5 * (e.high - e.low)
+    names = ("value", "low", "high", "thesis", "truth")
+    shown = {name: number(getattr(e, name), e.unit, e.half_width) for name in names}
     return {
-        "name": e.name, "test": TITLES[key.partition(".")[0]], "value": number(e.value, e.unit, half),
-        "interval": f"{number(e.low, e.unit, half)} … {number(e.high, e.unit, half)}",
-        "thesis": number(e.thesis, e.unit, half), "truth": number(e.truth, e.unit, half), "holds": e.holds,
-        "scatter": number(e.scatter, e.unit, e.scatter), "calibration": number(e.calibration, e.unit, e.calibration),
+        **shown,
+        "name": e.name,
+        "test": TITLES[key.partition(".")[0]],
+        "interval": f"{shown['low']} … {shown['high']}",
+        "holds": e.holds,
+        "scatter": number(e.scatter, e.unit, e.scatter),
+        "calibration": number(e.calibration, e.unit, e.calibration),
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
-    }  # fmt: skip
+    }
 
 
 def _calibration(outcome: Outcome, channel: str) -> Figure:
@@ -92,9 +101,8 @@ def _calibration(outcome: Outcome, channel: str) -> Figure:
     grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
     where = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}[channel]
     names = outcome.protocol.file.cells[channel].unit
-    return Figure(f"{where}: load over voltage", "voltage [V]", written(names), [
-        ("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots"),
-    ], counterpart="Fig 3.18")  # fmt: skip
+    lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
+    return Figure(f"{where}: load over voltage", "voltage [V]", written(names), lines, counterpart="Fig 3.18")
 
 
 def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
@@ -102,11 +110,12 @@ def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
     unit, name = load_in_si(outcome.protocol, channel), outcome.protocol.file.cells[channel].unit
     rail = ", ".join(f"{f / unit:g}" for f in cell.left_out)
     return {
-        "name": f"volts_{channel}", "points": counted(cell.loads.size, "point"),
+        "name": f"volts_{channel}",
+        "points": counted(cell.loads.size, "point"),
         "error": joined(plain(cell.error / unit, 3), written(name)),
         "left": joined(plain(float(np.sqrt(np.mean(cell.left_one_out**2))) / unit, 3), written(name)),
         "rail": joined(rail, written(name)) if rail else MISSING,
-    }  # fmt: skip
+    }
 
 
 def plot_of(figure: Figure, charts: Charts) -> Plot:

@@ -56,10 +56,8 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
     follows = 1.0 + 2.0 * sum(_correlation(left, lag) ** 2 for lag in range(1, 6))
     free = max(2.0, freedom / follows)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
-    return Estimate(
-        name, squared(unit), about_mean, about_line, low, high, about_line * float(np.sqrt(2.0 / free)),
-        0.0, len(parts), f"variance of {rows} rows at rest (5.44)",
-    )  # fmt: skip
+    spread, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
+    return Estimate(name, squared(unit), about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
 
 
 def squared(unit: str) -> str:
@@ -85,10 +83,8 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
                 yield Fault(log.path, 0, 0, f"{name} {reason}; choose a window, or leave the log out")
                 continue
             if abs(last.mean() - first.mean()) > MOVING * max(noise_, 1e-300) and noise_ > 0.0:
-                told = (
-                    f"{name} moves by {last.mean() - first.mean():.3g} from the first half to the second: not at rest"
-                )
-                yield Fault(log.path, 0, 0, f"{told}; choose a window, or leave the log out")
+                told = f"{name} moves by {last.mean() - first.mean():.3g} from the first half to the second"
+                yield Fault(log.path, 0, 0, f"{told}: not at rest; choose a window, or leave the log out")
 
 
 def _unusable(values: Array) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.cells import Cell, Cells, at_rail, force_of
+from plant.identification.cells import Cell, Cells, at_rail
 from plant.identification.command_response import held_lag, low_pass
-from plant.identification.estimates import Figure, Result, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, made, shifts_of
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
@@ -41,24 +41,26 @@ class Rows:
         return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
 
 
-def rows_with_thrust(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> Rows:
+def rows_with_thrust(m: Measured) -> Rows:
     """Rows of the window within the cell's range where T = max(0, a + b·δ), eq 4.20, has thrust.
 
     All by what was commanded: where the thrust begins is the kink of the equation that is nearest to all readings.
     """
-    end = highest_duty(recordings, cells, known, test)
-    kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(recordings, known, test)]
-    gram = 1000.0 / known.gravity
-    thrust = [
-        gram * force_of(r, cells, "z", test.rest)[k] / _gain(r, k, known) for r, k in zip(recordings, kept, strict=True)
-    ]
-    delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(recordings, kept, strict=True)]
+    known, test, end = m.known, m.test, highest_duty(m)
+    kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(m)]
+    thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, kept, strict=True)]
+    delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(m.recordings, kept, strict=True)]
     begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
-    following = [_delayed(r, known, test, begins) for r in recordings]
+    following = [_delayed(r, known, test, begins) for r in m.recordings]
     above = [k & (d > begins + MARGIN) for k, d in zip(kept, following, strict=True)]
     whole = sum(int(k.sum()) for k in kept)
     idle = whole - sum(int(k.sum()) for k in above)
     return Rows(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
+
+
+def _thrust(m: Measured, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
+    """Thrust [gf] without the ground effect."""
+    return m.gram * m.force(r, "z", using)[rows] / _gain(r, rows, m.known)
 
 
 def dead_end(duty: Array, thrust: Array) -> float:
@@ -94,34 +96,29 @@ def dead_end(duty: Array, thrust: Array) -> float:
     return middle + here
 
 
-def analyse(
-    recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test, truth: Bench | None, *, draw: bool = True
-) -> Result:
+def analyse(m: Measured, *, draw: bool = True) -> Result:
     """Line a + b·δ [gf, gf/%]; degrees one to three, the lowest within one standard error of the best."""
-    rows = rows_with_thrust(recordings, cells, known, test)
-    gram, delayed = 1000.0 / known.gravity, rows.delayed
-    own = list(zip(recordings, rows.kept, strict=True))
-
+    cells, known, test = m.cells, m.known, m.test
+    rows = rows_with_thrust(m)
+    own, delayed = list(zip(m.recordings, rows.kept, strict=True)), rows.delayed
     bowed = [np.zeros_like(d) for d in delayed]  # [gf] by which a reading on a ramp misses its thrust
 
     def thrusts(using: Cells) -> list[Array]:
-        forces = [gram * force_of(r, using, "z", test.rest)[k] / _gain(r, k, known) for r, k in own]
-        return [f - bow for f, bow in zip(forces, bowed, strict=True)]
+        return [_thrust(m, r, k, using) - bow for (r, k), bow in zip(own, bowed, strict=True)]
 
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
 
     # the thesis: every sample alike against the duty as commanded, its cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
-    raw = np.concatenate([gram * force_of(r, cells, "z", None)[k] for r, k in own])
+    raw = np.concatenate([m.gram * m.printed_force(r, "z")[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1)
     names = [
-        ("thrust_offset", "gf", float(offset), truth.thrust_offset if truth else np.nan),
-        ("thrust_slope", "gf/%", float(slope), truth.thrust_slope if truth else np.nan),
+        ("thrust_offset", "gf", float(offset), m.true("thrust_offset")),
+        ("thrust_slope", "gf/%", float(slope), m.true("thrust_slope")),
     ]
     line = lines(cells).mean(axis=0)
-    begins = rows.dead_end
-    bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
+    bowed = [_bow(r, line, cells["z"], known, test, rows.dead_end)[k] for r, k in own]
     if rows.idle and line[1] > 0:  # where the thrust begins was read from ramps that were bowed
         line = lines(cells).mean(axis=0)
         begins = -line[0] / line[1]
@@ -133,29 +130,25 @@ def analyse(
     thrust = thrusts(cells)
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
-    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": rows.end,
-                   "readings_without_thrust": rows.idle}  # fmt: skip
+    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
+    result.more |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
-    _tell_what_is_left_out(result, rows, recordings, test)
-    if degree > 1:
-        _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
-    if draw:
-        result.figures = _figures(result, duty, raw, known, each, shifts)
-    return result
-
-
-def _tell_what_is_left_out(result: Result, rows: Rows, recordings: Sequence[Recording], test: Test) -> None:
     if rows.idle:
         result.warnings.append(
             f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
             "max(0, a + b·δ) is no line there, and they are left out"
         )
-    top = max(float(r.duty[r.rows(test.window)].max()) for r in recordings)
+    top = max(float(r.duty[r.rows(test.window)].max()) for r in m.recordings)
     if rows.end < top - 1e-9:
         result.notes.append(
             f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
             f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
         )
+    if degree > 1:
+        _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
+    if draw:
+        result.figures = _figures(result, duty, raw, each, shifts)
+    return result
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
@@ -166,11 +159,10 @@ def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, th
     spans = {"thrust_slope": slopes, "thrust_offset": curve(grid - 6.0) - slopes * grid}
     told = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
     told += f"{errors[1]:.3g} gf"
-    result.estimates = [
-        replace(e, low=min(e.low, float(spans[e.name].min())), high=max(e.high, float(spans[e.name].max())),
-                origin=f"{e.origin}; {told}, so the interval reaches over the tangents")
-        for e in result.estimates
-    ]  # fmt: skip
+    for k, e in enumerate(result.estimates):
+        low, high = min(e.low, float(spans[e.name].min())), max(e.high, float(spans[e.name].max()))
+        origin = f"{e.origin}; {told}, so the interval reaches over the tangents"
+        result.estimates[k] = replace(e, low=low, high=high, origin=origin)
     result.warnings.append(
         f"{told}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
         f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
@@ -201,31 +193,31 @@ def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_e
     return np.asarray(read - low_pass(steady, r.step, test.low_pass))
 
 
-def _recent(recordings: Sequence[Recording], known: Bench, test: Test) -> Iterator[tuple[Recording, Array]]:
+def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
     """Each recording and the highest duty that its readings still know of, behind lag and low pass."""
     found: dict[bytes, Array] = {}
-    for r in recordings:
+    for r in m.recordings:
         key = r.duty.tobytes()
         if key not in found:
-            count = math.ceil(MEMORY * (known.lag + test.low_pass) / r.step)
+            count = math.ceil(MEMORY * (m.known.lag + m.test.low_pass) / r.step)
             before = np.pad(r.duty, (count, 0), mode="edge")
             found[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
         yield r, found[key]
 
 
-def highest_duty(recordings: Sequence[Recording], cells: Cells, known: Bench, test: Test) -> float:
+def highest_duty(m: Measured) -> float:
     """The duty up to which no repetition is at the converter's end or beyond the calibration.
 
     Chosen by what is commanded, alike for all: leaving out readings by their value would bend the line.
     """
-    end, cell = np.inf, cells["z"]
-    for r, recent in _recent(recordings, known, test):
-        rows = r.rows(test.window)
+    end, cell = np.inf, m.cells["z"]
+    for r, recent in _recent(m):
+        rows = r.rows(m.test.window)
         v = r.volts["z"][rows]
-        beyond = at_rail(known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
+        beyond = at_rail(m.known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         if beyond.any():
             end = min(end, float(recent[rows][beyond].min()) - MARGIN)
-    return min(end, max(float(r.duty[r.rows(test.window)].max()) for r in recordings))
+    return min(end, max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings))
 
 
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
@@ -244,7 +236,7 @@ def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, d
     return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
 
 
-def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array, shifts: Array) -> list[Figure]:
+def _figures(result: Result, duty: Array, raw: Array, each: Array, shifts: Array) -> list[Figure]:
     from scipy import stats
 
     grid = np.linspace(duty.min(), duty.max(), 60)
@@ -260,13 +252,13 @@ def _figures(result: Result, duty: Array, raw: Array, known: Bench, each: Array,
     filled = [k for k in range(8) if (place == k).sum() > 1]
     spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
     middle = 0.5 * (bins[1:] + bins[:-1])[filled]
+    axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, line, "true")
+    readings, estimator = ("readings", duty[some], raw[some], "dots"), ("thesis' estimator", grid, thesis, "s1")
+    banded = [unbiased, ("printed, eq 4.20", grid, printed, "reference")]
+    band = ("95 % of the line", grid, line - half, line + half)
+    bars = [(middle, a + b * middle - spread, a + b * middle + spread)]
+    lines = [readings, unbiased, estimator]
     return [
-        Figure("Thrust over duty: data and lines", "duty [%]", "gf", [
-            ("readings", duty[some], raw[some], "dots"), ("unbiased", grid, line, "true"),
-            ("thesis' estimator", grid, thesis, "s1"),
-        ], counterpart="Fig 4.10"),
-        Figure("Thrust line with 95 % band", "duty [%]", "gf", [
-            ("unbiased", grid, line, "true"), ("printed, eq 4.20", grid, printed, "reference"),
-        ], band=("95 % of the line", grid, line - half, line + half),
-            bars=[(middle, a + b * middle - spread, a + b * middle + spread)], counterpart="Fig 4.11"),
-    ]  # fmt: skip
+        Figure("Thrust over duty: data and lines", *axes, lines, counterpart="Fig 4.10"),
+        Figure("Thrust line with 95 % band", *axes, banded, band=band, bars=bars, counterpart="Fig 4.11"),
+    ]

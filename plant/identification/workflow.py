@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
@@ -23,19 +24,27 @@ from plant.identification.artefacts import PROTOCOL
 from plant.identification.cells import Cells, calibrated
 from plant.identification.craft import CraftOutcome
 from plant.identification.craft_workflow import identify_craft
-from plant.identification.estimates import Estimate, Result
+from plant.identification.estimates import Estimate, Measured, Result
 from plant.identification.identified import Outcome
 from plant.identification.input_kind import craft_file
 from plant.identification.plausible import result_faults
 from plant.identification.prepared import cell_fault, prepare
 from plant.identification.protocol import BENCH, CHANNELS, Protocol
 from plant.identification.recording_faults import recording_faults
-from plant.identification.recordings import FmuPlayer, Play, Recording, load_runs, runs_of
+from plant.identification.recordings import FmuPlayer, Play, Recording, Run, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
 # in the order in which one needs another's number; the lag of a step is that of the model
-ORDER = ("step", "frequency", "ground_effect", "thrust_line", "thrust_step", "projection", "moment")
+ANALYSES: Mapping[str, Callable[..., Result]] = {
+    "step": lag.analyse,
+    "frequency": frequency.analyse,
+    "ground_effect": ground_effect.analyse,
+    "thrust_line": thrust_line.analyse,
+    "thrust_step": partial(lag.analyse, thrust=True),
+    "projection": projection.analyse,
+    "moment": moment.analyse,
+}
 Progress = Callable[[str, float], None]
 
 
@@ -48,17 +57,18 @@ def identify(
     report: bool = True,
     seed: Seed | None = None,
     force: bool = True,
+    keep: bool = False,
 ) -> Outcome | CraftOutcome:
     """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
 
     Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
-    command left in `out`.
+    command left in `out`. keep: the files of an earlier one move to `runs` in `out`.
     """
     path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)
-    check_left(out, "cosim identify", force=force)
+    check_left(out, "cosim identify", force=force, keep=keep)
     if (yaml := craft_file(path)) is not None:
-        return identify_craft(yaml, out, report=report)
+        return identify_craft(yaml, out, report=report, keep=keep)
     ready = prepare(path)
     protocol, measured = ready.protocol, ready.measured
     named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
@@ -71,7 +81,12 @@ def identify(
         return page(outcome)
 
     write(
-        out, (FILES[0], powertrain(outcome, ready.model)), _record(outcome), outcome.results, page if report else None
+        out,
+        (FILES[0], powertrain(outcome, ready.model)),
+        _record(outcome),
+        outcome.results,
+        page if report else None,
+        keep=keep,
     )
     return outcome
 
@@ -80,34 +95,36 @@ def _outcome(
     protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
 ) -> Outcome:
     """Played on the FMU where nothing was measured, then analysed."""
-    recordings = dict(measured)
     hung: dict[str, list[Recording]] = {}
+    played: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
-        with temporary_folder("identify") as folder:
-            fmu = _fmu(protocol, folder)
-            runs = {n: runs_of(protocol, n, seed) for n, t in protocol.file.tests.given() if n not in measured}
-            loads = load_runs(protocol, seed)
-            total = sum(r.time.size for group in (*runs.values(), *loads.values()) for r in group) or 1
-            tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
-            player = FmuPlayer(fmu, protocol.file.parameters, tell)
-            try:
-                hung = {c: player(group) for c, group in loads.items()}
-                recordings |= {n: player(group) for n, group in runs.items()}
-            finally:
-                player.close()
+        tests = [name for name, _ in protocol.file.tests.given() if name not in measured]
+        runs = {name: runs_of(protocol, name, seed) for name in tests}
+        hung, played = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
     try:
         cells = calibrated(protocol, hung)
     except ValueError as error:
         raise InputError([cell_fault(protocol, error)]) from None
-    faults = [
-        f for n, found in recordings.items() if n not in measured for f in recording_faults(protocol, n, found, cells)
-    ]
-    if faults:
-        raise InputError(faults)
+    refuse(fault for name, found in played.items() for fault in recording_faults(protocol, name, found, cells))
     if progress is not None:
         progress("analysing", 0.0)
-    results = checked_results(protocol, cells, recordings)
-    return Outcome(protocol, cells, results, recordings)
+    recordings = {**measured, **played}
+    return Outcome(protocol, cells, checked_results(protocol, cells, recordings), recordings)
+
+
+Runs = Mapping[str, Sequence[Run]]
+
+
+def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:
+    """Play groups of runs on the FMU of the bench."""
+    total = sum(run.time.size for group in groups for runs in group.values() for run in runs) or 1
+    tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+    with temporary_folder("identify") as folder:
+        player = FmuPlayer(_fmu(protocol, folder), protocol.file.parameters, tell)
+        try:
+            return [{name: player(runs) for name, runs in group.items()} for group in groups]
+        finally:
+            player.close()
 
 
 def _fmu(protocol: Protocol, folder: Path) -> Path:
@@ -130,9 +147,9 @@ def analyse(
             {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
         )
     results = []
-    for name in (n for n in ORDER if n in recordings):
-        test: Any = getattr(protocol.file.tests, name)
-        result = _analysis(name)(recordings[name], cells, known, test, truth, draw=draw)
+    for name in (n for n in ANALYSES if n in recordings):
+        measured = Measured(recordings[name], cells, known, getattr(protocol.file.tests, name), truth)
+        result = ANALYSES[name](measured, draw=draw)
         results.append(result)
         # a lag in frequency is that of the step only where there is no step
         fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
@@ -146,24 +163,13 @@ def checked_results(
 ) -> list[Result]:
     """Return the results of all tests; raise InputError with every number that cannot be."""
     results = analyse(protocol, cells, recordings, draw=draw)
-    if faults := result_faults(protocol, results):
-        raise InputError(faults)
+    refuse(result_faults(protocol, results))
     return results
 
 
 def _within(known: Bench, e: Estimate) -> float:
     low, high = known.declared[e.name].bounds
     return float(np.clip(e.value, low, high))
-
-
-def _analysis(name: str) -> Callable[..., Result]:
-    if name == "thrust_step":
-        return lambda *given, **options: lag.analyse(*given, **options, thrust=True)
-    ways: dict[str, Callable[..., Result]] = {
-        "step": lag.analyse, "frequency": frequency.analyse, "ground_effect": ground_effect.analyse,
-        "thrust_line": thrust_line.analyse, "projection": projection.analyse, "moment": moment.analyse,
-    }  # fmt: skip
-    return ways[name]
 
 
 def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
@@ -200,11 +206,16 @@ def _record(outcome: Outcome) -> dict[str, Any]:
     return {
         "protocol": outcome.protocol.file.name,
         "calibration": {
-            c: {"loads": cell.loads.tolist(), "volts": cell.volts.tolist(), "error": cell.error,
-                "left_one_out": cell.left_one_out.tolist(), "at_the_rail": list(cell.left_out)}
+            c: {
+                "loads": cell.loads.tolist(),
+                "volts": cell.volts.tolist(),
+                "error": cell.error,
+                "left_one_out": cell.left_one_out.tolist(),
+                "at_the_rail": list(cell.left_out),
+            }
             for c, cell in outcome.cells.items()
         },
-    }  # fmt: skip
+    }
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 from cosim.base.version import __version__
 from cosim.storage.files import atomic_write
+from cosim.storage.folders import keep_earlier
 from plant.identification.estimates import Estimate, Result
 from plant.identification.identified import plain_values
 
@@ -21,11 +22,14 @@ def write(
     record: Mapping[str, Any],
     results: Iterable[Result],
     page: Callable[[], str] | None,
+    *,
+    keep: bool = False,
 ) -> None:
     """Each file whole or not at all.
 
     model:  name and text of the model file
     record: what identify.json holds beside estimates and tests; page: the report, where it is wanted
+    keep:   the files of an earlier identification move to `runs` in the folder
     """
     results = list(results)
     whole = {
@@ -38,6 +42,8 @@ def write(
     texts = [model, (RECORD, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")]
     if page is not None:
         texts.append((REPORT, page()))
+    if keep:
+        keep_earlier(out, "cosim identify")
     for name, text in texts:
         with atomic_write(out / name) as stream:
             stream.write(text)

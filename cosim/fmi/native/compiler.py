@@ -1,30 +1,104 @@
-"""The C compiler of this machine, and the libraries it has made."""
+"""C compilers: those of this machine, the one that pip installs, and the libraries that they make."""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cosim.base.drafts import draft_of
+from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
-from cosim.storage.cache import cached, discard_untrusted
+from cosim.fmi.native.platforms import PLATFORMS, Platform, here
+from cosim.storage.cache import cache_environment, cached, discard_untrusted
 
-OPTIONS = ("-O3", "-fno-math-errno", "-shared", "-fPIC", "-std=c99")  # errno of sin and pow is not looked at
+OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")  # errno of sin and pow is not read
 LIMIT = 900.0  # [s] that a compiler may take
+ZIG = "ziglang"  # of PyPI: a C compiler for every platform
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # Linux, Windows; macOS
 
 
+class NoCompiler(LookupError):
+    """No compiler for a platform: which platform, and the cure."""
+
+
 def compiler() -> list[str] | None:
-    """The command of the C compiler: what `CC` in the environment says, else cc, gcc or clang; None: there is none."""
+    """Return the command of the C compiler for this machine; None if there is none."""
+    return next(iter(compilers()), None)
+
+
+def compilers() -> list[list[str]]:
+    """Return the commands of the C compilers for this machine, the best first.
+
+    `CC` in the environment names one; without it cc, gcc or clang is taken. The extra `refine` installs another.
+    """
     named = os.environ.get("CC")
     commands = (_words(c) for c in (("cc", "gcc", "clang") if named is None else (named,)))
-    return next((words for words in commands if words and shutil.which(words[0])), None)
+    installed = next(([words] for words in commands if words and shutil.which(words[0])), [])
+    own = here()
+    return [*installed, *([crossing(own)] if own and can_cross() else [])]
+
+
+def can_cross() -> bool:
+    """Whether the compiler that crosses to other platforms is installed (the extras `refine` and `native`)."""
+    return importlib.util.find_spec(ZIG) is not None
+
+
+def crossing(wanted: Platform) -> list[str]:
+    """Return the command of the compiler that crosses, for a platform."""
+    return [sys.executable, "-m", ZIG, "cc", "-target", wanted.target, "-s"]
+
+
+def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
+    """Return platform → the command that makes its library; this machine's own if none is asked for.
+
+    Raises KeyError for an unknown name, and NoCompiler.
+    """
+    own = here()
+    if own is None and not asked:
+        raise NoCompiler(f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}")
+    wanted = [PLATFORMS[name] for name in asked] or [p for p in PLATFORMS.values() if p == own]
+    return {p: [*_for(p, p == own, bool(asked)), *OPTIONS, "-fvisibility=hidden", *p.position] for p in wanted}
+
+
+def library_command() -> list[str]:
+    """Return the command that makes a library of this machine, without a language or an optimization; NoCompiler."""
+    command = compiler()
+    if command is None:
+        raise NoCompiler(f"no C compiler is found; {cure('native')}")
+    return [*command, "-shared", *_position()]
+
+
+def cure(extra: str) -> str:
+    """Return how to get a C compiler, by an extra among others."""
+    return f"install gcc or clang, say which in CC, or {install_command(extra)}"
+
+
+def _for(wanted: Platform, own: bool, asked: bool) -> list[str]:
+    """Return the compiler of this machine for itself, else the one that crosses: to others and to old glibc."""
+    local = compiler() if own else None
+    if can_cross() and (asked or local is None):
+        return crossing(wanted)
+    if local is not None:
+        return local
+    if own:
+        raise NoCompiler(f"no C compiler is found; {cure('native')}")
+    crosses = f"{install_command('native')}, which brings a compiler that crosses"
+    raise NoCompiler(f"no compiler for {wanted.name} is found; {crosses}")
+
+
+def _position() -> list[str]:
+    own = here()
+    return ["-fPIC"] if own is None else own.position
 
 
 def _words(command: str) -> list[str]:
@@ -52,44 +126,60 @@ def library_of(
     libraries: Sequence[str] = ("-lm",),
     limit: float = LIMIT,
 ) -> bytes:
-    """The shared library of sources, from the cache or compiled now; CompilerFailed with what the compiler said.
+    """Return the shared library of sources, from the cache or compiled now; CompilerFailed with the compiler's reason.
 
     files:   by their path below the folder in which the compiler runs
-    exports: functions that it is looked at for: some commands end without an error and make something else
+    exports: functions that it must name: some commands end without an error and make something else
     limit:   of the compiler's time [s]
     """
+    return _library(files, main, command, exports, libraries, limit).read_bytes()
+
+
+def _library(
+    files: Mapping[str, bytes],
+    main: str,
+    command: Sequence[str],
+    exports: Sequence[str] = (),
+    libraries: Sequence[str] = ("-lm",),
+    limit: float = LIMIT,
+) -> Path:
+    """Return where the cache holds a library. Its name ends with the hash of its content: a damaged one may crash."""
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
     for kept in _kept(stem):
         if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
-            return kept.read_bytes()
+            return kept
         kept.unlink(missing_ok=True)
     with temporary_folder("compile") as folder:
         for file, data in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(data)
-        library = folder / "library"
-        full = [*command, "-o", library.name, main, *libraries]
-        try:  # in the folder, so that no path of this machine gets into the library
-            done = subprocess.run(
-                full, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-                timeout=limit,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
-        except OSError as error:
-            raise CompilerFailed(f"{command[0]}: {error}") from error
-        if done.returncode or not library.is_file():
-            output = (done.stderr or done.stdout).strip()
-            said = output.splitlines()
-            first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
-            if done.returncode == 0:
-                first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
-            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {first}", output)
+        library = _compile([*command, "-o", "library", main, *libraries], folder, limit)
         if missing := _missing(library.read_bytes(), exports):
             told = f"it ended without an error, but what it made is no library that has {missing[0]}"
-            raise CompilerFailed(f"{shlex.join(full[:1])} failed: {told}")
-        return _keep(library, stem).read_bytes()
+            raise CompilerFailed(f"{shlex.join(command[:1])} failed: {told}")
+        return _keep(library, stem)
+
+
+def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
+    """The `library` that a command makes in a folder, so that no path of this machine gets into it."""
+    options: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace", "timeout": limit}
+    options["env"] = {**os.environ, **cache_environment()}
+    try:
+        done = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
+    except subprocess.TimeoutExpired:
+        raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
+    except OSError as error:
+        raise CompilerFailed(f"{command[0]}: {error}") from error
+    library = folder / "library"
+    if done.returncode or not library.is_file():
+        output = (done.stderr or done.stdout).strip()
+        said = output.splitlines()
+        first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
+        if done.returncode == 0:
+            first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
+        raise CompilerFailed(f"{shlex.join(command[:1])} failed: {first}", output)
+    return library
 
 
 def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
@@ -99,35 +189,27 @@ def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
-def loaded(source: str) -> ctypes.CDLL:
-    """The shared library of a source; one of another machine in the cache is compiled anew."""
-    library = _compiled(source)
-    try:
-        return ctypes.CDLL(str(library))
-    except OSError:
-        library.unlink(missing_ok=True)
-        return ctypes.CDLL(str(_compiled(source)))
+def loaded(source: str, *headers: Path) -> ctypes.CDLL:
+    """Return the shared library of a source and its headers; one of another machine in the cache is compiled anew.
 
-
-def _compiled(source: str) -> Path:
-    """The shared library of a source, from the cache or compiled now.
-
-    Its name ends with the hash of its content: to load one that is damaged can end the process.
+    Raises NoCompiler, and CompilerFailed if none of the compilers does its work.
     """
-    stem = cached(source, "")
-    for kept in _kept(stem):
-        if kept.name == _named(stem, kept).name:
-            return kept
-        kept.unlink(missing_ok=True)
-    command = compiler()
-    if command is None:
-        raise FileNotFoundError("no C compiler")
-    with temporary_folder("compile") as folder:
-        file, library = folder / "model.c", folder / "model.so"
-        file.write_text(source, encoding="utf-8")
-        full = [*command, *OPTIONS, "-o", str(library), str(file), "-lm"]
-        subprocess.run(full, check=True, capture_output=True, timeout=120)
-        return _keep(library, stem)
+    files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
+    reason: Exception | None = None
+    for command in compilers():
+        full = [*command, *OPTIONS, *_position()]
+        try:
+            library = _library(files, "model.c", full)
+            try:
+                return ctypes.CDLL(str(library))
+            except OSError:
+                library.unlink(missing_ok=True)
+                return ctypes.CDLL(str(_library(files, "model.c", full)))
+        except (CompilerFailed, OSError) as error:
+            reason = reason or error
+    if reason is None:
+        raise NoCompiler("no C compiler is found")
+    raise CompilerFailed(str(reason)) from reason
 
 
 def _kept(stem: Path) -> list[Path]:

@@ -119,22 +119,13 @@ static void mean_command(Instance *m, double t, double h, double *out)
     while (past->count > 1 && row_of(past, 1)[0] <= t + h - DELAY_LONGEST) past->first++, past->count--;
 }
 
-/* The classical Runge-Kutta method, command held. */
-static void rk4(double t, double h, double *x, const double *u, const double *p, const unsigned char *awake)
-{
-    double k1[STATES + 1], k2[STATES + 1], k3[STATES + 1], k4[STATES + 1], z[STATES + 1];
-    const double half = 0.5 * h, sixth = h / 6.0;
-    Near near[NEAR + 1];
-    forget_all(near, NEAR);
-    derivatives(t, x, u, p, near, awake, k1);
-    for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k1[i];
-    derivatives(t + half, z, u, p, near, awake, k2);
-    for (int i = 0; i < STATES; i++) z[i] = x[i] + half * k2[i];
-    derivatives(t + half, z, u, p, near, awake, k3);
-    for (int i = 0; i < STATES; i++) z[i] = x[i] + h * k3[i];
-    derivatives(t + h, z, u, p, near, awake, k4);
-    for (int i = 0; i < STATES; i++) x[i] += sixth * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
-}
+#define KIND static
+#define SHAPE [STATES + 1]
+#define EACH for (int i = 0; i < STATES; i++)
+#define AT [i]
+#define ARGUMENTS double *x, const double *u, const double *p, Near *near, const unsigned char *awake
+#define RATES(t, moment, x, k) derivatives(t, x, u, p, near, awake, k)
+#include "rk4.h"
 
 static int not_finite(Instance *m, const double *before)
 {
@@ -169,7 +160,9 @@ static int advance(Instance *m, double t, double h)
             memcpy(ACTING, shaped, sizeof(double) * INPUTS);
             memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
         }
-        rk4(now, dt, STATE, ACTING, m->values, m->awake);
+        Near near[NEAR + 1];
+        forget_all(near, NEAR);
+        rk4(now, dt, STATE, ACTING, m->values, near, m->awake);
     }
     m->time = t + h;
     for (int i = 0; i < STATES; i++) if (!isfinite(STATE[i])) return not_finite(m, before);

@@ -75,21 +75,23 @@ def _rate(q: Quantity, k: int) -> Local:
 def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]]:
     """Inputs and states that each output and derivative depends on, whatever is awake and however the switches are."""
     found: dict[str, set[str]] = {}
+    inputs, states = [q.name for q in printer.model.inputs], [f"{n}_state" for n in names]
     for trace in printer.variants:
-        known: dict[Any, str] = {s: f"{n}_state" for s, n in zip(trace.s.state, names, strict=True)}
-        known |= {s: q.name for s, q in zip(trace.s.command, printer.model.inputs, strict=True)}
-        reach: dict[Any, set[str]] = {s: {n} for s, n in known.items()}
+        symbols = (*trace.s.state, *trace.s.command)
+        reach = {symbol: {name} for symbol, name in zip(symbols, (*states, *inputs), strict=True)}
         for block in (*trace.shaping, *trace.blocks):
-            for values in (block.values, block.dormant):
-                for symbol, e in values.items():
-                    reach.setdefault(symbol, set()).update(*(reach.get(s, set()) for s in e.free_symbols))
-        acting = {q.name: s for q, s in zip(printer.model.inputs, trace.shaped, strict=True)}
-        outputs = {q.name: e for q, e in zip(printer.model.outputs, trace.outputs, strict=True)}
-        rates = {f"der({n}_state)": e for n, e in zip(names, trace.derivative, strict=True)}
-        for name, e in {**outputs, **rates}.items():
-            direct = set().union(*(reach.get(s, set()) for s in e.free_symbols))
-            if name in rates:  # the command that acts on them is shaped
-                shaped = {n for n in direct if n in acting}
-                direct |= set().union(*(reach.get(acting[n], set()) for n in shaped))
-            found.setdefault(name, set()).update(direct)
+            for symbol, e in (*block.values.items(), *block.dormant.items()):
+                reach.setdefault(symbol, set()).update(_reached(e, reach))
+        for q, e in zip(printer.model.outputs, trace.outputs, strict=True):
+            found.setdefault(q.name, set()).update(_reached(e, reach))
+        acting = dict(zip(inputs, trace.shaped, strict=True))
+        for name, e in zip(states, trace.derivative, strict=True):
+            direct = _reached(e, reach)  # the command that acts on them is shaped
+            shaped = (_reached(acting[n], reach) for n in direct & acting.keys())
+            found.setdefault(f"der({name})", set()).update(direct, *shaped)
     return {name: sorted(direct) for name, direct in found.items()}
+
+
+def _reached(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
+    """Return the names that the symbols of an expression depend on."""
+    return set().union(*(reach.get(s, set()) for s in expression.free_symbols))

@@ -13,10 +13,10 @@ from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
 from cosim.fmi.native.check import check
-from cosim.fmi.native.compiler import library_of
+from cosim.fmi.native.compiler import commands, library_of
 from cosim.fmi.native.layout import Layout, model_layout
 from cosim.fmi.native.native_description import description2, description3
-from cosim.fmi.native.platforms import PLATFORMS, Platform, commands, glibc_floor
+from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor
 from cosim.fmi.native.printing import Printer, Sources
 from cosim.model.model import Model
 
@@ -117,6 +117,7 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
         "all.c": every.encode(),
         "floating.h": part("floating.h"),
         "near.h": part("near.h"),
+        "rk4.h": part("rk4.h"),
         "model.h": part("model.h"),
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),
@@ -137,15 +138,10 @@ def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform
     listed = ", ".join(p.name for p in built)
     missing = ", ".join(p.name for p in PLATFORMS.values() if p not in built)
     ways = "co-simulation and model exchange" if native.layout.of("state") else "co-simulation"
-    text = (
-        f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
-        + (
-            f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
-            if missing
-            else ""
-        )
-        + f".</p>{native.text}"
-    )
+    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
+    if missing:
+        text += f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
+    text += f".</p>{native.text}"
     with temporary_folder("build") as folder:
         licence = ASSETS / "license.txt"
         write_documentation(folder, native.layout.about, text, __version__, licence, f"{WAYS[fmi]} {ways}")

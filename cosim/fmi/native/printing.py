@@ -130,7 +130,8 @@ class Printer:
         """All that is printed."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = kept(self._said(), self._functions)
-        parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._kinds_of_effects()]
+        parts = [tables, self._tables(), *functions, self._starts(), self._wake()]
+        parts += [self._remembers(), self._counting()]
         delay = self.trace.effects.index(self.delay) if self.delay else -1
         sizes = {
             "VARIABLES": len(self.ports),
@@ -215,7 +216,7 @@ class Printer:
         ]
         try:
             name, arguments = "derivatives", "t x u p near"
-            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, near[2])
+            derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, calls=near[2])
             rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
             return [derivatives, *rest]
         except ValueError as error:
@@ -274,28 +275,26 @@ class Printer:
         head = "static void wake(const double *p, unsigned char *awake)"
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
 
-    def _kinds_of_effects(self) -> str:
-        """Whether one that remembers is awake; the name of one awake that goes by the length of substeps."""
+    def _remembers(self) -> str:
+        """Whether an effect that remembers is awake."""
         remembering = {e.name for e, _ in self.remembering}
-        uses: dict[int, set[Any]] = {
-            block.effect: {s for e in block.values.values() for s in e.free_symbols}
-            for block in self.trace.shaping
-            if block.effect is not None
-        }
-        clock = {self.trace.step, self.trace.s.time}
-        counting = [
-            (k, self.trace.effects[k].name)
-            for k, symbols in uses.items()
-            if self.trace.step in symbols or (self.trace.effects[k].name in remembering and clock & symbols)
-        ]
         places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
-        return (
-            "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
-            f"    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
-            "static const char *counting(const unsigned char *awake)\n{\n    (void)awake;\n"
-            + "".join(f"    if (awake[{k}]) return {quoted(name)};\n" for k, name in counting)
-            + "    return NULL;\n}\n"
-        )
+        head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
+        return f"{head}    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
+
+    def _counting(self) -> str:
+        """The name of an effect awake that goes by the length of substeps."""
+        remembering = {e.name for e, _ in self.remembering}
+        clock = {self.trace.step, self.trace.s.time}
+        lines = {}
+        for block in self.trace.shaping:
+            if block.effect is not None:
+                name = self.trace.effects[block.effect].name
+                symbols = set().union(*(e.free_symbols for e in block.values.values()))
+                if symbols & (clock if name in remembering else {self.trace.step}):
+                    lines[block.effect] = f"    if (awake[{block.effect}]) return {quoted(name)};\n"
+        head = "static const char *counting(const unsigned char *awake)\n{\n    (void)awake;\n"
+        return f"{head}{''.join(lines.values())}    return NULL;\n}}\n"
 
     # -- tables ---------------------------------------------------------------------------------
 

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from cosim.base.units import parse
 from cosim.fmi.model_description import Description
-from cosim.fmi.native.compiler import CompilerFailed
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.native.layout import Layout
 from cosim.fmi.native.package import Native, build_native, part
-from cosim.fmi.native.platforms import NoCompiler
 from cosim.fmi.native.printing import Sources, variable_tables
 from cosim.fmi.ports import Port
 

@@ -40,19 +40,14 @@ static void on_ramps(const Log *log, double at, double *out)
     for (int j = 0; j < NU; j++) if (log->ramps[j]) out[j] = before[j] + (at - row) * (after[j] - before[j]);
 }
 
-/* Commands (3 x NU) act at the start, the middle and the end of the step. */
-static void rk4(double t, double h, double *x, const double *u, const double *p)
-{
-    double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], z[NX + 1];
-    deriv(t, x, u, p, k1);
-    for (int i = 0; i < NX; i++) z[i] = x[i] + 0.5 * h * k1[i];
-    deriv(t + 0.5 * h, z, u + NU, p, k2);
-    for (int i = 0; i < NX; i++) z[i] = x[i] + 0.5 * h * k2[i];
-    deriv(t + 0.5 * h, z, u + NU, p, k3);
-    for (int i = 0; i < NX; i++) z[i] = x[i] + h * k3[i];
-    deriv(t + h, z, u + 2 * NU, p, k4);
-    for (int i = 0; i < NX; i++) x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
-}
+/* Commands (3 x NU) act at the start, the middle and the end of a substep. */
+#define KIND static
+#define SHAPE [NX + 1]
+#define EACH for (int i = 0; i < NX; i++)
+#define AT [i]
+#define ARGUMENTS double *x, const double *u, const double *p
+#define RATES(t, moment, x, k) deriv(t, x, u + (moment) * NU, p, k)
+#include "rk4.h"
 
 /* The commands with which the FMU gives its outputs in row k: those held over the step that ends there, or interpolated. */
 static void held(const Log *log, int k, double *u)

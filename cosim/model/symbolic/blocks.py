@@ -128,6 +128,7 @@ def function(
     blocks: Sequence[Block],
     results: Sequence[Any],
     places: Mapping[Any, str],
+    *,
     calls: Sequence[Nearby] = (),
 ) -> str:
     """`name(arguments, awake, out)`, printed: what of the blocks the results need, each effect's in a branch.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Any
 
 from cosim.model.model import Model
@@ -20,7 +21,7 @@ def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     """Parameters, start values among them, and inputs that each output depends on in initialization mode."""
-    found: dict[str, set[str]] = {q.name: set() for q in model.outputs}
+    found: dict[str, set[str]] = defaultdict(set)
     flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
     variants = []
     for flag in (True, False):
@@ -28,12 +29,11 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
         variants.append(_outputs(s))
         names = {symbol: name for name, symbol in s.parameters.items()}
         names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
-        starts = {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
+        names |= {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
         follows = _derived_starts(s)
         for q, expression in zip(model.outputs, variants[-1], strict=True):
-            for symbol in expression.free_symbols - {s.time}:
-                found[q.name].add(starts.get(symbol) or names[symbol])
-                found[q.name] |= {names[other] for other in follows.get(starts.get(symbol, ""), ())}
+            direct = {names[symbol] for symbol in expression.free_symbols - {s.time}}
+            found[q.name].update(direct, *({names[other] for other in follows.get(name, ())} for name in direct))
     for q, with_flag, without in zip(model.outputs, *variants, strict=True):
         if with_flag != without:
             found[q.name].update(flags)

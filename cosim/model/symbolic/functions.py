@@ -59,12 +59,9 @@ class Body:
         with guarded(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
             rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
-        return cls(
-            s,
-            {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)},
-            {q.name: sympy.sympify(e) for q, e in zip(s.model.outputs, values, strict=True)},
-            dict(s.parameters),
-        )
+        of_states = {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)}
+        of_outputs = {q.name: sympy.sympify(e) for q, e in zip(s.model.outputs, values, strict=True)}
+        return cls(s, of_states, of_outputs, dict(s.parameters))
 
     def parameter(self, name: str) -> Any:
         """The symbol of a parameter more, that no model has."""

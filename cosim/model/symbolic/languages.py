@@ -1,4 +1,4 @@
-"""Printing expressions as functions: in C for a compiler, in Python for numba."""
+"""Printing expressions as functions, in C and in Python."""
 
 from __future__ import annotations
 

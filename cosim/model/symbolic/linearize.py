@@ -64,10 +64,8 @@ class Linearizer:
         for place, value in zip(self._places, values, strict=True):
             whole[place] = value
         model, n = self.model, len(self.model.states)
-        return LinearModel(
-            whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:],
-            *(tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)),
-        )  # fmt: skip
+        names = (tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs))
+        return LinearModel(whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], *names)
 
 
 def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:

@@ -7,7 +7,7 @@ serves every combination of effects, and a dormant one costs a jump.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -129,24 +129,20 @@ class Trace:
         self.step = sympy.Symbol("h", real=True)
         command: tuple[Any, ...] = self.s.command
         shaping = overrides(self.effects, "shape", Effect)
-        if any(e.delay for e in shaping[1:]):
-            raise Untraceable("a delay comes first in the catalogue, and there is one at most")
-        for late in (e for e in self.effects if e.delay):
-            for hook in APART:
-                if getattr(type(late), hook) is not getattr(Delay, hook):
-                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
-                    raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
+        _check_delays(self.effects, shaping)
         for k, effect in enumerate(self.effects):
             if effect.delay or effect not in shaping:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(self.memory) + j}", real=True) for j in range(len(effect.memory)))
             shaped, after = effect.shape(m, self.s.time, self.step, command, own)
-            awake = [sympy.sympify(e) for e in (*shaped, *after)]
-            names = [sympy.Symbol(f"s{k}_{j}", real=True) for j in range(len(awake))]
-            kept = [n if e == n else names[j] for j, (e, n) in enumerate(zip(awake, (*command, *own), strict=True))]
-            values = {n: e for n, e in zip(kept, awake, strict=True) if n in names}
-            sleeping = {n: e for n, e in zip(kept, (*command, *own), strict=True) if n in names}
-            self.shaping.append(Block(values, k, sleeping, f"{effect.name}.shape"))
+            block, kept = Block({}, k, {}, f"{effect.name}.shape"), []
+            for j, (e, before) in enumerate(zip((*shaped, *after), (*command, *own), strict=True)):
+                if (awake := sympy.sympify(e)) == before:
+                    kept.append(before)
+                    continue
+                kept.append(sympy.Symbol(f"s{k}_{j}", real=True))
+                block.values[kept[-1]], block.dormant[kept[-1]] = awake, before
+            self.shaping.append(block)
             command = tuple(kept[: len(command)])
             self.memory += own
             started = [sympy.sympify(e) for e in effect.remember(self.s.time, own)]
@@ -199,6 +195,17 @@ class Trace:
         if block.values:
             self.blocks.append(block)
         return self._calls[key]
+
+
+def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
+    """One effect at most delays the command, before the others that shape it, as `Delay` does; else Untraceable."""
+    if any(e.delay for e in shaping[1:]):
+        raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+    for late in (e for e in effects if e.delay):
+        for hook in APART:
+            if getattr(type(late), hook) is not getattr(Delay, hook):
+                text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
+                raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
 
 
 def _overridden(kind: type[Any]) -> Iterator[str]:

@@ -107,7 +107,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
         objectives, missed = [], []
         for h in (worse, better):
             learnt = learnt_without(search, problem, h, left_out)
-            missed.append(open_loop(problem, search.model.horizon, learnt.values, learnt, left_out))
+            missed.append(open_loop(problem, search.subject.horizon, learnt.values, learnt, left_out))
             if problem.table:  # on a row or a few, nothing can settle
                 objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
                 continue

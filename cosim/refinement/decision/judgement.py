@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.estimation.candidates import WIDTHS, Candidate, Free
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -15,6 +14,8 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.evidence import as_given, beyond_chance, held_out, scattered, steadiness
 from cosim.refinement.search.fits import Found, Search, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
+from cosim.subject.base_parameters import WIDTHS
+from cosim.subject.candidates import Candidate, Free
 
 RIVAL = 3.0  # score within which another hypothesis explains as well
 UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none

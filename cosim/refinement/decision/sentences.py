@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cosim.base.text import amount, finer, joined, percent, plain, written
-from cosim.estimation.candidates import Candidate, Free, kind_within
 from cosim.estimation.fit import Fit
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.model.model import Model
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Unnamed
+from cosim.subject.base_parameters import kind_within
+from cosim.subject.candidates import Candidate, Free
+from cosim.subject.interface import Subject
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
 NOTHING = "Nothing is missing: the model, within its tolerances, explains these logs down to the sensors' noise."
@@ -20,9 +21,9 @@ DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time a
 MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
 
-def usual_experiment(model: Model) -> str:
+def usual_experiment(subject: Subject) -> str:
     """What tells more of any model of this kind."""
-    return MORE_ROWS if model.static else DEFAULT_EXPERIMENT
+    return MORE_ROWS if subject.static else DEFAULT_EXPERIMENT
 
 
 def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
@@ -48,10 +49,10 @@ def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
     return f"{text} ({' and '.join(hidden)} would not have shown.)" if hidden else text
 
 
-def cannot_tell(names: Sequence[str], experiment: str, certain: str, model: Model) -> str:
+def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
     """What rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
-    designed = "" if model.static else "; `cosim excite` designs it, and says whether any would"
+    designed = "" if subject.static else "; `cosim excite` designs it, and says whether any would"
     apart = f"{' from '.join(names)}" if len(names) < 3 else f"these apart: {', or '.join(names)}"
     return f"{opening} cannot tell {apart}. This may: {experiment}{designed}."
 
@@ -169,19 +170,18 @@ def _goes(residual: Mapping[str, Any]) -> str:
     return follows(residual["signals"][0], shape)
 
 
-def claim(best: Hypothesis, candidates: Sequence[Candidate], model: Model) -> str:
+def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
     """What these candidates of the best hypothesis are, with their values and intervals."""
-    declared = model.declared | model.sensor_parameters
     parts: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
-        values = ", ".join(_estimate(best, f, written(declared[f.name].unit)) for f in c.free)
+        values = ", ".join(_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free)
         gone = all(
             abs(best.fit.values[f.name] - f.neutral) <= NORMAL_95 * best.fit.sigma(f.name)
             for f in c.free
             if f.neutral is not None
         )
-        note = "; the logs show none" if kind_within(c, model) != c.kind and gone else ""
-        parts[kind_within(c, model)].append(f"{c.name} ({values}{note})")
+        note = "; the logs show none" if kind_within(c, subject) != c.kind and gone else ""
+        parts[kind_within(c, subject)].append(f"{c.name} ({values}{note})")
     openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
     text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in parts.items() if names)
     moving = (
@@ -211,8 +211,8 @@ def left_over(term: Unnamed | None, gained: float) -> str:
     return f" Something is left in {term.equation} that {follows(term.signal, term.shape)}: {more}."
 
 
-def experiment_for(model: Model, names: Sequence[str]) -> str:
+def experiment_for(subject: Subject, names: Sequence[str]) -> str:
     """The input that would separate these rivals, as the model says."""
-    known = [(len(row & set(names)), text) for row, text in model.told_apart_by.items()]
+    known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(known, default=(0, ""))
-    return text if shared > 1 else usual_experiment(model)
+    return text if shared > 1 else usual_experiment(subject)

@@ -16,42 +16,42 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem
-from cosim.model.model import Model
 from cosim.refinement.decision.evidence import open_loop
 from cosim.refinement.decision.judgement import noise_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Found, Progress, Search
 from cosim.refinement.search.hypotheses import NOISE
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Subject
 
 CLEARLY = 0.05  # of the error of open-loop predictions, by which one way must be better
 
 
-def attributed(model: Model, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
+def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
     """The best hypothesis with unknown inputs free, or with the equations trusted where that predicts better."""
-    found = Attributor(model, problem, candidates, progress).run()
+    found = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > NOISE for gain in noise_gain(found.search.problem, found.best.fit)):
         return found
     progress("predicting with the equations trusted", 0.0)
-    trusted = with_equations_trusted(model, problem)
-    free = missed(found.search.problem, model, found.best.fit)
-    if math.isfinite(model.horizon):  # a model that is judged by a free run is tried so in any case
-        search = Search(model, coarsened(trusted), len(candidates), progress)
+    trusted = with_equations_trusted(subject, problem)
+    free = missed(found.search.problem, subject, found.best.fit)
+    if math.isfinite(subject.horizon):  # a model that is judged by a free run is tried so in any case
+        search = Search(subject, coarsened(trusted), len(candidates), progress)
         likewise = search.hypothesis(found.best.candidates, found.best.fit)
-        if missed(search.problem, model, likewise.fit) > free - CLEARLY:
+        if missed(search.problem, subject, likewise.fit) > free - CLEARLY:
             return found
-    other = Attributor(model, trusted, candidates, progress).run()
-    if missed(other.search.problem, model, other.best.fit) > free - CLEARLY:
+    other = Attributor(subject, trusted, candidates, progress).run()
+    if missed(other.search.problem, subject, other.best.fit) > free - CLEARLY:
         return found
     return replace(other, heard=found.best.fit.noise.sensors)
 
 
-def missed(problem: Problem, model: Model, f: Fit) -> float:
+def missed(problem: Problem, subject: Subject, f: Fit) -> float:
     """Logarithm of the error of open-loop predictions over the model's horizon, a mean over the outputs."""
-    return size([open_loop(problem, model.horizon, f.values, f, k) for k in range(len(problem.logs))])
+    return size([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])
 
 
 def size(errors: Sequence[Array]) -> float:

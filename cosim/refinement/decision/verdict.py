@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from cosim.estimation.candidates import Candidate, kind_within
-from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.decision.sentences import (
     beside,
@@ -23,6 +21,9 @@ from cosim.refinement.decision.sentences import (
 )
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover
+from cosim.subject.base_parameters import kind_within
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Subject
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 Grade = Literal["claimed", "part", "nearest"]
@@ -48,7 +49,7 @@ class Verdict:
 
 
 def judge(
-    a: Attribution, left: Leftover, model: Model, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
+    a: Attribution, left: Leftover, subject: Subject, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
 ) -> Verdict:
     """Claim what is borne out and stands beside what has no name. Of these rules the first that applies decides.
 
@@ -59,7 +60,7 @@ def judge(
     large = max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default=None)
     unseen = large is None and a.hidden and len(a.hidden) == a.effects
     if not a.best.candidates and (still or unseen):
-        return _undecided(a, model, residual, still=still)
+        return _undecided(a, subject, residual, still=still)
     if not a.best.candidates and left.terms:
         return Verdict("unexplained", None, (), "", residual, unexplained(residual, ()))
     if not a.best.candidates and large is not None:
@@ -72,34 +73,34 @@ def judge(
     if _disputed(a, left) or hides:
         return Verdict("unexplained", None, a.best.names, "", residual, unexplained(residual, a.best.names))
     if a.rivals:
-        return _ambiguous(a, model, residual)
-    sentence = claim(a.best, a.best.candidates, model) + perhaps(_little(a))
+        return _ambiguous(a, subject, residual)
+    sentence = claim(a.best, a.best.candidates, subject) + perhaps(_little(a))
     if left.terms:
         sentence += left_over(left.terms[0], gained)
-    name = name_of(a.best.candidates, model)
+    name = name_of(a.best.candidates, subject)
     if large is not None:
         return Verdict(name, a.best, (), "", residual, beside(sentence, large, moves[large]), "part")
     return Verdict(name, a.best, (), "", residual, sentence, "claimed")
 
 
-def _undecided(a: Attribution, model: Model, residual: Mapping[str, Any], *, still: bool) -> Verdict:
+def _undecided(a: Attribution, subject: Subject, residual: Mapping[str, Any], *, still: bool) -> Verdict:
     """Nothing is claimed of logs in which nothing would show."""
     names = a.hidden
     rivals = names if len(names) > 1 else (*names, "no_effect")
-    experiment = usual_experiment(model)
+    experiment = usual_experiment(subject)
     sentence = excites_too_little(len(names), experiment, still=still)
     return Verdict("ambiguous", None, rivals, experiment, residual, sentence)
 
 
-def _ambiguous(a: Attribution, model: Model, residual: Mapping[str, Any]) -> Verdict:
+def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Verdict:
     """The best is in the model until an experiment separates it from its rivals; what they share is certain."""
     every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [[n for n in h.names if n not in common] for h in every]
-    experiment = experiment_for(model, [n for names in apart for n in names])
+    experiment = experiment_for(subject, [n for names in apart for n in names])
     certain = [c for c in a.best.candidates if c.name in common]
-    certainly = claim(a.best, certain, model) if certain else ""
-    sentence = cannot_tell([" and ".join(names) for names in apart], experiment, certainly, model)
+    certainly = claim(a.best, certain, subject) if certain else ""
+    sentence = cannot_tell([" and ".join(names) for names in apart], experiment, certainly, subject)
     rivals = tuple(TOGETHER.join(h.names) for h in every)
     return Verdict("ambiguous", a.best, rivals, experiment, residual, sentence)
 
@@ -109,9 +110,9 @@ def _little(a: Attribution) -> tuple[str, ...]:
     return tuple(n for n in a.fuller.names if n not in a.best.names) if a.fuller else ()
 
 
-def name_of(candidates: Sequence[Candidate], model: Model) -> Name:
+def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
     """The verdict that claims these candidates, by their kind."""
-    kinds = {kind_within(c, model) for c in candidates}
+    kinds = {kind_within(c, subject) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 

@@ -6,7 +6,6 @@ All horizons are measured through the FMU; the floor, which needs dozens of runs
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,20 +19,16 @@ from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
-from cosim.fmi.state import MEMORY, Memory
-from cosim.isolation.limits import Limits
-from cosim.isolation.process import Worker
-from cosim.kernel.kernel import CONSTANT, Data, Filtered
 from cosim.kernel.kernel import MEMORY as LASTS
+from cosim.kernel.kernel import Data, Filtered
 from cosim.logs.log import Log
-from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
 from cosim.refinement.proof.refined_models import Variant
-from cosim.residuals.drive import Drive, StoppedReplay
-from cosim.residuals.remote_drive import DriveApart
+from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pooled
-from cosim.residuals.windows import Replay, row_by_row, window_rows, windows
+from cosim.residuals.windows import Replay, window_rows
+from cosim.subject.interface import Replayer, Start, Subject
 
 FLOOR_SEED = 20121
 
@@ -44,57 +39,71 @@ CALMER, UNLIKE = 1.2, 3.0  # times the error, and times its scatter, from which 
 Evidence = list[tuple[Log, Replay]]
 
 
-def filtering(problem: Problem, model: Model, logs: Sequence[Log]) -> Problem:
-    """The filter of a problem, its kernel too, for a variant of its model on other logs; what these lack is missing."""
+def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
+    """The filter of a problem, its kernel too, for a variant of its subject on other logs; what these lack is missing.
+
+    The kernel of the problem takes all numbers, those of the variant too.
+    """
     layout = problem.layout
-    data = [as_data(model, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
-    x0 = [start_state(model, d, layout.outputs, layout.states) for d in data]
+    data = [as_data(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
+    x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
     readings = [readings_of(d.y, unscored(d)) for d in data]
-    begins = origins(model, layout, logs, data, problem.settings)
+    begins = origins(subject, layout, logs, data, problem.settings)
     posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
-    return replace(posed, P0=start_covariance(model, posed))
+    return replace(posed, P0=start_covariance(subject, posed))
 
 
 def replays(
     variant: Variant,
+    replayer: Replayer,
     problem: Problem,
     logs: Sequence[Log],
     horizons: Sequence[float] = (),
-    worker: Worker | None = None,
-    limits: Limits | None = None,
 ) -> dict[float, Evidence]:
-    """Horizon → each log, its readings corrected, and its consecutive replays through the FMU.
+    """Horizon → each log, its readings corrected, and its consecutive replays through what is delivered.
 
-    The model's own horizon comes first. Over another, a model that runs away may end its FMU: that log is left out.
-    worker: where the FMU runs, within limits; in this process without.
+    The subject's own horizon comes first. Over another, a subject that runs away may end its FMU: that log is left out.
     """
-    problem = filtering(problem, variant.model, logs)
-    judged = variant.model.horizon
+    problem = filtering(problem, variant.subject, logs)
+    judged = variant.subject.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
-        between = problem.settings.interpolated
-        apart = worker and DriveApart(worker, log, variant.fmu, interpolated=between, limits=limits)
-        with apart or Drive(log, variant.fmu, interpolated=between) as drive:
+        values = problem.of_log(variant.values, index)
+        starts, acting = {}, {}
+        for horizon in played if not log.table else ():
+            starts[horizon], acting[horizon] = _starts(variant, problem, log, index, horizon)
+        made = replayer.replays(log, problem.logs[index], values, starts)
+        for horizon in played:
+            try:
+                replay = next(made)
+            except StoppedReplay:
+                if horizon == judged:
+                    raise
+                break  # a failed FMU is not called again
+            played[horizon].append(
+                (without_sensor_errors(log, variant, acting.get(horizon, {}), replay.outputs), replay)
+            )
             if log.table:
-                replay = row_by_row(drive, variant.parameters)
-                played[judged].append((without_sensor_errors(log, variant, {}, replay.outputs), replay))
-                continue
-            data, values = problem.data(variant.values, index), problem.of_log(variant.values, index)
-            for horizon, evidence in played.items():
-                rows = first_rows(log, horizon)
-                filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
-                given = {k: start_values(variant, problem, filtered, int(log.grid[k])) for k in rows}
-                starts = {k: {**variant.parameters, **start} for k, start in given.items()}
-                memories = {k: _on_its_way(variant, values, log, problem.logs[index], k) for k in rows}
-                try:
-                    replay = windows(drive, starts, horizon, memories)
-                except StoppedReplay:
-                    if horizon == judged:
-                        raise
-                    break  # a failed FMU is not called again
-                acting = _acting(problem, filtered, log.grid[rows], log.grid)
-                evidence.append((without_sensor_errors(log, variant, acting, replay.outputs), replay))
+                break
+        made.close()
     return played
+
+
+def _starts(
+    variant: Variant, problem: Problem, log: Log, index: int, horizon: float
+) -> tuple[dict[int, Start], dict[str, Array]]:
+    """Starts of the replays of a log, as the filter knew them by then, and parameters per log in every row."""
+    rows, layout = first_rows(log, horizon), problem.layout
+    data = problem.data(variant.values, index)
+    filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
+    starts = {}
+    for k in rows:
+        row = int(log.grid[k])
+        here = problem.undisturbed(filtered.states[row])
+        per_log = {name: float(here[place]) for name, place in layout.constants.items()}
+        states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
+        starts[k] = Start(states, filtered.memory[row], per_log)
+    return starts, _acting(problem, filtered, log.grid[rows], log.grid)
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
@@ -105,51 +114,6 @@ def first_rows(log: Log, horizon: float) -> list[int]:
 def rmse(evidence: Evidence) -> dict[str, float]:
     """Channel → RMSE pooled over the logs."""
     return pooled(replay.errors(log) for log, replay in evidence)
-
-
-def start_values(variant: Variant, problem: Problem, filtered: Filtered, row: int) -> dict[str, float]:
-    """FMU start parameters at a row of the filter: its states and the memory of the effects, a delay's apart.
-
-    Parameters per log are among them, as the filter knows them by then; errors of sensors are none of the plant's.
-    """
-    layout = problem.layout
-    awake = {e.name for e in variant.model.awake}
-    plant = variant.model.declared
-    here = problem.undisturbed(filtered.states[row])
-    start = {name: float(here[place]) for name, place in layout.constants.items() if name in plant}
-    for name, value in zip(layout.states, filtered.states[row], strict=True):
-        if name.startswith(CONSTANT):
-            continue
-        if "." not in name or name.split(".")[0] in awake:
-            start[f"{name}_start"] = float(value)
-    k = 0
-    for effect in _shaping(variant.model.catalogue):
-        if effect.delay:  # see _on_its_way
-            continue
-        for q in effect.memory:
-            if effect.name in awake:
-                start[f"{effect.name}.{q.name}_start"] = float(filtered.memory[row, k])
-            k += 1
-    return start
-
-
-@functools.cache
-def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
-    """The effects of a catalogue that act on a command, as declared."""
-    return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
-
-
-def _on_its_way(variant: Variant, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
-    """Commands a delay has not let through at row k of the log: (time from which it holds, command), oldest first."""
-    shaping = overrides(variant.model.awake, "shape", Effect)
-    waiting: dict[tuple[int, int], Any] = {}
-    for place, effect in enumerate(shaping):
-        if effect.delay:
-            row = int(log.grid[k])
-            late = values[f"{effect.name}.{effect.delay}"] / data.step
-            rows = range(max(0, math.floor(row - late)), row) or [row]
-            waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
-    return waiting
 
 
 def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
@@ -170,7 +134,7 @@ def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array
 def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
     """The errors of the sensors, the last to act first."""
     values = {**variant.values, **acting}
-    for kind in reversed(variant.model.sensors):
+    for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
@@ -203,7 +167,7 @@ def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> d
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
-    problem = filtering(problem, variant.model, logs)
+    problem = filtering(problem, variant.subject, logs)
     missed = [
         _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
     ]
@@ -229,7 +193,7 @@ class Floor:
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
-    problem = filtering(problem, variant.model, logs)
+    problem = filtering(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
@@ -247,7 +211,7 @@ def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[st
     """Values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
     if not logs or not problem.layout.constants:
         return {}
-    problem = filtering(problem, variant.model, logs)
+    problem = filtering(problem, variant.subject, logs)
     ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
     return {name: value for end in ends for name, value in end.items()}
 
@@ -290,7 +254,7 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
     Each starts from the state that the filter knew by then.
     """
     gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-    horizon = variant.model.horizon
+    horizon = variant.subject.horizon
     rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
     filtered = problem.known(data, variant.values, variant.noise, index, rows)
     acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))

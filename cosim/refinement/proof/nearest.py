@@ -28,7 +28,7 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     found: list[tuple[float, Hypothesis | None]] = []
 
     def error(fits: Sequence[Fit]) -> float:
-        missed = [open_loop(problem, search.model.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
+        missed = [open_loop(problem, search.subject.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
         return size(missed)
 
     found.append((error([as_given(problem, a.base.fit, k) for k in logs]), None))

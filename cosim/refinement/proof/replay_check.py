@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -14,17 +13,16 @@ from cosim.base.arrays import Array
 from cosim.base.text import percent, plain
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
-from cosim.model.gain import Gain
-from cosim.model.model import Model
 from cosim.refinement.decision.judgement import BETTER, RIVAL, SIGNIFICANT, beyond, outside
 from cosim.refinement.decision.sentences import cannot_tell, claim, experiment_for, further, misses, partly, unexplained
 from cosim.refinement.decision.verdict import Verdict, name_of
 from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import of_noise, refined_model, variants_of
+from cosim.refinement.proof.refined_models import of_noise, refined_subject, variants_of
 from cosim.refinement.search.fits import Found, Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM, excess_left
+from cosim.subject.interface import Subject
 
 PART = 0.1  # of the excess error, from which a claim that leaves it is of a part only
 HALF = 0.5  # the same, on the channel that is mended best: what leaves more is not claimed
@@ -40,11 +38,11 @@ def held_against_replays(study: Study, a: Attribution, verdict: Verdict, found: 
         error, floor = _replay_errors(study, a, verdict, problem, found.heard)
         if missed := _missed(error["before"], floor):
             explained = within and not _missed(error["recalibrated"], floor)
-            verdict = verdict if explained else standing(verdict, a, study.loaded.model, found, missed)
+            verdict = verdict if explained else standing(verdict, a, study.subject, found, missed)
             single = True
     elif verdict.name == "parameter_error" and verdict.claimed and (others := _beyond(verdict.claimed.fit)):
         said = verdict.sentence + further(verdict.claimed.fit, others)
-        otherwise = standing(verdict, a, study.loaded.model, found, {})
+        otherwise = standing(verdict, a, study.subject, found, {})
         verdict = otherwise if otherwise.claimed is not None else replace(verdict, sentence=said)
     if verdict.claimed is None:
         return verdict
@@ -58,8 +56,9 @@ def _replay_errors(
     study: Study, a: Attribution, verdict: Verdict, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
     """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
-    nothing = Path()
-    variants = variants_of(study, a, verdict.claimed, refined_model(study, verdict.claimed), (nothing, nothing))
+    subject, settings = study.subject, study.settings
+    refined = refined_subject(subject, settings, verdict.claimed)
+    variants = variants_of(subject, settings, a, verdict.claimed, refined)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
     quiet = of_noise(variants["after"], a, verdict.claimed, heard)
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
@@ -138,15 +137,14 @@ def _withdrawn(verdict: Verdict, doubt: str) -> Verdict:
 # -- that nothing is missing ------------------------------------------------------------------
 
 
-def standing(verdict: Verdict, a: Attribution, model: Model, found: Found, missed: Channels) -> Verdict:
+def standing(verdict: Verdict, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Verdict:
     """`no_effect`, taken back where the model explains the logs only recalibrated beyond its tolerances.
 
     Then the one number that is off is claimed, or the gain of an input: what leaves all others within theirs.
     missed: channel → how many times what noise makes the model as it stands misses it
     """
     search = found.search
-    gains = {kind.name for kind in model.catalogue if issubclass(kind, Gain)}
-    single = [c for c in found.candidates if c.kind == "parameter" or c.name in gains]
+    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
     # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
     stated = [search.hypothesis((c,), replace(a.base.fit, values=search.problem.values)) for c in single]
     known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
@@ -154,9 +152,9 @@ def standing(verdict: Verdict, a: Attribution, model: Model, found: Found, misse
     off = sorted((h for h in best.values() if _alone_off(search, h)), key=lambda h: h.score)
     near = [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
     if len(near) > 1:
-        return _one_of(verdict, near, model)
+        return _one_of(verdict, near, subject)
     if near:
-        sentence, name = claim(near[0], near[0].candidates, model), name_of(near[0].candidates, model)
+        sentence, name = claim(near[0], near[0].candidates, subject), name_of(near[0].candidates, subject)
         return replace(verdict, name=name, claimed=near[0], sentence=sentence, grade="claimed")
     worst = max(missed, key=lambda n: missed[n], default="")
     return replace(
@@ -186,11 +184,11 @@ def _beyond(f: Fit) -> list[str]:
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
 
 
-def _one_of(verdict: Verdict, near: Sequence[Hypothesis], model: Model) -> Verdict:
+def _one_of(verdict: Verdict, near: Sequence[Hypothesis], subject: Subject) -> Verdict:
     """One of several parameters is off, and the logs do not separate them; the best is claimed."""
     names = tuple(n for h in near for n in h.names)
-    experiment = experiment_for(model, names)
-    sentence = cannot_tell(names, experiment, "", model)
+    experiment = experiment_for(subject, names)
+    sentence = cannot_tell(names, experiment, "", subject)
     return replace(verdict, name="ambiguous", claimed=near[0], rivals=names, experiment=experiment, sentence=sentence)
 
 

@@ -15,13 +15,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import percent, size
 from cosim.estimation.problem import Problem
-from cosim.model.model import Model
 from cosim.refinement.decision.evidence import learnt_without, open_loop
 from cosim.refinement.decision.sentences import follows, partly, unexplained
 from cosim.refinement.decision.verdict import Verdict
 from cosim.refinement.proof.replay_check import PART
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.subject.interface import Subject
 
 FEWEST = 8  # rows, below which neighbours tell nothing
 PLAIN = 3.0  # standard deviations of their correlation, from which they are alike
@@ -42,15 +42,15 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
     for k in range(len(problem.logs)):
         fit = search.tried[()].fit if h is None else learnt_without(search, problem, h, k)
         values = problem.values if h is None else fit.values
-        rows.append(open_loop(problem, search.model.horizon, values, fit, k)[:, 0])
+        rows.append(open_loop(problem, search.subject.horizon, values, fit, k)[:, 0])
     left = np.vstack(rows)
     sizes = np.sqrt(np.nanmean(left**2, axis=0)).tolist()
     return dict(zip(problem.layout.outputs, sizes, strict=True))
 
 
-def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Model) -> Verdict:
+def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, subject: Subject) -> Verdict:
     """The verdict, and what of an output goes with an input beside the best hypothesis, where something does."""
-    left = _leftover(problem, a.best, model)
+    left = _leftover(problem, a.best, subject)
     if left is None:
         return verdict
     output, signal = left
@@ -68,7 +68,7 @@ def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, model: Mod
     return replace(verdict, sentence=f"{verdict.sentence} Something is left of {output} that {follows(signal)}.")
 
 
-def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] | None:
+def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
     """Output and input over which what is left goes most, where neighbours are plainly alike.
 
     By Σ r_k·r_k+1 / Σ r² of the ranks r of what is left, about their mean, in the order of the input: of noise it is
@@ -79,7 +79,7 @@ def _leftover(problem: Problem, h: Hypothesis, model: Model) -> tuple[str, str] 
     found: tuple[str, str] | None = None
     for j, output in enumerate(problem.layout.outputs):
         seen = np.isfinite(left[:, j])
-        for i, q in enumerate(model.inputs):
+        for i, q in enumerate(subject.inputs):
             if seen.sum() < FEWEST or not np.ptp(u[seen, i]):
                 continue
             e = left[seen, j][np.argsort(u[seen, i], kind="stable")]
@@ -99,9 +99,9 @@ def _sizes(problem: Problem, h: Hypothesis) -> Array:
     return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))
 
 
-def on_rows_left_out(errors: Mapping[str, Channels], verdict: Verdict, model: Model) -> str:
+def on_rows_left_out(errors: Mapping[str, Channels], verdict: Verdict, subject: Subject) -> str:
     """The errors on rows left out, in words: of what is claimed, or of the model recalibrated, and without it."""
-    units = {q.name: q.unit for q in model.outputs}
+    units = {q.name: q.unit for q in subject.outputs}
     effect = verdict.claimed is not None and any(c.kind != "parameter" for c in verdict.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
     who, without = ("the model", "without it") if effect else ("the model recalibrated", "as it is")

@@ -11,11 +11,9 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.estimation.problem import Problem
-from cosim.kernel.nameless import bases
-from cosim.model.model import Model
-from cosim.model.symbolic.symbols import symbolic
 from cosim.refinement.search.missing import Missing
 from cosim.refinement.search.shapes import Shape, signals_of
+from cosim.subject.interface import Subject
 
 BINS = 12
 
@@ -29,7 +27,7 @@ class Regressor:
     values: Array
 
 
-def regressors(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Regressor]:
+def regressors(subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Regressor]:
     """Time, states that are filtered, commands, their rates, sums and differences, products of velocities.
 
     parts: index of a log in the problem, and what was smoothed of it
@@ -38,7 +36,7 @@ def regressors(model: Model, problem: Problem, parts: Sequence[tuple[int, Missin
     time = np.concatenate([m.time for _, m in parts])
     states = np.vstack([m.states for _, m in parts])
     known = [Regressor("time", "s", time)]
-    base = [q for q in model.base_states if q.name in names]
+    base = [q for q in subject.states if q.name in names and _is_own(subject, q.name)]
     reached = {names[k] for k in problem.layout.stochastic}
     for q in base:
         if q.name in reached:
@@ -49,7 +47,12 @@ def regressors(model: Model, problem: Problem, parts: Sequence[tuple[int, Missin
         for a, b in combinations(speeds, 2)
         if a.unit != b.unit
     ]
-    return {s.name: s for s in (*known, *products, *_commands(model, problem, parts))}
+    return {s.name: s for s in (*known, *products, *_commands(subject, problem, parts))}
+
+
+def _is_own(subject: Subject, state: str) -> bool:
+    """Whether a state is the subject's own, not that of an effect that it has."""
+    return state.partition(".")[0] not in subject.present
 
 
 def _turned(values: Array, unit: str) -> Array:
@@ -57,7 +60,7 @@ def _turned(values: Array, unit: str) -> Array:
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 
-def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Regressor]:
+def _commands(subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Regressor]:
     """Commands that move, and of two of one unit the mean and the half difference, each with its rate."""
     columns, rates = [], []
     for index, m in parts:
@@ -68,10 +71,10 @@ def _commands(model: Model, problem: Problem, parts: Sequence[tuple[int, Missing
         rates.append(np.gradient(data.u, data.step, axis=0)[chosen])
     u, du = np.vstack(columns), np.vstack(rates)
     plain = [
-        (f"command {q.name}", q.unit, u[:, k], du[:, k]) for k, q in enumerate(model.inputs) if np.ptp(u[:, k]) > 0
+        (f"command {q.name}", q.unit, u[:, k], du[:, k]) for k, q in enumerate(subject.inputs) if np.ptp(u[:, k]) > 0
     ]
     pairs = []
-    for (i, a), (j, b) in combinations(enumerate(model.inputs), 2):
+    for (i, a), (j, b) in combinations(enumerate(subject.inputs), 2):
         if a.unit == b.unit and np.ptp(u[:, i]) > 0 and np.ptp(u[:, j]) > 0:
             for word, sign in (("mean", 0.5), ("half difference", -0.5)):
                 name = f"{word} of commands {a.name}, {b.name}"
@@ -124,34 +127,29 @@ def local(
 
 
 def nameless(
-    model: Model, problem: Problem, parts: Sequence[tuple[int, Missing]], term: Mapping[str, Any]
+    subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]], term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
     """The signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
-    import sympy
-
     signal, coefficient = term["signal"], term["coefficient"]
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])
         return local(problem, parts, shape, term["local"]["sizes"])
-    s = symbolic(model)
-    basis = bases(s).get(signal)
-    if basis is None:
+    known = subject.nameless(signal)
+    if known is None:
         return None
-    symbols = [s.time, *s.state[: len(model.base_states)], *s.command]
-    called = ["time", *(q.name for q in model.base_states), *(f"command {q.name}" for q in model.inputs)]
-    evaluate = sympy.lambdify(symbols, basis, "numpy")
-    units = ["s", *(q.unit for q in model.base_states), *(q.unit for q in model.inputs)]
-    unit_of = dict(zip(called, units, strict=True))
+    evaluate, depends = known
+    states = [q for q in subject.states if _is_own(subject, q.name)]
+    called = ["time", *(q.name for q in states), *(f"command {q.name}" for q in subject.inputs)]
+    unit_of = dict(zip(called, ["s", *(q.unit for q in (*states, *subject.inputs))], strict=True))
     columns: dict[str, list[Array]] = {name: [] for name in called}
     names, values = problem.layout.states, []
     for index, m in parts:
         data = problem.logs[index]
         first = round((m.time[0] - data.start) / data.step)
         u = data.u[first : first + len(m.time)]
-        x = [m.states[:, names.index(q.name)] for q in model.base_states]
+        x = [m.states[:, names.index(q.name)] for q in states]
         values.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
         for name, column in zip(called, (m.time, *x, *u.T), strict=True):
             columns[name].append(column)
-    free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols]
-    chosen = free[0] if free else "time"
+    chosen = depends[0] if depends else "time"
     return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(values)

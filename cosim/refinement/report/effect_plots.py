@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.data import unscored
 from cosim.estimation.problem import Problem
-from cosim.model.model import Model
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Subject
 
 VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
 
@@ -85,7 +85,7 @@ def shown(r: Refinement) -> list[Shown]:
         if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
             without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
         picture = _reading if candidate.kind == "sensor" else _term
-        pictures.append(picture(r.study.loaded.model, r.problem, candidate, without, with_it, logs))
+        pictures.append(picture(r.study.subject, r.problem, candidate, without, with_it, logs))
     return pictures
 
 
@@ -94,19 +94,21 @@ def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, floa
     return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
 
 
-def _term(model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]) -> Shown:
+def _term(
+    subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
+) -> Shown:
     """The equation in which the claim is largest against what is known of the missing acceleration."""
     parts = [(k, missing(problem, without, k)) for k in logs]
     terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
-    against = choose(regressors(model, problem, parts), model.drawn_against.get(c.name, ()), terms[:, column])
-    return _picture(model, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
+    against = choose(regressors(subject, problem, parts), subject.drawn_against.get(c.name, ()), terms[:, column])
+    return _picture(subject, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
 
 
 def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     """What the best hypothesis leaves, with the term without a name that promises most beside it."""
-    model, problem, best = r.study.loaded.model, r.problem, r.attribution.best.fit
+    subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
     parts = [(k, missing(problem, Filter(best.values, best.noise), k)) for k in logs]
     value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
     residual, equations = r.verdict.residual, parts[0][1].equations
@@ -114,17 +116,17 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])
     first = next(iter(residual.get("terms", ())), None)
-    drawn = nameless(model, problem, parts, first) if first else None
+    drawn = nameless(subject, problem, parts, first) if first else None
     if first is None or drawn is None:
-        against = choose(regressors(model, problem, parts), (), value[:, column])
-        return _picture(model, parts, "", "nameless", column, against, value, sigma, None)
+        against = choose(regressors(subject, problem, parts), (), value[:, column])
+        return _picture(subject, parts, "", "nameless", column, against, value, sigma, None)
     term = at_best(problem, best, logs, column, drawn[1], value[:, column])
-    picture = _picture(model, parts, "", "nameless", column, drawn[0], value, sigma, term)
+    picture = _picture(subject, parts, "", "nameless", column, drawn[0], value, sigma, term)
     return replace(picture, effect=first["signal"], recorded=residual.get("share"))
 
 
 def _picture(
-    model: Model,
+    subject: Subject,
     parts: Sequence[tuple[int, Missing]],
     effect: str,
     kind: str,
@@ -135,7 +137,7 @@ def _picture(
     term: Array | None,
 ) -> Shown:
     where = parts[0][1].equations[column]
-    unit = next((q.unit for q in model.states if q.name == where), "")
+    unit = next((q.unit for q in subject.states if q.name == where), "")
     time, first = np.concatenate([m.time for _, m in parts]), len(parts[0][1].time)
     step = float(np.median(np.diff(parts[0][1].time))) if first > 1 else 1.0
     return Shown(
@@ -148,14 +150,14 @@ def _per_second(unit: str) -> str:
 
 
 def _reading(
-    model: Model, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
+    subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
 ) -> Shown:
     """A sensor's reading less what is there, along the refined estimate, against what its error comes of.
 
     That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
     several outputs the one on which the error is largest is shown.
     """
-    kind = next(k for k in model.sensors if k.name == c.name)
+    kind = next(k for k in subject.sensors if k.name == c.name)
     parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in logs]
     first = len(parts[0].time)
     time = np.concatenate([p.time for p in parts])
@@ -164,7 +166,7 @@ def _reading(
     sizes = np.sqrt(np.nanmean((read - there) ** 2, axis=0) / problem.r)
     channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
     rows = np.isfinite(y[:, channel]) & np.isfinite(read[:, channel])
-    unit = {q.name: q.unit for q in model.outputs}
+    unit = {q.name: q.unit for q in subject.outputs}
     said = {n: Regressor(f"{n} as the refined model says it is", unit[n], there[rows, k]) for k, n in enumerate(names)}
     name, missed, term = names[channel], (y - there)[rows, channel], (read - there)[rows, channel]
     if kind.late:
@@ -173,7 +175,7 @@ def _reading(
         against = said[name]
     else:
         known = {"time": Regressor("time", "s", time[rows]), **said}
-        against = choose(known, model.drawn_against.get(c.name, ()), term)
+        against = choose(known, subject.drawn_against.get(c.name, ()), term)
     sigma = np.full(len(term), float(np.sqrt(problem.r[channel])))
     return Shown(
         c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, int(rows[:first].sum()),

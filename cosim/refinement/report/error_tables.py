@@ -64,7 +64,7 @@ class HorizonTable:
 
 def units(r: Refinement) -> dict[str, str]:
     """Unit of each output."""
-    return {q.name: q.unit for q in r.study.loaded.model.outputs}
+    return {q.name: q.unit for q in r.study.subject.outputs}
 
 
 def error_size(value: float, unit: str, like: float) -> str:
@@ -98,7 +98,7 @@ def horizon_table(r: Refinement) -> HorizonTable:
     """
     part = judged(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
-    errors[r.study.loaded.model.horizon] = r.record["error"]
+    errors[r.study.subject.horizon] = r.record["error"]
     near = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
     variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if near else ("after",)
     what = "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if near else "Over"

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.base.text import amount, display, joined, plain
-from cosim.estimation.candidates import Candidate, Free
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.model.quantities import Parameter
-from cosim.refinement.proof.refined_models import refined_model
+from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
+from cosim.subject.candidates import Candidate, Free
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15
@@ -118,10 +118,9 @@ def _value(value: float, unit: str, digits: int = 4) -> str:
 # -- parameters -------------------------------------------------------------------------------
 
 
-def _declared(r: Refinement) -> dict[str, Parameter]:
+def _declared(r: Refinement) -> Mapping[str, Parameter]:
     """Every parameter by name."""
-    model = r.study.loaded.model
-    return model.declared | model.sensor_parameters
+    return r.study.subject.declared
 
 
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
@@ -136,7 +135,11 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
         "The bar is the 95 % interval, the dashed line the neutral value or the data sheet.", "Neutral",
         tuple(names[True]),
     )  # fmt: skip
-    alone = hypothesis.of_sensors and refined_model(r.study, hypothesis).parameters == r.study.loaded.parameters
+    subject, settings = r.study.subject, r.study.settings
+    refined = refined_subject(subject, settings, hypothesis).values
+    alone = hypothesis.of_sensors and all(
+        refined[n] == value for n, value in subject.values.items() if n not in subject.sensor_parameters
+    )
     note = "The model keeps its own: a sensor's error is none of the plant's." if alone else ""
     rest = ParameterTable(
         f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
@@ -187,7 +190,7 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
     """√q is how far the state drifts in one second for what its equation does not say."""
     noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
-    unit = {q.name: q.unit for q in r.study.loaded.model.states}
+    unit = {q.name: q.unit for q in r.study.subject.states}
     rows = []
     for k, name in enumerate(r.problem.layout.forced):
         if name in noise:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import platform
 import shlex
@@ -13,12 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.registry import entry_of
 from cosim.base.text import MISSING, counted, percent, plain
 from cosim.base.version import __version__
-from cosim.loading.refined import REFINED
 from cosim.logs.log import Log
-from cosim.model.model import Model
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import Shown, shown
 from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, second_sentence
@@ -54,8 +50,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
     """Everything the template names."""
     charts = Charts()
     return {
-        "name": f"Study {r.study.path.resolve().parent.name}",
-        "description": f"{r.study.loaded.model.title}: what measured logs say the model lacks.",
+        "name": f"Study {r.study.name}",
+        "description": f"{r.study.subject.title}: what measured logs say the model lacks.",
         "sentence": r.record["sentence"],
         "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
         "second": second_sentence(r),
@@ -72,8 +68,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
         "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
-        "use": shlex.join(use_command(type(r.study.loaded.model), r.folder)),
-        "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]),
+        "use": shlex.join(r.study.subject.use(r.folder)),
+        "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]) if r.study.path else "",
         "provenance": _provenance(r),
         "data": charts.data(),  # after all that is drawn
         "version": __version__,
@@ -259,14 +255,19 @@ def _ranking_lead(r: Refinement) -> str:
 
 def _provenance(r: Refinement) -> list[Row]:
     study = r.study
-    rows = [Row("Study", str(study.path)), Row("Model", study.loaded.source, study.content.model)]
+    written = study.path is not None
+    rows = [Row("Study", str(study.path))] if written else []
+    rows += [Row("Model", study.subject.source, study.content.model if written else "")]
     rows += [_log_row("Estimation log", log) for log in study.logs]
     rows += _inputs(r)
     rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
-        file = r.folder / name
-        rows.append(Row(what, str(file), _digest(file)))
-    if study.loaded.sensors or any(c.kind == "sensor" for c in _parts(r)):
+        if (file := r.folder / name).is_file():
+            rows.append(Row(what, str(file), _digest(file)))
+    known = study.subject.sensor_parameters
+    if any(study.subject.values[n] != float(p.default) for n, p in known.items()) or any(
+        c.kind == "sensor" for c in _parts(r)
+    ):
         rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
 
@@ -280,17 +281,6 @@ def _inputs(r: Refinement) -> list[Row]:
     likelier = "likelier" if gain is not None and gain > 0.0 else "less likely"
     by = "" if gain is None else f"the other way the logs are {likelier} by {plain(abs(gain))} in log-likelihood"
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
-
-
-def use_command(kind: type[Model], folder: Path) -> list[str]:
-    """What runs a scenario with the model that a refine left, and with a controller made for it where one is designed.
-
-    Paths are whole: those in a scenario start at the scenario.
-    """
-    model, fmu = ((folder / name).resolve() for name in REFINED)
-    command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
-    entry = entry_of(kind)
-    return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
 
 
 def _parts(r: Refinement) -> Sequence[Any]:

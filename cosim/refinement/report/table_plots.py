@@ -83,11 +83,11 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     errors = {label: (style, of[which][0][1].errors(of[which][0][0])[name]) for label, style, which in models}
     # what is drawn is what was read: sensors that are known to be wrong are in it
     reading = log.outputs[name]
-    varied = [q for q in r.study.loaded.model.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
+    varied = [q for q in r.study.subject.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
     unit, times = display(log.units[name])
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
     plots: list[Drawn] = []
-    for q in varied or r.study.loaded.model.inputs[:1]:
+    for q in varied or r.study.subject.inputs[:1]:
         x, alone = log.inputs[q.name], len(varied) < 2
         if not plots:
             whole = [("measured", "estimate dots", reading)]

@@ -14,17 +14,17 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsened
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import stamps_err
-from cosim.model.model import Model
 from cosim.refinement.decision.evidence import scatter
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Found, Progress, Search, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Subject
 
 FITTED = 6  # sets a round
 AMONG = 10  # candidates, the most promising, of which pairs and more are put together
@@ -46,15 +46,14 @@ class Attributor:
 
     def __init__(
         self,
-        model: Model,
+        subject: Subject,
         problem: Problem,
         candidates: Sequence[Candidate],
         progress: Progress = lambda stage, share: None,
     ) -> None:
         self.candidates, self.progress = candidates, progress
         self.fine = problem
-        self.model = model
-        self.search = Search(model, coarsened(problem), len(candidates), progress)
+        self.search = Search(subject, coarsened(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> Found:

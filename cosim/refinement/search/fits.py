@@ -14,12 +14,13 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import Candidate, Free, base_parameters
 from cosim.estimation.fit import FAIR, Fit, fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
-from cosim.model.model import Model
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.base_parameters import base_parameters
+from cosim.subject.candidates import Candidate, Free
+from cosim.subject.interface import Subject
 
 SCREEN_ITERATIONS = 12
 ENTRY = 3.0  # of score, beside what its parameters cost, for a candidate
@@ -67,8 +68,8 @@ class Search:
     reached: objective of the base model, recalibrated; below it, every hypothesis comes when it is fitted
     """
 
-    def __init__(self, model: Model, problem: Problem, on_trial: int, progress: Progress) -> None:
-        self.model, self.problem, self.progress = model, problem, progress
+    def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
+        self.subject, self.problem, self.progress = subject, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
         self.on_trial = max(1, on_trial)
         self.entry = ENTRY + float(np.log(self.on_trial))
@@ -123,7 +124,7 @@ class Search:
         """What a fit of these candidates may move."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
-        base = base_parameters(self.model, self.problem.values, self.problem.settings.tolerance)
+        base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
     def fit_all(

@@ -5,24 +5,36 @@ from __future__ import annotations
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 from cosim.base.errors import Fault
-from cosim.model.model import Effect, Model, overrides
-from cosim.model.quantities import parameters_of
-from cosim.storage.yaml_file import YamlFile, did_you_mean
+from cosim.storage.yaml_file import did_you_mean
+from cosim.subject.interface import Subject
 
 Groups = Mapping[str, Sequence[str]]  # group → files
 
 
-def full_name(model: Model, name: str) -> str:
+class Places(Protocol):
+    """Where a key of a study stands: `YamlFile`, or the arguments of a call."""
+
+    @property
+    def path(self) -> Path:
+        """The file of the study; relative names of logs start in its folder."""
+
+    def fault(self, location: Any, message: str, *, key: bool = False) -> Fault:
+        """Return a fault at a key."""
+
+
+def full_name(subject: Subject, name: str) -> str:
     """A parameter as the fits call it: an error of a sensor may go without its `.value`."""
-    return f"{name}.value" if name in {kind.name for kind in model.sensors} else name
+    return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
-def numbers_of(model: Model) -> list[str]:
+def numbers_of(subject: Subject) -> list[str]:
     """What may be per log: numbers of the base, of effects that act in it, errors of its sensors."""
-    base = [p.name for p in model.parameters if not isinstance(p.default, bool)]
-    return [*base, *(f"{e.name}.{p.name}" for e in model.awake for p in parameters_of(e)), *model.sensor_parameters]
+    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
+    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
+    return [*base, *of_effects, *subject.sensor_parameters]
 
 
 def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
@@ -32,8 +44,8 @@ def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, s
 
 
 def per_log_faults(
-    yaml: YamlFile,
-    model: Model,
+    yaml: Places,
+    subject: Subject,
     names: Sequence[str] | None,
     groups: Groups,
     learnt: Sequence[str],
@@ -50,7 +62,7 @@ def per_log_faults(
             cure = "say with per_log which parameters differ between them, or leave the groups out"
             yield yaml.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
         return
-    if model.static:
+    if subject.static:
         cure = "a model without states reads tables; give it an input that tells them apart"
         yield yaml.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
         return
@@ -62,25 +74,25 @@ def per_log_faults(
     apart = [f for f in sealed if group[folder / f] not in known]
     seen: set[str] = set()
     for k, name in enumerate(names):
-        place, full = ("per_log", k), full_name(model, name)
-        if full not in numbers_of(model):
-            yield yaml.fault(place, _unknown(model, name))
+        place, full = ("per_log", k), full_name(subject, name)
+        if full not in numbers_of(subject):
+            yield yaml.fault(place, _unknown(subject, name))
             continue
         if full in seen:
             yield yaml.fault(place, f"{name} stands there twice; keep one")
-        elif apart and full in _not_a_state(model):
+        elif apart and full in subject.only_known:
             cure = f"put {apart[0]} in a group with a log of estimation"
             yield yaml.fault(
                 place, f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}; {cure}"
             )
         seen.add(full)
     for k, name in enumerate(on_trial):
-        if _whole(model, name) <= seen:
+        if _whole(subject, name) <= seen:
             cure = "one per log is free in every hypothesis; name it in one place"
             yield yaml.fault(("candidates", k), f"{name} is per log too; {cure}")
 
 
-def _wrong_groups(yaml: YamlFile, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
+def _wrong_groups(yaml: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
     """Groups without logs, files that are no logs of the study or stand in two groups."""
     folder, owner = yaml.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
@@ -101,30 +113,20 @@ def _wrong_groups(yaml: YamlFile, groups: Groups, listed: Sequence[str]) -> Iter
             owner.setdefault(path, group)
 
 
-def _unknown(model: Model, name: str) -> str:
-    if name in model.declared and not isinstance(model.declared[name].default, bool):
+def _unknown(subject: Subject, name: str) -> str:
+    if name in subject.declared and not isinstance(subject.declared[name].default, bool):
         effect = name.partition(".")[0]
         return f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave {effect} out"
-    known = numbers_of(model)
+    known = numbers_of(subject)
     own = [n for n in known if n.startswith(f"{name}.")]
-    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *_short(model)])
+    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *_short(subject)])
     return f'no parameter "{name}" of the model or of its sensors{hint}'
 
 
-def _short(model: Model) -> list[str]:
-    return [kind.name for kind in model.sensors]
+def _short(subject: Subject) -> list[str]:
+    return [kind.name for kind in subject.sensors]
 
 
-def _whole(model: Model, name: str) -> set[str]:
+def _whole(subject: Subject, name: str) -> set[str]:
     """Parameters of a candidate."""
-    kinds = {kind.name: kind for kind in (*model.catalogue, *model.sensors)}
-    return {f"{name}.{p.name}" for p in parameters_of(kinds[name])} if name in kinds else {name}
-
-
-def _not_a_state(model: Model) -> set[str]:
-    """What is no number of the equations: what shapes commands before they act, or says when readings were taken."""
-    shaping = [
-        *overrides(tuple(kind() for kind in model.catalogue), "shape", Effect),
-        *(s for s in model.sensors if s.late),
-    ]
-    return {f"{e.name}.{p.name}" for e in shaping for p in parameters_of(e)}
+    return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from cosim.estimation.candidates import Candidate
 from cosim.estimation.fit import Fit
+from cosim.subject.candidates import Candidate
 
 TOGETHER = " + "  # between the names of one of several rivals
 NOISE = 4.0  # log-likelihood that the unknown input of an equation must gain, to be more than none

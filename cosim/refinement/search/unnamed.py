@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.candidates import Free
 from cosim.estimation.fit import Fit, fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -25,6 +24,7 @@ from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
 from cosim.refinement.search.missing import LOGS, Filter, at_best, claimed, missing
 from cosim.refinement.search.shapes import Shape, promising
+from cosim.subject.candidates import Free
 
 SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
 FITTED = 3  # terms, at most, fitted beside a hypothesis

@@ -2,10 +2,16 @@
 // that can be hidden; pictures and numbers of what is shown. What is drawn at first is what the page came with.
 document.addEventListener("rows", (event) => {
   "use strict";
-  const page = event.detail, { axis: ours, data, locate } = page, time = data.t, count = time.length;
-  const W = 4000, H = 1000, LEAST = 2; // the box of a chart; rows that a view shows at least
-  const LINE = 0, HELD = 1, DOTS = 2, STEMS = 3, CROSSES = 5; // ways of drawing; else bars
-  const whole = { from: ours.ends[0], to: ours.ends[1] }, breaks = data.breaks ?? [];
+  const page = event.detail,
+    { axis: ours, data, locate } = page,
+    time = data.t,
+    count = time.length;
+  const W = 4000,
+    H = 1000,
+    LEAST = 2; // the box of a chart; rows that a view shows at least
+  const [, HELD, DOTS, STEMS, , CROSSES] = [0, 1, 2, 3, 4, 5]; // ways of drawing; 0 is a line, 4 are bars
+  const whole = { from: ours.ends[0], to: ours.ends[1] },
+    breaks = data.breaks ?? [];
   let view = { ...whole };
 
   const all = (selector, root) => [...root.querySelectorAll(selector)];
@@ -26,46 +32,89 @@ document.addEventListener("rows", (event) => {
   function axis(low, high, number, angle = false) {
     if (high - low <= 1e-9 * Math.max(Math.abs(low), Math.abs(high))) {
       const room = 0.1 * Math.abs(low) || 1;
-      low -= room; high += room;
+      low -= room;
+      high += room;
     }
-    const step = roundStep((high - low) / number, angle), largest = Math.max(Math.abs(low), Math.abs(high));
-    const power = largest >= 1e-3 && largest < 1e6 ? 0 : 3 * Math.floor(Math.log10(largest) / 3 + 1e-9), unit = step / 10 ** power;
+    const step = roundStep((high - low) / number, angle),
+      largest = Math.max(Math.abs(low), Math.abs(high));
+    const power = largest >= 1e-3 && largest < 1e6 ? 0 : 3 * Math.floor(Math.log10(largest) / 3 + 1e-9),
+      unit = step / 10 ** power;
     let decimals = Math.max(0, -Math.floor(Math.log10(unit) + 1e-9));
     if (Math.abs(unit * 10 ** decimals - Math.round(unit * 10 ** decimals)) > 1e-6) decimals++;
-    const ticks = [], factor = power ? "\u00d710" + [...String(power)].map((c) => "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"["0123456789-".indexOf(c)]).join("") : "";
+    const ticks = [],
+      factor = power
+        ? "\u00d710" +
+          [...String(power)]
+            .map((c) => "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"["0123456789-".indexOf(c)])
+            .join("")
+        : "";
     for (let i = Math.ceil(low / step - 1e-9); i <= Math.floor(high / step + 1e-9); i++) {
       const text = (i * unit).toFixed(Math.min(decimals, 20));
-      ticks.push({ share: (i * step - low) / (high - low), text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212") });
+      ticks.push({
+        share: (i * step - low) / (high - low),
+        text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212"),
+      });
     }
     return { low, high, ticks, factor };
   }
   // Width that labels take beside a plot.
-  const room = (ticks) => Math.max(46, 11 + Math.ceil(Math.max(0, ...ticks.map((t) => [...t.text].reduce((sum, c) => sum + (c === "." ? 3.9 : 7.6), 0)))));
+  const room = (ticks) =>
+    Math.max(
+      46,
+      11 +
+        Math.ceil(Math.max(0, ...ticks.map((t) => [...t.text].reduce((sum, c) => sum + (c === "." ? 3.9 : 7.6), 0)))),
+    );
 
   // Of an axis that holds logarithms: decades, or what is round between them.
   function logAxis(low, high) {
-    const every = Math.max(1, Math.ceil((high - low) / 8)), from = Math.floor(low), decades = Array.from({ length: Math.ceil(high) - from + 1 }, (_, k) => from + k);
-    const choices = [decades.filter((d) => d % every === 0).map((d) => 10 ** d), ...[[1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]].map((parts) => decades.flatMap((d) => parts.map((m) => m * 10 ** d)))];
+    const every = Math.max(1, Math.ceil((high - low) / 8)),
+      from = Math.floor(low),
+      decades = Array.from({ length: Math.ceil(high) - from + 1 }, (_, k) => from + k);
+    const choices = [
+      decades.filter((d) => d % every === 0).map((d) => 10 ** d),
+      ...[
+        [1, 2, 5],
+        [1, 2, 3, 4, 5, 6, 7, 8, 9],
+      ].map((parts) => decades.flatMap((d) => parts.map((m) => m * 10 ** d))),
+    ];
     const share = (value) => (Math.log10(value) - low) / (high - low);
     for (const values of choices) {
       const seen = values.filter((v) => share(v) > -1e-9 && share(v) < 1 + 1e-9);
-      if (seen.length >= 3) return { low, high, ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })), factor: "" };
+      if (seen.length >= 3)
+        return {
+          low,
+          high,
+          ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })),
+          factor: "",
+        };
     }
     const linear = axis(10 ** low, 10 ** high, 6);
-    return { low, high, factor: linear.factor, ticks: linear.ticks.map((t) => ({ share: share(linear.low + t.share * (linear.high - linear.low)), text: t.text })) };
+    return {
+      low,
+      high,
+      factor: linear.factor,
+      ticks: linear.ticks.map((t) => ({
+        share: share(linear.low + t.share * (linear.high - linear.low)),
+        text: t.text,
+      })),
+    };
   }
   // Fewer ticks where their labels are long.
   function across(width) {
     if (data.log) return logAxis(view.from, view.to);
-    const full = axis(view.from, view.to, 6), long = Math.max(0, ...full.ticks.map((t) => t.text.length));
-    return long * 9 * full.ticks.length < width ? full : axis(view.from, view.to, Math.max(1, Math.floor(width / (long * 9 + 20))));
+    const full = axis(view.from, view.to, 6),
+      long = Math.max(0, ...full.ticks.map((t) => t.text.length));
+    return long * 9 * full.ticks.length < width
+      ? full
+      : axis(view.from, view.to, Math.max(1, Math.floor(width / (long * 9 + 20))));
   }
 
   // -- drawing -----------------------------------------------------------------------------------
   // Rows of the view, and one beyond each end, so that curves go through to the edge.
   function rowsInView() {
-    let [low] = locate(view.from), [high, share] = locate(view.to);
-    high = Math.min(count - 1, high + (share > 0 ? 1 : 0));
+    const [row, share] = locate(view.to);
+    let [low] = locate(view.from),
+      high = Math.min(count - 1, row + (share > 0 ? 1 : 0));
     while (low > 0 && time[low - 1] === time[low]) low--;
     while (high < count - 1 && time[high + 1] === time[high]) high++;
     return [low, high];
@@ -76,26 +125,32 @@ document.addEventListener("rows", (event) => {
   const TILE = 16;
   function tilesOf(series) {
     if (series.tiles) return series.tiles;
-    const { v } = series, size = Math.ceil(count / TILE), least = new Int32Array(size).fill(-1), most = new Int32Array(size).fill(-1);
+    const { v } = series,
+      size = Math.ceil(count / TILE),
+      least = new Int32Array(size).fill(-1),
+      most = new Int32Array(size).fill(-1);
     for (let row = 0; row < count; row++) {
-      const value = v[row], tile = row >> 4;
+      const value = v[row],
+        tile = row >> 4;
       if (Number.isNaN(value)) continue;
       if (least[tile] < 0 || value < v[least[tile]]) least[tile] = row;
       if (most[tile] < 0 || value > v[most[tile]]) most[tile] = row;
     }
-    return series.tiles = { least, most };
+    return (series.tiles = { least, most });
   }
 
   // Rows of the least and the largest value from `begin` up to `end`; by tiles where both lie between two.
   function extremes(series, begin, end) {
     const { v } = series;
-    let least = -1, most = -1;
+    let least = -1,
+      most = -1;
     const see = (low, high) => {
       if (low >= 0 && (least < 0 || v[low] < v[least])) least = low;
       if (high >= 0 && (most < 0 || v[high] > v[most])) most = high;
     };
     if (begin % TILE === 0 && end - begin >= TILE) {
-      const tiles = tilesOf(series), last = Math.floor(end / TILE);
+      const tiles = tilesOf(series),
+        last = Math.floor(end / TILE);
       for (let tile = begin / TILE; tile < last; tile++) see(tiles.least[tile], tiles.most[tile]);
       begin = last * TILE;
     }
@@ -107,22 +162,41 @@ document.addEventListener("rows", (event) => {
   function path(series, [low, high], x, y, columns, cap = 18, [lw, lh] = [28, 17]) {
     if (data.sparse) [low, high] = [0, count - 1]; // few rows; a line has its next point further out
     if (series.way > HELD) return marks(series, [low, high], x, y, cap, cap === 18 ? 11 : cap);
-    const { v, anew } = series, held = series.way === HELD, parts = [];
+    const { v, anew } = series,
+      held = series.way === HELD,
+      parts = [];
     let bucket = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
-    if (bucket >= TILE) { low -= low % TILE; bucket -= bucket % TILE; }
+    if (bucket >= TILE) {
+      low -= low % TILE;
+      bucket -= bucket % TILE;
+    }
     // a sample between two gaps is a cross
-    const lone = `m${-lw} 0h${2 * lw}m${-lw} ${-lh}v${2 * lh}`, lift = () => { if (alone) parts.push(lone); pen = alone = false; };
-    let pen = false, alone = false, coming = breaks.findIndex((row) => row > low);
+    const lone = `m${-lw} 0h${2 * lw}m${-lw} ${-lh}v${2 * lh}`,
+      lift = () => {
+        if (alone) parts.push(lone);
+        pen = alone = false;
+      };
+    let pen = false,
+      alone = false,
+      coming = breaks.findIndex((row) => row > low);
     const put = (row) => {
-      const a = Math.round(x(time[row])), b = Math.round(y(v[row]));
+      const a = Math.round(x(time[row])),
+        b = Math.round(y(v[row]));
       parts.push(!pen ? `M${a} ${b}` : held ? `H${a}V${b}` : `L${a} ${b}`);
-      alone = !pen; pen = true;
+      alone = !pen;
+      pen = true;
     };
     for (let begin = low; begin <= high; begin += bucket) {
       const end = Math.min(high + 1, begin + bucket);
-      while (anew && coming >= 0 && breaks[coming] <= begin) { lift(); coming = coming + 1 < breaks.length ? coming + 1 : -1; }
+      while (anew && coming >= 0 && breaks[coming] <= begin) {
+        lift();
+        coming = coming + 1 < breaks.length ? coming + 1 : -1;
+      }
       const [least, most] = extremes(series, begin, end);
-      if (least < 0) { if (!data.sparse) lift(); continue; }
+      if (least < 0) {
+        if (!data.sparse) lift();
+        continue;
+      }
       for (const row of least === most ? [least] : least < most ? [least, most] : [most, least]) put(row);
     }
     lift();
@@ -131,23 +205,42 @@ document.addEventListener("rows", (event) => {
 
   // Points, crosses, stems from zero, bars with caps: each value by itself.
   function marks({ v, upper, way, shift }, [low, high], x, y, cap, rise) {
-    const parts = [], zero = y(0).toFixed(0);
+    const parts = [],
+      zero = y(0).toFixed(0);
     for (let row = low; row <= high; row++) {
       if (Number.isNaN(v[row])) continue;
-      const a = x(time[row] + shift).toFixed(0), b = y(v[row]).toFixed(0);
-      parts.push(way === DOTS ? `M${a} ${b}h0` : way === CROSSES ? `M${a - 2 * cap} ${b - 2 * rise}l${4 * cap} ${4 * rise}m${-4 * cap} 0l${4 * cap} ${-4 * rise}` : way === STEMS ? `M${a} ${zero}V${b}`
-        : `M${a - cap} ${b}h${2 * cap}m${-cap} 0V${y(upper[row]).toFixed(0)}m${-cap} 0h${2 * cap}`);
+      const a = x(time[row] + shift).toFixed(0),
+        b = y(v[row]).toFixed(0);
+      parts.push(
+        way === DOTS
+          ? `M${a} ${b}h0`
+          : way === CROSSES
+            ? `M${a - 2 * cap} ${b - 2 * rise}l${4 * cap} ${4 * rise}m${-4 * cap} 0l${4 * cap} ${-4 * rise}`
+            : way === STEMS
+              ? `M${a} ${zero}V${b}`
+              : `M${a - cap} ${b}h${2 * cap}m${-cap} 0V${y(upper[row]).toFixed(0)}m${-cap} 0h${2 * cap}`,
+      );
     }
     return parts.join("");
   }
 
   function bandPath([lower, upper], [low, high], x, y, columns) {
-    const rows = [], step = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
-    let text = "", there = [];
+    const rows = [],
+      step = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
+    let text = "",
+      there = [];
     if (data.sparse) [low, high] = [0, count - 1];
     const close = () => {
-      if (there.length) text += "M" + there.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L")
-        + "L" + there.reverse().map((r) => `${x(time[r]).toFixed(0)} ${y(lower.v[r]).toFixed(0)}`).join("L") + "z";
+      if (there.length)
+        text +=
+          "M" +
+          there.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L") +
+          "L" +
+          there
+            .reverse()
+            .map((r) => `${x(time[r]).toFixed(0)} ${y(lower.v[r]).toFixed(0)}`)
+            .join("L") +
+          "z";
       there = [];
     };
     for (let row = low; row <= high; row += step) rows.push(row);
@@ -164,41 +257,78 @@ document.addEventListener("rows", (event) => {
       this.figure = figure;
       this.box = figure.querySelector("[data-box]");
       this.svg = figure.querySelector(".box svg");
-      this.lines = all("[data-line]", figure).map((p) => ({ path: p, key: p.dataset.line, series: data.series[p.dataset.line], on: true, label: "" }));
+      this.lines = all("[data-line]", figure).map((p) => ({
+        path: p,
+        key: p.dataset.line,
+        series: data.series[p.dataset.line],
+        on: true,
+        label: "",
+      }));
       this.band = figure.querySelector("[data-band]");
       this.edges = this.band ? this.band.dataset.band.split(" ").map((key) => data.series[key]) : null;
       this.levels = all("[data-level]", figure).map((p) => ({ path: p, value: Number(p.dataset.level) }));
       this.uprights = all("[data-upright]", figure).map((p) => ({ path: p, value: Number(p.dataset.upright) }));
-      this.also = all(".legend output", figure).filter((o) => !o.closest("[data-toggle]")).map((o) => ({ series: data.series[o.dataset.key], label: o.previousSibling.textContent.trim(), on: true }));
+      this.also = all(".legend output", figure)
+        .filter((o) => !o.closest("[data-toggle]"))
+        .map((o) => ({ series: data.series[o.dataset.key], label: o.previousSibling.textContent.trim(), on: true }));
       this.reach = figure.dataset.reach?.split(" ").map(Number);
-      this.grid = figure.querySelector(".grid"); this.zero = figure.querySelector(".zero");
-      this.yTicks = figure.querySelector(".y-ticks"); this.xTicks = figure.querySelector(".x-ticks");
+      this.grid = figure.querySelector(".grid");
+      this.zero = figure.querySelector(".zero");
+      this.yTicks = figure.querySelector(".y-ticks");
+      this.xTicks = figure.querySelector(".x-ticks");
       this.factors = [figure.querySelector(".factor"), figure.querySelector(".x-label span")];
-      const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors], gutter = figure.querySelector(".axes").style, beside = gutter.getPropertyValue("--gutter"), drawn = all("path", this.svg);
-      const inner = kept.map((e) => e.innerHTML), shapes = drawn.map((p) => p.getAttribute("d"));
+      const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors],
+        gutter = figure.querySelector(".axes").style,
+        beside = gutter.getPropertyValue("--gutter"),
+        drawn = all("path", this.svg);
+      const inner = kept.map((e) => e.innerHTML),
+        shapes = drawn.map((p) => p.getAttribute("d"));
       const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
-      this.gutter = (width) => { if (width !== this.beside) gutter.setProperty("--gutter", this.beside = width); };
+      this.gutter = (width) => {
+        if (width !== this.beside) gutter.setProperty("--gutter", (this.beside = width));
+      };
       this.beside = beside;
       this.original = () => {
         this.gutter(beside);
-        kept.forEach((e, k) => { e.innerHTML = inner[k]; });
-        drawn.slice(home).forEach((p, k) => { p.setAttribute("d", shapes[home + k]); });
+        kept.forEach((e, k) => {
+          e.innerHTML = inner[k];
+        });
+        drawn.slice(home).forEach((p, k) => {
+          p.setAttribute("d", shapes[home + k]);
+        });
       };
-      this.stale = false; this.near = true; this.width = 500;
+      this.stale = false;
+      this.near = true;
+      this.width = 500;
     }
 
     // Before anything is drawn: asking for a width between two drawings lays the page out again.
-    measure() { this.width = this.box.clientWidth || 500; return this; }
+    measure() {
+      this.width = this.box.clientWidth || 500;
+      return this;
+    }
 
-    get atHome() { return view.from === whole.from && view.to === whole.to && this.lines.every((l) => l.on); }
+    get atHome() {
+      return view.from === whole.from && view.to === whole.to && this.lines.every((l) => l.on);
+    }
 
     range(rows) {
-      let low = Infinity, high = -Infinity;
-      const see = (v) => { for (let k = rows[0]; k <= rows[1]; k++) { if (v[k] < low) low = v[k]; if (v[k] > high) high = v[k]; } };
+      let low = Infinity,
+        high = -Infinity;
+      const see = (v) => {
+        for (let k = rows[0]; k <= rows[1]; k++) {
+          if (v[k] < low) low = v[k];
+          if (v[k] > high) high = v[k];
+        }
+      };
       // whole tiles by their extremes, the rows before the first one by themselves
       const seeAll = (series) => {
-        const first = Math.min(rows[1] + 1, Math.ceil(rows[0] / TILE) * TILE), { v } = series;
-        for (const [begin, end] of [[rows[0], first], [first, rows[1] + 1]]) {
+        const first = Math.min(rows[1] + 1, Math.ceil(rows[0] / TILE) * TILE),
+          { v } = series;
+        for (const [begin, end] of [
+          [rows[0], first],
+          [first, rows[1] + 1],
+        ]) {
           const [least, most] = extremes(series, begin, end);
           if (least >= 0) [low, high] = [Math.min(low, v[least]), Math.max(high, v[most])];
         }
@@ -210,40 +340,69 @@ document.addEventListener("rows", (event) => {
         if (series.way === STEMS) [low, high] = [Math.min(0, low), Math.max(0, high)];
       }
       if (low > high) return null;
-      if (this.atFull) for (const level of this.levels) { low = Math.min(low, level.value); high = Math.max(high, level.value); }
+      if (this.atFull)
+        for (const level of this.levels) {
+          low = Math.min(low, level.value);
+          high = Math.max(high, level.value);
+        }
       const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1;
       return [low - margin, high + margin];
     }
 
-    get atFull() { return view.from === whole.from && view.to === whole.to; }
+    get atFull() {
+      return view.from === whole.from && view.to === whole.to;
+    }
 
     axes() {
-      const rows = rowsInView(), angle = this.figure.dataset.unit === "\u00b0";
+      const rows = rowsInView(),
+        angle = this.figure.dataset.unit === "\u00b0";
       const ends = this.atFull && this.reach ? this.reach : this.range(rows);
-      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" }, x = across(this.width);
-      return { rows, x, y, u: (t) => W * (t - view.from) / (view.to - view.from), v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))) };
+      const y = ends ? axis(...ends, 5, angle) : { low: 0, high: 1, ticks: [], factor: "" },
+        x = across(this.width);
+      return {
+        rows,
+        x,
+        y,
+        u: (t) => (W * (t - view.from)) / (view.to - view.from),
+        v: (value) => H * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low)))),
+      };
     }
 
     draw() {
       this.stale = false;
       for (const line of this.lines) line.path.toggleAttribute("hidden", !line.on);
-      if (this.atHome) { this.original(); return; }
-      const { rows, x, y, u, v } = this.axes(), columns = Math.max(200, this.width);
-      this.grid.innerHTML = y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("")
-        + x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
+      if (this.atHome) {
+        this.original();
+        return;
+      }
+      const { rows, x, y, u, v } = this.axes(),
+        columns = Math.max(200, this.width);
+      this.grid.innerHTML =
+        y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("") +
+        x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
       this.gutter(`${room(y.ticks)}px`);
-      this.factors[0].textContent = y.factor; this.factors[1].textContent = x.factor;
-      this.yTicks.innerHTML = y.ticks.map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
-      this.xTicks.innerHTML = x.ticks.map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`).join("");
+      this.factors[0].textContent = y.factor;
+      this.factors[1].textContent = x.factor;
+      this.yTicks.innerHTML = y.ticks
+        .map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`)
+        .join("");
+      this.xTicks.innerHTML = x.ticks
+        .map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`)
+        .join("");
       for (const line of this.lines) if (line.on) line.path.setAttribute("d", path(line.series, rows, u, v, columns));
       if (this.band) this.band.setAttribute("d", bandPath(this.edges, rows, u, v, columns));
       for (const level of this.levels) level.path.setAttribute("d", `M0 ${v(level.value).toFixed(0)}h${W}`);
-      for (const place of this.uprights) place.path.setAttribute("d", view.from <= place.value && place.value <= view.to ? `M${u(place.value).toFixed(0)} 0v${H}` : "");
+      for (const place of this.uprights)
+        place.path.setAttribute(
+          "d",
+          view.from <= place.value && place.value <= view.to ? `M${u(place.value).toFixed(0)} 0v${H}` : "",
+        );
       if (this.zero) this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0).toFixed(0)}h${W}` : "");
     }
 
     spoken() {
-      const row = page.at(), unit = this.figure.dataset.unit.replace("no unit", "");
+      const row = page.at(),
+        unit = this.figure.dataset.unit.replace("no unit", "");
       const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`.trim());
       values.push(...this.also.map((a) => `${a.label} ${page.read(a.series, row)}`));
       return `${ours.place(row)}: ${values.join(", ")}`;
@@ -251,8 +410,11 @@ document.addEventListener("rows", (event) => {
 
     // Of points in a plane the one nearest to a place in the box, as shares of it.
     nearest(along, up) {
-      const { y, u, v } = this.axes(), { clientWidth: w, clientHeight: h } = this.box, points = this.lines[0].series.v;
-      let best = 0, least = Infinity;
+      const { u, v } = this.axes(),
+        { clientWidth: w, clientHeight: h } = this.box,
+        points = this.lines[0].series.v;
+      let best = 0,
+        least = Infinity;
       for (let row = 0; row < count; row++) {
         const away = Math.hypot(w * (u(time[row]) / W - along), h * (v(points[row]) / H - up));
         if (away < least) [best, least] = [row, away];
@@ -260,25 +422,31 @@ document.addEventListener("rows", (event) => {
       return best;
     }
     ring() {
-      const { v } = this.axes(), at = v(this.lines[0].series.v[page.at()]) / H;
+      const { v } = this.axes(),
+        at = v(this.lines[0].series.v[page.at()]) / H;
       this.figure.style.setProperty("--height", `${(100 * at).toFixed(2)}%`);
     }
   }
 
   // Only charts that are seen are drawn at once; the others when they come into sight, or are printed.
   const charts = page.figures.map((figure) => new Chart(figure));
-  const watcher = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      const chart = charts.find((c) => c.figure === entry.target);
-      chart.near = entry.isIntersecting;
-      if (chart.near && chart.stale) chart.measure().draw();
-    }
-  }, { rootMargin: "300px" });
+  const watcher = new IntersectionObserver(
+    (entries) => {
+      for (const entry of entries) {
+        const chart = charts.find((c) => c.figure === entry.target);
+        chart.near = entry.isIntersecting;
+        if (chart.near && chart.stale) chart.measure().draw();
+      }
+    },
+    { rootMargin: "300px" },
+  );
   for (const chart of charts) watcher.observe(chart.figure);
-  addEventListener("beforeprint", () => { for (const chart of charts) if (chart.stale) chart.measure().draw(); });
+  addEventListener("beforeprint", () => {
+    for (const chart of charts) if (chart.stale) chart.measure().draw();
+  });
 
   function look(from, to) {
-    const least = LEAST * (whole.to - whole.from) / Math.max(1, count - 1);
+    const least = (LEAST * (whole.to - whole.from)) / Math.max(1, count - 1);
     if (to - from < least) [from, to] = [(from + to - least) / 2, (from + to + least) / 2];
     if (to - from >= whole.to - whole.from) [from, to] = [whole.from, whole.to];
     if (from < whole.from) [from, to] = [whole.from, whole.from + to - from];
@@ -287,10 +455,15 @@ document.addEventListener("rows", (event) => {
     page.look(from, to);
     for (const host of ours.hosts) host.classList.toggle("zoomed", from !== whole.from || to !== whole.to);
     for (const chart of charts) if (chart.near) chart.measure();
-    for (const chart of charts) { chart.stale = true; if (chart.near) chart.draw(); }
+    for (const chart of charts) {
+      chart.stale = true;
+      if (chart.near) chart.draw();
+    }
   }
   const home = () => look(whole.from, whole.to);
-  function scale(factor, about) { look(about - (about - view.from) * factor, about + (view.to - about) * factor); }
+  function scale(factor, about) {
+    look(about - (about - view.from) * factor, about + (view.to - about) * factor);
+  }
 
   // -- pointer, fingers, keys ------------------------------------------------------------------------
   let told = document.querySelector("p.told");
@@ -312,25 +485,38 @@ document.addEventListener("rows", (event) => {
   }
 
   function listen(chart) {
-    const { box } = chart, fingers = new Map();
-    let begun = null, mark = null, apart = 0;
+    const { box } = chart,
+      fingers = new Map();
+    let begun = null,
+      mark = null,
+      apart = 0;
     const under = (event) => {
       const frame = box.getBoundingClientRect();
-      return data.points ? chart.nearest((event.clientX - frame.left) / frame.width, (event.clientY - frame.top) / frame.height) : nearest(timeAt(box, event.clientX));
+      return data.points
+        ? chart.nearest((event.clientX - frame.left) / frame.width, (event.clientY - frame.top) / frame.height)
+        : nearest(timeAt(box, event.clientX));
     };
-    const unmark = () => { mark?.remove(); mark = null; begun = null; };
+    const unmark = () => {
+      mark?.remove();
+      mark = null;
+      begun = null;
+    };
     box.addEventListener("pointerdown", (event) => {
       if (event.button) return;
       box.setPointerCapture(event.pointerId);
       fingers.set(event.pointerId, event.clientX);
       if (event.pointerType !== "touch") begun = event.clientX;
-      if (fingers.size === 2) { const [a, b] = fingers.values(); apart = Math.max(8, Math.abs(a - b)); }
+      if (fingers.size === 2) {
+        const [a, b] = fingers.values();
+        apart = Math.max(8, Math.abs(a - b));
+      }
       page.seek(under(event));
     });
     box.addEventListener("pointermove", (event) => {
       if (fingers.has(event.pointerId)) fingers.set(event.pointerId, event.clientX);
       if (fingers.size === 2) {
-        const [a, b] = fingers.values(), now = Math.max(8, Math.abs(a - b));
+        const [a, b] = fingers.values(),
+          now = Math.max(8, Math.abs(a - b));
         scale(apart / now, timeAt(box, (a + b) / 2));
         apart = now;
         return;
@@ -338,8 +524,12 @@ document.addEventListener("rows", (event) => {
       page.seek(under(event));
       if (begun === null || Math.abs(event.clientX - begun) < 5) return;
       mark ??= box.appendChild(make("span", { class: "marked", "aria-hidden": "true" }));
-      const frame = box.getBoundingClientRect(), ends = [begun, event.clientX].map((x) => Math.min(frame.right, Math.max(frame.left, x)) - frame.left).sort((p, q) => p - q);
-      mark.style.left = ends[0] + "px"; mark.style.width = ends[1] - ends[0] + "px";
+      const frame = box.getBoundingClientRect(),
+        ends = [begun, event.clientX]
+          .map((x) => Math.min(frame.right, Math.max(frame.left, x)) - frame.left)
+          .sort((p, q) => p - q);
+      mark.style.left = ends[0] + "px";
+      mark.style.width = ends[1] - ends[0] + "px";
     });
     const up = (event) => {
       fingers.delete(event.pointerId);
@@ -348,16 +538,26 @@ document.addEventListener("rows", (event) => {
       unmark();
     };
     box.addEventListener("pointerup", up);
-    box.addEventListener("pointercancel", (event) => { fingers.delete(event.pointerId); unmark(); });
+    box.addEventListener("pointercancel", (event) => {
+      fingers.delete(event.pointerId);
+      unmark();
+    });
     box.addEventListener("dblclick", home);
-    box.addEventListener("wheel", (event) => { // a wheel alone scrolls the page
-      if (!event.ctrlKey && !event.metaKey) return;
-      event.preventDefault();
-      scale(event.deltaY > 0 ? 1.25 : 0.8, timeAt(box, event.clientX));
-    }, { passive: false });
+    box.addEventListener(
+      "wheel",
+      (event) => {
+        // a wheel alone scrolls the page
+        if (!event.ctrlKey && !event.metaKey) return;
+        event.preventDefault();
+        scale(event.deltaY > 0 ? 1.25 : 0.8, timeAt(box, event.clientX));
+      },
+      { passive: false },
+    );
     box.addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
-      const row = page.at(), some = event.shiftKey ? Math.max(1, Math.round((rowsInView()[1] - rowsInView()[0]) / 20)) : 1, [low, high] = rowsInView();
+      const row = page.at(),
+        some = event.shiftKey ? Math.max(1, Math.round((rowsInView()[1] - rowsInView()[0]) / 20)) : 1,
+        [low, high] = rowsInView();
       const rows = { ArrowLeft: beside(row, -some), ArrowRight: beside(row, some), Home: low, End: high };
       if (event.key in rows) page.settle(Math.min(count - 1, Math.max(0, rows[event.key])));
       else if (event.key === "+" || event.key === "=") scale(0.5, time[page.at()]);
@@ -365,14 +565,18 @@ document.addEventListener("rows", (event) => {
       else if (event.key === "0" || event.key === "Escape") home();
       else return;
       event.preventDefault();
-      const t = time[page.at()], width = view.to - view.from;
+      const t = time[page.at()],
+        width = view.to - view.from;
       if (t < view.from || t > view.to) look(t - width / 2, t + width / 2);
       told.textContent = chart.spoken();
     });
     box.tabIndex = 0;
     box.setAttribute("role", "application");
     box.setAttribute("aria-roledescription", "chart");
-    box.setAttribute("aria-label", `${chart.figure.dataset.title}: arrow keys move the cursor from row to row, plus and minus zoom, 0 shows all`);
+    box.setAttribute(
+      "aria-label",
+      `${chart.figure.dataset.title}: arrow keys move the cursor from row to row, plus and minus zoom, 0 shows all`,
+    );
   }
 
   // -- legend ----------------------------------------------------------------------------------------
@@ -394,50 +598,96 @@ document.addEventListener("rows", (event) => {
 
   // -- pictures and numbers ------------------------------------------------------------------------------
   const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+  const tag = (name, attributes, inner = "") => {
+    const written = Object.entries(attributes).map(([key, value]) => ` ${key}="${escape(String(value))}"`);
+    return `<${name}${written.join("")}>${inner}</${name}>`;
+  };
+  function pen(line) {
+    const look = getComputedStyle(line);
+    const names = ["stroke", "stroke-width", "stroke-dasharray", "stroke-linecap", "opacity"];
+    return Object.fromEntries(names.map((name) => [name, look.getPropertyValue(name).replaceAll("px", "")]));
+  }
+
   function picture(chart) {
-    const { rows, x, y, u, v } = chart.measure().axes(), w = 900, h = 420, left = Math.max(70, room(y.ticks) + 8), top = 56, right = 20, bottom = 46;
-    const bw = w - left - right, bh = h - top - bottom, style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
-    const px = (t) => left + bw * u(t) / W, py = (value) => top + bh * v(value) / H, parts = [];
-    const text = (a, b, words, anchor, more = "") => parts.push(`<text x="${a}" y="${b}" text-anchor="${anchor}" ${more}>${escape(words)}</text>`);
-    parts.push(`<rect width="${w}" height="${h}" fill="${colour("--card")}"/>`);
-    for (const t of y.ticks) { const at = (top + bh * (1 - t.share)).toFixed(1); parts.push(`<path d="M${left} ${at}h${bw}" stroke="${colour("--grid")}"/>`); text(left - 8, Number(at) + 4, t.text, "end"); }
-    for (const t of x.ticks) { const at = (left + bw * t.share).toFixed(1); parts.push(`<path d="M${at} ${top}v${bh}" stroke="${colour("--grid")}"/>`); text(at, top + bh + 18, t.text, "middle"); }
-    parts.push(`<svg x="${left}" y="${top}" width="${bw}" height="${bh}" viewBox="${left} ${top} ${bw} ${bh}">`);
-    if (chart.band) parts.push(`<path d="${bandPath(chart.edges, rows, px, py, bw)}" fill="${colour("--band")}" fill-opacity="${colour("--band-alpha")}"/>`);
-    for (const level of chart.levels) parts.push(`<path d="M${left} ${py(level.value).toFixed(1)}h${bw}" stroke="${colour("--reference")}" stroke-dasharray="5 4"/>`);
-    for (const place of chart.uprights) parts.push(`<path d="M${px(place.value).toFixed(1)} ${top}v${bh}" stroke="${colour("--reference")}" stroke-dasharray="5 4"/>`);
+    const { rows, x, y, u, v } = chart.measure().axes();
+    const [width, height, top, right, bottom] = [900, 420, 56, 20, 46];
+    const left = Math.max(70, room(y.ticks) + 8);
+    const [wide, high] = [width - left - right, height - top - bottom];
+    const px = (t) => left + (wide * u(t)) / W;
+    const py = (value) => top + (high * v(value)) / H;
+    const style = getComputedStyle(document.documentElement);
+    const colour = (name) => style.getPropertyValue(name).trim();
+    const stroke = (d, look) => tag("path", { fill: "none", d, ...look });
+    const level = (at, look) => stroke(`M${left} ${at.toFixed(1)}h${wide}`, look);
+    const upright = (at, look) => stroke(`M${at.toFixed(1)} ${top}v${high}`, look);
+    const words = (a, b, text, look) => tag("text", { x: a, y: b, ...look }, escape(text));
+    const grid = { stroke: colour("--grid") };
+    const limit = { stroke: colour("--reference"), "stroke-dasharray": "5 4" };
+    const shade = { fill: colour("--band"), "fill-opacity": colour("--band-alpha") };
+    const lines = chart.lines.filter((l) => l.on).map((l) => ({ ...l, look: pen(l.path) }));
+    const drawn = [
+      chart.band ? stroke(bandPath(chart.edges, rows, px, py, wide), shade) : "",
+      ...chart.levels.map((l) => level(py(l.value), limit)),
+      ...chart.uprights.map((p) => upright(px(p.value), limit)),
+      ...lines.map((l) => stroke(path(l.series, rows, px, py, wide, 4, [4, 4]), l.look)),
+    ];
     let along = left;
-    const legend = [];
-    for (const line of chart.lines) {
-      if (!line.on) continue;
-      const look = getComputedStyle(line.path), dash = look.strokeDasharray === "none" ? "" : `stroke-dasharray="${look.strokeDasharray.replaceAll("px", "")}"`;
-      const pen = `fill="none" stroke="${look.stroke}" stroke-width="${parseFloat(look.strokeWidth)}" opacity="${look.opacity}" ${dash}`;
-      parts.push(`<path ${pen} d="${path(line.series, rows, px, py, bw, 4, [4, 4])}"/>`);
-      legend.push(() => { parts.push(`<path ${pen} d="M${along} 40h22"/>`); text(along + 28, 44, line.label, "start"); along += 52 + 7.2 * line.label.length; });
-    }
-    parts.push("</svg>");
-    for (const entry of legend) entry();
-    if (y.factor) text(left + 6, top + 16, y.factor, "start");
-    text(left, 22, `${chart.figure.dataset.title} [${chart.figure.dataset.unit}]`, "start", 'font-weight="600" font-size="15"');
-    text(w - right, h - 10, `${over(chart)} ${x.factor}`, "end");
-    return `<svg xmlns="${chart.svg.namespaceURI}" width="${w}" height="${h}" viewBox="0 0 ${w} ${h}" font-family="system-ui, sans-serif" font-size="12" fill="${colour("--ink")}">${parts.join("")}</svg>`;
+    const legend = lines.map(({ label, look }) => {
+      const at = along;
+      along += 52 + 7.2 * label.length;
+      return stroke(`M${at} 40h22`, look) + words(at + 28, 44, label);
+    });
+    const rise = (tick) => top + high * (1 - tick.share);
+    const run = (tick) => left + wide * tick.share;
+    const { title, unit } = chart.figure.dataset;
+    const parts = [
+      tag("rect", { width, height, fill: colour("--card") }),
+      ...y.ticks.map((t) => level(rise(t), grid) + words(left - 8, rise(t) + 4, t.text, { "text-anchor": "end" })),
+      ...x.ticks.map((t) => upright(run(t), grid)),
+      ...x.ticks.map((t) => words(run(t), top + high + 18, t.text, { "text-anchor": "middle" })),
+      tag(
+        "svg",
+        { x: left, y: top, width: wide, height: high, viewBox: `${left} ${top} ${wide} ${high}` },
+        drawn.join(""),
+      ),
+      ...legend,
+      words(left + 6, top + 16, y.factor),
+      words(left, 22, `${title} [${unit}]`, { "font-weight": 600, "font-size": 15 }),
+      words(width - right, height - 10, `${over(chart)} ${x.factor}`, { "text-anchor": "end" }),
+    ];
+    const font = { "font-family": "system-ui, sans-serif", "font-size": 12, fill: colour("--ink") };
+    const box = { xmlns: chart.svg.namespaceURI, width, height, viewBox: `0 0 ${width} ${height}` };
+    return tag("svg", { ...box, ...font }, parts.join(""));
   }
 
   const over = (chart) => chart.figure.querySelector(".x-label").firstChild.data.trim();
   const titles = ({ label, series }) => (series.upper ? [`${label}, lower`, `${label}, upper`] : [label]);
   function numbers(chart) {
-    const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words), unit = chart.figure.dataset.unit;
-    const lines = chart.lines.filter((l) => l.on), [low, high] = rowsInView(), rows = [[quoted(over(chart)), ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`))), ...chart.also.map((a) => quoted(a.label))].join(",")];
+    const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words),
+      unit = chart.figure.dataset.unit;
+    const lines = chart.lines.filter((l) => l.on),
+      [low, high] = rowsInView(),
+      rows = [
+        [
+          quoted(over(chart)),
+          ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`))),
+          ...chart.also.map((a) => quoted(a.label)),
+        ].join(","),
+      ];
     for (let row = low; row <= high; row++) {
       const cell = (series, v) => (Number.isNaN(v[row]) ? "" : series.text(v[row]));
-      const cells = [...lines, ...chart.also].flatMap(({ series }) => [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)));
-      if (!data.sparse || cells.some(Boolean)) rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
+      const cells = [...lines, ...chart.also].flatMap(({ series }) =>
+        [series.v, ...(series.upper ? [series.upper] : [])].map((v) => cell(series, v)),
+      );
+      if (!data.sparse || cells.some(Boolean))
+        rows.push([ours.text(row), ...cells].join(",").replaceAll("\u2212", "-"));
     }
     return rows.join("\n") + "\n";
   }
 
   function save(content, name) {
-    const address = URL.createObjectURL(content), link = make("a", { href: address, download: name });
+    const address = URL.createObjectURL(content),
+      link = make("a", { href: address, download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(address), 10000);
   }
@@ -452,35 +702,58 @@ document.addEventListener("rows", (event) => {
     image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(svg);
   }
 
-  const safe = (text) => text.replace(/\u00b0/g, "deg").replace(/%/g, "percent").replace(/[^\p{L}\p{N}\p{M}.-]+/gu, "_").slice(0, 80), taken = new Map();
+  const safe = (text) =>
+      text
+        .replace(/\u00b0/g, "deg")
+        .replace(/%/g, "percent")
+        .replace(/[^\p{L}\p{N}\p{M}.-]+/gu, "_")
+        .slice(0, 80),
+    taken = new Map();
 
   function fileName(chart) {
-    const { title, unit } = chart.figure.dataset, alike = charts.filter((c) => safe(c.figure.dataset.title) === safe(title)).length > 1;
-    const name = (safe(title) || "chart") + (alike ? "_" + safe(unit) : ""), count = (taken.get(name) || 0) + 1;
+    const { title, unit } = chart.figure.dataset,
+      alike = charts.filter((c) => safe(c.figure.dataset.title) === safe(title)).length > 1;
+    const name = (safe(title) || "chart") + (alike ? "_" + safe(unit) : ""),
+      count = (taken.get(name) || 0) + 1;
     taken.set(name, count);
     return count > 1 ? `${name}-${count}` : name;
   }
 
   function tools(chart) {
-    const row = make("span", { class: "tools" }), name = fileName(chart);
+    const row = make("span", { class: "tools" }),
+      name = fileName(chart);
     const ways = {
       PNG: () => savePng(picture(chart), name + ".png"),
       SVG: () => save(new Blob([picture(chart)], { type: "image/svg+xml" }), name + ".svg"),
       CSV: () => save(new Blob([numbers(chart)], { type: "text/csv" }), name + ".csv"),
     };
     for (const [kind, does] of Object.entries(ways)) {
-      const button = make("button", { type: "button", title: `save what this chart shows as ${kind}`, "aria-label": `${chart.figure.dataset.title} as ${kind}` }, kind);
+      const button = make(
+        "button",
+        {
+          type: "button",
+          title: `save what this chart shows as ${kind}`,
+          "aria-label": `${chart.figure.dataset.title} as ${kind}`,
+        },
+        kind,
+      );
       button.addEventListener("click", does);
       row.append(button);
     }
-    const back = make("button", { type: "button", class: "back", title: "show all of the axis again" }, ours.symbol === "t" ? "whole run" : "all");
+    const back = make(
+      "button",
+      { type: "button", class: "back", title: "show all of the axis again" },
+      ours.symbol === "t" ? "whole run" : "all",
+    );
     back.addEventListener("click", home);
     row.append(back);
     chart.figure.querySelector(".axes").append(row);
   }
 
   for (const chart of charts) {
-    toggles(chart); tools(chart); listen(chart);
+    toggles(chart);
+    tools(chart);
+    listen(chart);
     if (data.points) ours.moved.push(() => chart.ring());
   }
 });

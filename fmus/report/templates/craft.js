@@ -2,12 +2,15 @@
 (() => {
   "use strict";
   const one = (selector, root = document) => root.querySelector(selector);
-  let between, series, bodies = null;
+  let between,
+    series,
+    bodies = null;
 
   // The same arrow the server draws: along the craft's axis, forward up, in millimetres.
   function arrow(reach) {
     if (!(Math.abs(reach) >= 8)) return "";
-    const tip = -reach, barb = tip + Math.sign(reach) * Math.min(34, Math.abs(reach));
+    const tip = -reach,
+      barb = tip + Math.sign(reach) * Math.min(34, Math.abs(reach));
     return `M0 0V${tip.toFixed(0)}M-20 ${barb.toFixed(0)}L0 ${tip.toFixed(0)}L20 ${barb.toFixed(0)}`;
   }
 
@@ -15,21 +18,25 @@
   function trailPieces(entry) {
     let open = false;
     return entry.u.map((u, row) => {
-      if (u == null || entry.v[row] == null) { open = false; return ""; }
+      if (u == null || entry.v[row] == null) {
+        open = false;
+        return "";
+      }
       const piece = `${open ? "L" : "M"}${u} ${entry.v[row]}`;
       open = true;
       return piece;
     });
   }
 
-  const bodiesOf = (data) => data.crafts.map((entry, index) => ({
-    entry,
-    craft: one(`[data-craft="${index}"]`),
-    ghost: one(`[data-ghost="${index}"]`),
-    trail: one(`[data-trail="${index}"]`),
-    dials: one(`[data-dials="${index}"]`),
-    pieces: trailPieces(entry),
-  }));
+  const bodiesOf = (data) =>
+    data.crafts.map((entry, index) => ({
+      entry,
+      craft: one(`[data-craft="${index}"]`),
+      ghost: one(`[data-ghost="${index}"]`),
+      trail: one(`[data-trail="${index}"]`),
+      dials: one(`[data-dials="${index}"]`),
+      pieces: trailPieces(entry),
+    }));
 
   function place(element, entry, prefix, row, share) {
     const [u, v, a] = ["u", "v", "a"].map((name) => between(entry[prefix + name], row, share, 0));
@@ -42,10 +49,15 @@
     const { entry } = body;
     const at = place(body.craft, entry, "", row, share);
     if (body.ghost && entry.gu) place(body.ghost, entry, "g", row, share);
-    body.trail.setAttribute("d", body.pieces.slice(0, row + 1).join("") + (at && body.pieces[row] ? `L${at[0].toFixed(0)} ${at[1].toFixed(0)}` : ""));
+    body.trail.setAttribute(
+      "d",
+      body.pieces.slice(0, row + 1).join("") +
+        (at && body.pieces[row] ? `L${at[0].toFixed(0)} ${at[1].toFixed(0)}` : ""),
+    );
     for (const side of ["right", "left"]) {
       if (!entry["tilt_" + side]) continue;
-      const force = between(entry["force_" + side], row, share, 0), tilt = between(entry["tilt_" + side], row, share, 0);
+      const force = between(entry["force_" + side], row, share, 0),
+        tilt = between(entry["tilt_" + side], row, share, 0);
       one(`[data-arrow="${side}"]`, body.craft).setAttribute("d", force == null ? "" : arrow(force * entry.scale));
       if (tilt == null || !body.dials) continue;
       one(`[data-tilt="${side}"]`, body.dials).setAttribute("transform", `rotate(${tilt.toFixed(2)})`);
@@ -55,7 +67,10 @@
   }
 
   document.addEventListener("moment", ({ detail }) => {
-    ({ between, data: { series } } = detail);
+    ({
+      between,
+      data: { series },
+    } = detail);
     bodies ??= bodiesOf(detail.data);
     const [row, share] = detail.locate(detail.now, detail.data.few);
     for (const body of bodies) drawBody(body, row, share, detail.nearest);

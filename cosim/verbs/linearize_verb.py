@@ -16,12 +16,7 @@ if TYPE_CHECKING:
 NAMES = "comma between them, repeatable"
 
 
-def register(app: typer.Typer) -> None:
-    """Add this command."""
-    app.command()(linearize)
-
-
-def linearize(
+def command(
     model: Annotated[
         str, typer.Argument(help="base, bench, a model.yaml, file.py:Class, a refine's folder, or an FMU.")
     ],
@@ -61,7 +56,7 @@ def linearize(
     outcome = linearize_model(
         model, place, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs),
         outputs=_names(outputs), residualize=_names(residualize), component=component, step=step, side=side,
-        report=report, force=force, compile=compile_,
+        report=report, force=force, keep=out is None, compile=compile_,
     )  # fmt: skip
     for note in outcome.notes:
         warn(note)

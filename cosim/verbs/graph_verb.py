@@ -1,4 +1,4 @@
-"""`cosim graph` and `cosim schema`: a scenario as a picture, the keys of files for editors."""
+"""`cosim graph`: draw a scenario."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ from cosim.verbs.streams import echo
 from cosim.verbs.terminal import Json, Open, say, say_json, show
 
 
-def register(app: typer.Typer) -> None:
-    """Add these commands."""
-    app.command()(graph)
-    app.command()(schema)
-
-
-def graph(
+def command(
     scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or the manifest.json of a run.")],
     out: Annotated[
         Path | None,
@@ -54,12 +48,3 @@ def graph(
         say_json({"graph": str(path)})
     if open_:
         show(path)
-
-
-def schema(
-    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
-) -> None:
-    """Print the JSON schema of a file, for the completion of an editor."""
-    from cosim.verbs.schemas import schema_of
-
-    say_json(schema_of(kind))

@@ -15,12 +15,7 @@ from cosim.verbs.terminal import MANNER, Json, Open, Report, progress_bar, say, 
 EVERY = 10.0  # [s] between lines of those who asked for more
 
 
-def register(app: typer.Typer) -> None:
-    """Add this command."""
-    app.command()(sweep)
-
-
-def sweep(
+def command(
     study: Annotated[Path, typer.Argument(help="A sweep.yaml: a scenario, and what varies in it.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the sweep without.")

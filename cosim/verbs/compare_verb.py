@@ -1,25 +1,59 @@
-"""`cosim compare` and `cosim report`: what runs left."""
+"""`cosim compare` and `cosim.compare`: hold one run against another."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cosim.base.errors import CriterionMissed
+from cosim.base.settings import NotNegative
+from cosim.storage.files import FilePath
 from cosim.verbs.terminal import Force, Json, Open, Report, judged, say, say_json, show, table
+
+if TYPE_CHECKING:
+    from cosim.comparison.differences import Compared
+    from cosim.simulation.run_signals import Signals
 
 SHOWN = 12  # signals told on the terminal
 
 
-def register(app: typer.Typer) -> None:
-    """Add these commands."""
-    app.command()(compare)
-    app.command(name="report")(report_again)
-
-
 def compare(
+    a: FilePath | Signals,
+    b: FilePath | Signals,
+    out: FilePath | None = None,
+    *,
+    tolerance: NotNegative | None = None,
+    absolute: NotNegative = 0.0,
+    force: bool = False,
+) -> Compared:
+    """Hold run b against run a, each a folder, a CSV or what a verb returned.
+
+    out:       folder for comparison.json and report.html; nothing is left without
+    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    force:     also over what another command, or the comparison of other runs, left in `out`
+    Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
+    """
+    from cosim.comparison.workflow import compare as compare_runs
+
+    made, _ = compare_runs(
+        _ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
+    )
+    return made
+
+
+def _ran(side: FilePath | Signals) -> Any:
+    from cosim.simulation.run_files import Ran, read_ran
+    from cosim.simulation.run_signals import Run, Signals
+
+    if not isinstance(side, Signals):
+        return read_ran(Path(side))
+    manifest = side.manifest if isinstance(side, Run) else {}
+    return Ran(side.folder or Path(side.title), side.title, side.results, manifest)
+
+
+def command(
     a: Annotated[Path, typer.Argument(help="The folder that a run left, or a CSV with time first.")],
     b: Annotated[Path, typer.Argument(help="Another one, held against it.")],
     tolerance: Annotated[
@@ -38,9 +72,9 @@ def compare(
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
     from cosim.comparison.differences import sentence
-    from cosim.comparison.run_files import read_ran
     from cosim.comparison.signals import shared, sized
     from cosim.comparison.workflow import compare as compare_runs
+    from cosim.simulation.run_files import read_ran
 
     if absolute and tolerance is None:
         tolerance = 0.0
@@ -71,20 +105,3 @@ def compare(
         show(folder / "report.html")
     if made.judged and not made.same:
         raise CriterionMissed("; ".join(made.reasons))
-
-
-def report_again(
-    folder: Annotated[Path, typer.Argument(help="The folder that a run left.")],
-    figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
-    open_: Open = False,
-    as_json: Json = False,
-) -> None:
-    """Make the page of a run again, from its results.csv and manifest.json."""
-    from cosim.comparison.report_again import report_of
-
-    page = report_of(folder, figures=figures)
-    say(f"report:  {page}")
-    if as_json:
-        say_json({"report": str(page)})
-    if open_:
-        show(page)

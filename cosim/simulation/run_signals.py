@@ -1,4 +1,4 @@
-"""What the verbs return in Python: signals by name, data frames, pictures, a short text."""
+"""Results of `run` and `simulate` in Python: signals by name, data frames, pictures, a short text."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from cosim.storage.results import Results
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
 
 SHOWN = 8  # signals in the short text of a run; further ones are counted
 
@@ -154,102 +155,16 @@ class Run(Signals):
         return f"<ul>{lines}</ul>" if lines else ""
 
 
-@dataclass(frozen=True, repr=False)
-class Replay(Signals):
-    """A replay: what the FMU and the log show, and what the model misses of it, by horizon, in `residual`."""
-
-    residual: Signals | None = None
-    sentence: str = ""
-
-    def __repr__(self) -> str:
-        return f"{super().__repr__()}\n  {self.sentence}".rstrip()
+def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:
+    """Return a run by its rows and its manifest, under the name of its scenario."""
+    scenario = manifest.get("scenario")
+    name = scenario.get("name") if isinstance(scenario, Mapping) else None
+    return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
 
 
-@dataclass(frozen=True, repr=False)
-class Refined:
-    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`."""
+def read_run(path: Path) -> Run | Signals:
+    """Return the run in a folder, or the signals of a CSV with time first; InputError if there are none."""
+    from cosim.simulation.run_files import read_ran
 
-    record: Mapping[str, Any]
-    folder: Path
-
-    @property
-    def verdict(self) -> str:
-        """effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
-        return str(self.record.get("verdict", ""))
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """What was added, most important first, with values and intervals."""
-        return list(self.record.get("effects") or ())
-
-    @property
-    def sentence(self) -> str:
-        """The finding in words."""
-        return str(self.record.get("sentence", ""))
-
-    @property
-    def model(self) -> Path:
-        """The refined model."""
-        return self.folder / "model.yaml"
-
-    @property
-    def fmu(self) -> Path:
-        """Its FMU."""
-        return self.folder / "plant.fmu"
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Errors before and after by part and channel; ImportError where pandas is not installed."""
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        rows = [
-            {"model": model, "part": part, "channel": channel, "rmse": value}
-            for model, parts in dict(self.record.get("error") or {}).items()
-            if isinstance(parts, Mapping)
-            for part, channels in parts.items()
-            if isinstance(channels, Mapping)
-            for channel, value in channels.items()
-        ]
-        return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
-
-    def plot(self, part: str = "validation") -> Figure:
-        """A matplotlib figure of the errors of each channel before and after, of the `validation` or `estimation` logs.
-
-        ValueError where the record holds none of that part.
-        """
-        from cosim.refinement.report.error_figure import errors_figure
-
-        return errors_figure(self.record, part)
-
-    def __repr__(self) -> str:
-        return f"{self.verdict}: {self.sentence}"
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<p><b>{escape(self.verdict)}</b>: {escape(self.sentence)}</p>"
-
-
-@dataclass(frozen=True, repr=False)
-class Runs:
-    """Runs of a sweep: `record` is sweep.json; sweep.parquet is in `folder`."""
-
-    record: Mapping[str, Any]
-    folder: Path
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        from cosim.sweeps.store import read_table
-
-        frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()
-        return frame
-
-    def __repr__(self) -> str:
-        return (
-            f"{self.record.get('name', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
-        )
+    ran = read_ran(path)
+    return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)

@@ -1,29 +1,35 @@
-"""JSON schemas of the files that people write, for the completion and the marks of an editor."""
+"""`cosim schema`: JSON schemas of the files that people write, for an editor."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel
+import typer
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.registry import resolve
-from cosim.storage.artefact import Artefact, artefacts
+from cosim.storage.artefact import artefacts
+from cosim.verbs.terminal import say_json
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
-def schemas() -> dict[str, Artefact]:
-    """Return the kinds of files that have a schema, by the name of the schema."""
-    return {a.schema_name: a for a in artefacts() if a.schema}
+def command(
+    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
+) -> None:
+    """Print the JSON schema of a file, for the completion of an editor."""
+    say_json(schema_of(kind))
 
 
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; InputError where there is no such kind."""
-    known = schemas()
+    known = {a.schema_name: a for a in artefacts() if a.schema}
     if name not in known:
         allowed = ", ".join(sorted(known))
         raise InputError([Fault(Path(name), 0, 0, f"is no kind of file that has a schema; give one of {allowed}")])

@@ -1,0 +1,44 @@
+"""`cosim check` of a log: against a model, or by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+from cosim.base.registry import BASE, is_model
+from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.model_check import substep_notes
+from cosim.loading.own_run import predicted_outputs
+from cosim.loading.substep import with_substep
+from cosim.logs.alone import findings_alone
+from cosim.logs.gate import gate, refuse_faults
+from cosim.logs.log import read_log
+from cosim.logs.spikes import find_spikes, without
+from cosim.model.traits import Traits
+from cosim.storage.artefact import Checking
+from cosim.storage.table import read_header
+
+
+def check_log(path: Path, checking: Checking) -> list[str]:
+    """Return the findings on a log: of the named model, of base if the log has an input of base, else by itself."""
+    if checking.model is None and not is_model(BASE):
+        return findings_alone(path, checking.columns)
+    loaded = load_model(checking.model or BASE, Path())
+    if checking.model is None:
+        names = {checking.columns.get(name, name) for name in read_header(path)}
+        if names and names.isdisjoint(q.name for q in loaded.model.inputs):
+            return findings_alone(path, checking.columns)
+    return log_findings(path, loaded, checking.columns)
+
+
+def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """What the gate says of a log, a line each; InputError with its faults."""
+    model = loaded.model
+    log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
+    stepping = with_substep(loaded)[0].model
+    spikes = {} if log.table else find_spikes(log, partial(predicted_outputs, stepping, log))
+    findings = gate(log, model.rate, traits=Traits.of(model), spikes=spikes)
+    refuse_faults(log, findings)
+    return [*(f.line for f in findings), *substep_notes(loaded, [without(log, spikes)])]

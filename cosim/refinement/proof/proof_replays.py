@@ -1,0 +1,98 @@
+"""Replays of every variant on every set of logs: through the quick way where it equals what is delivered.
+
+The delivered object replays one log too. Where the two are not equal, or there is no quick way, every replay is through
+the delivered one, and the record says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.text import plain
+from cosim.estimation.problem import Problem
+from cosim.logs.log import Log
+from cosim.refinement.proof.measure import Evidence, replays
+from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
+from cosim.residuals.windows import Replay
+from cosim.subject.interface import Replayer, Subject, Workplace
+
+EQUAL = 1e-9  # of max(1, largest value), within which quick replays are those of the delivered object
+LogSets = Mapping[Part, Sequence[Log]]
+Way = Callable[[Subject], Replayer]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Logs on which variants are replayed, the fitting problem, and where what replays them lives."""
+
+    problem: Problem
+    sets: LogSets
+    place: Workplace
+
+    def replayed(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
+        """Replay every variant, and say through what."""
+
+        def delivered(subject: Subject) -> Replayer:
+            return subject.replayer(self.place)
+
+        after = variants["after"]
+        try:
+            quick = {id(v.subject): v.subject.quick_replayer(self.place) for v in variants.values()}
+        except InputError as error:
+            own = delivered(after.subject)
+            return self.every(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
+        ways = {key: way for key, way in quick.items() if way is not None}
+        if len(ways) < len(quick):
+            return self.every(variants, delivered), Replays(through=delivered(after.subject).through)
+        played = self.every(variants, lambda subject: ways[id(subject)])
+        part: Part = "validation" if "validation" in self.sets else "estimation"
+        logs = self.sets[part]
+        k = min(range(len(logs)), key=lambda i: logs[i].rows)
+        horizon, through = after.subject.horizon, ways[id(after.subject)].through
+        own = delivered(after.subject)
+        apart = difference(
+            played["after"][part][horizon][k][1], replays(after, own, self.problem, [logs[k]])[horizon][0][1]
+        )
+        if apart <= EQUAL:
+            return played, Replays(through=through, log=logs[k].path.name, apart=apart)
+        why = f"replays of {logs[k].path.name} through it and through plant.fmu are {plain(apart, 2)} apart"
+        way = Replays(through=own.through, why=why, log=logs[k].path.name, apart=apart)
+        return self.every(variants, delivered), way
+
+    def every(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
+        """Replay every variant on every set; a variant that stands for two is replayed once."""
+        horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
+        done: dict[int, dict[Part, dict[float, Evidence]]] = {}
+        for variant in variants.values():
+            if id(variant) not in done:
+                replayer = way(variant.subject)
+                done[id(variant)] = {
+                    part: replays(variant, replayer, self.problem, logs, horizons) for part, logs in self.sets.items()
+                }
+        return {name: done[id(variant)] for name, variant in variants.items()}
+
+
+def difference(one: Replay, other: Replay) -> float:
+    """The largest difference of an output, of max(1, its largest value); infinite where only one predicts."""
+    return max((_apart(values, other.outputs[name]) for name, values in one.outputs.items()), default=0.0)
+
+
+def _apart(one: Array, other: Array) -> float:
+    there = np.isfinite(other)
+    if not np.array_equal(there, np.isfinite(one)):
+        return float("inf")
+    if not there.any():
+        return 0.0
+    return float(np.max(np.abs(one[there] - other[there])) / max(1.0, float(np.max(np.abs(other[there])))))
+
+
+def warnings_of(way: Replays) -> Iterator[str]:
+    """A native FMU that does not equal the one in Python; nothing where there is none to be had."""
+    if way.through == "python" and way.log:
+        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

@@ -1,0 +1,94 @@
+"""Result of `refine` in Python."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.loading.refined import ANSWER, REFINED
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+    from cosim.subject.interface import Subject
+
+
+@dataclass(frozen=True, repr=False)
+class Refined:
+    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
+
+    subject: the refined object itself; None where the result was read from a folder
+    """
+
+    record: Mapping[str, Any]
+    folder: Path
+    subject: Subject | None = None
+
+    @property
+    def verdict(self) -> str:
+        """effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
+        return str(self.record.get("verdict", ""))
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """What was added, most important first, with values and intervals."""
+        return list(self.record.get("effects") or ())
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        return str(self.record.get("sentence", ""))
+
+    @property
+    def model(self) -> Path:
+        """The refined model."""
+        return self.folder / REFINED[0]
+
+    @property
+    def fmu(self) -> Path:
+        """Its FMU."""
+        return self.folder / REFINED[1]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Errors before and after by part and channel; ImportError where pandas is not installed."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        rows = [
+            {"model": model, "part": part, "channel": channel, "rmse": value}
+            for model, parts in dict(self.record.get("error") or {}).items()
+            if isinstance(parts, Mapping)
+            for part, channels in parts.items()
+            if isinstance(channels, Mapping)
+            for channel, value in channels.items()
+        ]
+        return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
+
+    def plot(self, part: str = "validation") -> Figure:
+        """A matplotlib figure of the errors of each channel before and after, of the `validation` or `estimation` logs.
+
+        ValueError where the record holds none of that part.
+        """
+        from cosim.refinement.report.error_figure import errors_figure
+
+        return errors_figure(self.record, part)
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.sentence}"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<p><b>{escape(self.verdict)}</b>: {escape(self.sentence)}</p>"
+
+
+def read_refined(folder: Path) -> Refined | None:
+    """Return the answer of a refine in a folder, None if there is none."""
+    if not (folder / ANSWER).is_file():
+        return None
+    return Refined(json.loads((folder / ANSWER).read_text(encoding="utf-8")), folder)

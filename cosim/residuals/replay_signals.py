@@ -1,0 +1,34 @@
+"""Result of `replay` in Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.simulation.run_signals import Signals
+from cosim.storage.folders import left_by_replay
+from cosim.storage.results import read_results, rows_in
+
+
+@dataclass(frozen=True, repr=False)
+class Replay(Signals):
+    """A replay: what the FMU and the log show, and what the model misses of it, by horizon, in `residual`."""
+
+    residual: Signals | None = None
+    sentence: str = ""
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()}\n  {self.sentence}".rstrip()
+
+
+def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
+    """Return the replay in a folder, None if it came to no residual; kept: the folder stays."""
+    files = rows_in(folder), rows_in(folder, "residual")
+    if files[1] is None:
+        return None
+    record = left_by_replay(folder)
+    units = record.get("units")
+    known = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
+    rows, missed = (read_results(file or folder / "results.csv", known) for file in files)
+    place = folder if kept else None
+    return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))

@@ -1,0 +1,92 @@
+"""Replays of logs through the FMU of a model, each started from the filtered state and memory of its effects."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Generator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cosim.fmi.state import MEMORY, Memory
+from cosim.kernel.kernel import CONSTANT, Data
+from cosim.logs.log import Log
+from cosim.model.model import Effect, Model, overrides
+from cosim.residuals.drive import Drive
+from cosim.residuals.remote_drive import DriveApart
+from cosim.residuals.windows import Replay, row_by_row, windows
+from cosim.subject.interface import Replayer, Start, Workplace
+
+
+class FmuReplayer(Replayer):
+    """An FMU of a model, loaded into a worker process.
+
+    parameters: set on the FMU, where it does not have them as its defaults
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        fmu: Path,
+        place: Workplace,
+        through: str,
+        parameters: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        self.model, self.fmu, self.place = model, fmu, place
+        self.through, self.parameters = through, parameters
+
+    def replays(
+        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+    ) -> Generator[Replay, None, None]:
+        """One for each horizon, through one load of the FMU."""
+        worker, limits = self.place.worker, self.place.limits
+        apart = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
+        with apart or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
+            if log.table:
+                yield row_by_row(drive, self.parameters)
+                return
+            for horizon, begins in starts.items():
+                given = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
+                memories = {k: on_its_way(self.model, values, log, data, k) for k in begins}
+                yield windows(drive, given, horizon, memories)
+
+
+def start_values(model: Model, start: Start) -> dict[str, float]:
+    """Return FMU start parameters: states and the memory of the effects, a delay's apart; parameters per log.
+
+    Errors of sensors are none of the plant's.
+    """
+    awake, plant = {e.name for e in model.awake}, model.declared
+    found = {name: value for name, value in start.per_log.items() if name in plant}
+    for name, value in start.states.items():
+        if not name.startswith(CONSTANT) and ("." not in name or name.split(".")[0] in awake):
+            found[f"{name}_start"] = value
+    k = 0
+    for effect in _shaping(model.catalogue):
+        if effect.delay:  # see on_its_way
+            continue
+        for q in effect.memory:
+            if effect.name in awake:
+                found[f"{effect.name}.{q.name}_start"] = float(start.memory[k])
+            k += 1
+    return found
+
+
+@functools.cache
+def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
+    """Effects of a catalogue that act on a command, as declared."""
+    return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
+
+
+def on_its_way(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
+    """Return commands that a delay has not let through at row k: (time from which it holds, command), oldest first."""
+    shaping = overrides(model.awake, "shape", Effect)
+    waiting: dict[tuple[int, int], Any] = {}
+    for place, effect in enumerate(shaping):
+        if effect.delay:
+            row = int(log.grid[k])
+            late = values[f"{effect.name}.{effect.delay}"] / data.step
+            rows = range(max(0, math.floor(row - late)), row) or [row]
+            waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return waiting

@@ -1,0 +1,196 @@
+"""A `Model` as a subject: its kernel is printed from its equations, and its FMU is what is delivered and replayed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+from cosim.base.registry import entry_of
+from cosim.fmi.fmu_build import build
+from cosim.kernel.backend import kernel
+from cosim.kernel.kernel import Kernel
+from cosim.kernel.nameless import bases
+from cosim.kernel.settling import settling
+from cosim.loading.build_native import class_fmu
+from cosim.loading.file import LoadedModel, write_model
+from cosim.loading.own_run import predicted_outputs, shown_states
+from cosim.loading.refined import NEAREST, REFINED
+from cosim.logs.log import Log
+from cosim.model.gain import Gain
+from cosim.model.integrate import substeps
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.symbolic.symbols import symbolic
+from cosim.model.traits import Traits
+from cosim.subject.base_parameters import base_parameter
+from cosim.subject.candidates import Candidate, Kind, effect
+from cosim.subject.fmu_replayer import FmuReplayer
+from cosim.subject.interface import Predict, Subject, Workplace
+
+FILES = {"refined": REFINED, "nearest": NEAREST}
+
+
+class ModelSubject(Subject):
+    """A model with the values of a model.yaml.
+
+    loaded: the model, where it comes from, values of its parameters, known errors of its sensors
+    fmu:    its FMU, once it is built
+    """
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        model = loaded.model
+        self.loaded, self.model = loaded, model
+        self.fmu: Path | None = None
+        self.title, self.source = model.title, loaded.source
+        self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
+        self.horizon, self.rate, self.static = model.horizon, model.rate, model.static
+        self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
+        own = {p.name for p in model.parameters}
+        self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
+        self._declared = model.declared | model.sensor_parameters
+        self.values = {**neutral_values(model), **loaded.values}
+        self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
+        self.present = frozenset(e.name for e in model.awake)
+        self.excursion = model.excursion
+        self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
+        shaping = overrides(tuple(kind() for kind in model.catalogue), "shape", Effect)
+        unlearnt = (*shaping, *(kind for kind in model.sensors if kind.late))
+        self.only_known = frozenset(f"{e.name}.{p.name}" for e in unlearnt for p in parameters_of(e))
+
+    @classmethod
+    def of(cls, model: Model) -> ModelSubject:
+        """Return the subject of a model without a file of values."""
+        return cls(LoadedModel(model, ""))
+
+    @property
+    def declared(self) -> Mapping[str, Parameter]:
+        """Every parameter by name, kept: fits ask for them all the time."""
+        return self._declared
+
+    @property
+    def traits(self) -> Traits:
+        """Declarations about the signals, rates by the equations."""
+        return Traits.of(self.model)
+
+    @property
+    def shown(self) -> frozenset[str]:
+        """States that outputs of their name show, tried at one state."""
+        return frozenset(shown_states(self.model))
+
+    def candidates(self, varied: Sequence[str]) -> list[Candidate]:
+        """Effects of the catalogue, errors of the sensors, base parameters."""
+        return [*self._effects(), *self._suspects(varied)]
+
+    def _effects(self) -> Iterator[Candidate]:
+        model, values = self.model, self.values
+        for kind in (*model.catalogue, *model.sensors):
+            of: Kind = "sensor" if kind in model.sensors else "effect"
+            c = effect(
+                kind.name,
+                parameters_of(kind),
+                values,
+                kind=of,
+                starts=kind.starts,
+                above=kind.at_least,
+                gain=issubclass(kind, Gain),
+            )
+            if any(type(e) is kind for e in model.awake):  # the model has this effect already: it is recalibrated
+                c = replace(c, starts=({name: values[name] for name in c.parameters},))
+            yield c
+
+    def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
+        """Base parameters; one that is only suspect where the inputs it needs are varied."""
+        suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
+        for name in (*self.model.calibrated, *suspects):
+            free = base_parameter(self, name, self.values, None)
+            yield Candidate(name, "parameter", (free,), ({name: self.values[name]},))
+
+    def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
+        """The filter printed from the equations, in C where there is a compiler."""
+        return kernel(self.model, measured, unnamed, constant)
+
+    def start(self) -> dict[str, float]:
+        """Start value of each state."""
+        return dict(zip((q.name for q in self.states), self.model.start(), strict=True))
+
+    def substeps(self, step: float) -> int:
+        """Substeps no longer than the model's own."""
+        return substeps(step, self.model.substep)
+
+    def settling(self, states: Sequence[str]) -> float:
+        """By the slowest stable mode of these states."""
+        return settling(self.model, states)
+
+    def prediction(self, log: Log) -> Predict | None:
+        """The model run from row to row."""
+        return partial(predicted_outputs, self.model, log)
+
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
+        """A basis function of the kernel with terms of no catalogue."""
+        import sympy
+
+        s = symbolic(self.model)
+        basis = bases(s).get(signal)
+        if basis is None:
+            return None
+        symbols = [s.time, *s.state[: len(self.model.base_states)], *s.command]
+        called = ["time", *(q.name for q in self.model.base_states), *(f"command {q.name}" for q in self.inputs)]
+        within = sympy.sympify(basis).free_symbols
+        free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in within]
+        return sympy.lambdify(symbols, basis, "numpy"), free
+
+    def refined(self, claims: Mapping[str, float]) -> ModelSubject:
+        """The model with other values; those of sensors stand beside it."""
+        loaded = self.loaded
+        parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
+        sensors = {**loaded.sensors, **{n: v for n, v in claims.items() if n in self.sensor_parameters}}
+        model = loaded.model.with_values(parameters)
+        return ModelSubject(LoadedModel(model, loaded.source, parameters, sensors))
+
+    def replayer(self, place: Workplace) -> FmuReplayer:
+        """Its FMU in Python."""
+        if self.fmu is None or not self.fmu.is_file():
+            taken = sum(1 for _ in place.folder.glob("replayed*.fmu"))
+            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{taken}.fmu")
+        return FmuReplayer(self.model, self.fmu, place, "python")
+
+    def quick_replayer(self, place: Workplace) -> FmuReplayer:
+        """The native FMU of its class, one library for every value."""
+        fmu = place.folder / "class.fmu"
+        if not fmu.is_file():
+            class_fmu(self.loaded, fmu)
+        return FmuReplayer(self.model, fmu, place, "native", self.loaded.parameters)
+
+    def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
+        """model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
+        yaml, fmu = (scratch / file for file in FILES[name])
+        write_model(yaml, self.loaded, folder)
+        if self.fmu is not None and self.fmu.is_file():
+            copyfile(self.fmu, fmu)
+        else:
+            self.fmu = build(self.loaded.recipe(), fmu)
+        return yaml, fmu
+
+    def use(self, folder: Path) -> list[str]:
+        """Run a scenario with its FMU, and with a controller made for it where one is designed.
+
+        Paths are whole: those in a scenario start at the scenario.
+        """
+        model, fmu = ((folder / name).resolve() for name in REFINED)
+        command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
+        entry = entry_of(type(self.model))
+        return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
+
+
+def neutral_values(model: Model) -> dict[str, float]:
+    """Return every number the kernel takes: base parameters, effects as the model has them, sensors without error."""
+    own = {p.name: getattr(model, p.name) for p in model.parameters}
+    own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
+    declared = model.declared | model.sensor_parameters
+    switches = {p.name for p in model.parameters if isinstance(p.default, bool)}
+    return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}

@@ -1,0 +1,45 @@
+"""Runs of a sweep in Python, read back from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.text import counted
+from cosim.storage.folders import content_of
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True, repr=False)
+class Runs:
+    """Runs of a sweep: `record` is sweep.json; sweep.parquet is in `folder`."""
+
+    record: Mapping[str, Any]
+    folder: Path
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        from cosim.sweeps.store import read_table
+
+        frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()
+        return frame
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.record.get('name', 'sweep')}: {counted(int(self.record.get('runs') or 0), 'run')} in {self.folder}"
+        )
+
+
+def read_runs(folder: Path) -> Runs | None:
+    """Return the runs of a sweep in a folder, None if it has not come to its end."""
+    if not all((folder / name).is_file() for name in ("sweep.json", "sweep.parquet")):
+        return None
+    return Runs(content_of(folder / "sweep.json"), folder)

@@ -1,0 +1,140 @@
+"""`cosim check` and `cosim.check`: every fault of every file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.base.errors import Crashed, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, Terminated
+from cosim.base.program import STOPPED
+from cosim.base.registry import resolve
+from cosim.base.settings import Files, ModelName
+from cosim.storage import kinds
+from cosim.storage.artefact import Checking, kind_by_keys, of_kind
+from cosim.storage.files import FilePath, is_full
+from cosim.storage.yaml_file import YamlFile
+from cosim.verbs.terminal import Compile, Json, say, say_json
+
+WANTED = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
+
+
+def check(
+    files: FilePath | Files,
+    model: ModelName | None = None,
+    *,
+    load: bool = True,
+    compile: bool = False,
+    columns: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
+
+    model:   whose logs they are (base, a model.yaml, file.py:Class); without, a log that has an input of base is one
+             of base, another is checked by itself
+    load:    FMUs and scenarios are loaded and stepped once, and Python that a file names is executed, in a worker
+             process; without, nothing that a file names is executed
+    columns: of logs under other names than the model's, column → variable, or `time`
+    compile: the sources of FMUs that have no library for this machine are compiled and run
+    """
+    from cosim.blocks.compiling import compiling, permission
+    from cosim.isolation.process import Worker
+    from cosim.master.remote import MODULES
+
+    faults: list[Fault] = []
+    lines: list[str] = []
+    with compiling(compile):
+        if permission.get() and not load:
+            message = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
+            raise InputError([Fault(Path("--compile"), 0, 0, message)])
+        with Worker(*MODULES) if load else nullcontext() as worker:
+            checking = Checking(model, dict(columns or {}), worker)
+            for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
+                try:
+                    lines += [f"{path}: {line}" for line in _checked(path, checking)]
+                except InputError as error:
+                    faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return lines
+
+
+def _checked(path: Path, checking: Checking) -> list[str]:
+    """Check a file; Python that it names is executed in the worker, without one not at all."""
+    from cosim.loading.file import without_execution
+    from cosim.scenario.controller_design import ended
+
+    worker = checking.worker
+    with without_execution() as skipped:
+        try:
+            return _check(path, checking)
+        except NotExecuted as code:
+            if worker is None:
+                return [f"warning: {code} (--no-load); neither it nor what depends on it is checked"]
+        except InputError:
+            if worker is None or not skipped:  # else there may be more faults
+                raise
+    try:
+        lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
+    except Crashed as crash:
+        raise InputError([ended(skipped[0], crash)]) from None
+    return lines
+
+
+def _check(path: Path, checking: Checking) -> list[str]:
+    """Return what is to be known of a file, a line each; InputError with its faults."""
+    kind: str | None = kinds.CODE
+    if not path.suffix.startswith(".py:"):  # FILE.py:Class
+        kinds.refuse_unreadable(path, WANTED)
+        kind = kinds.kind_by_form(path)
+    if kind is None:
+        root = YamlFile(path).root
+        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # without its logs
+        kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
+    declared = of_kind(kind)
+    if declared is None or not declared.check:
+        message = f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}"
+        raise InputError([Fault(path, 0, 0, message)])
+    notes: list[str] = resolve(declared.check)(path, checking)
+    return notes
+
+
+def command(
+    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],
+    model: Annotated[
+        str | None, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
+    ] = None,
+    load: Annotated[
+        bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
+    ] = True,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
+    ] = None,
+    compile_: Compile = False,
+    as_json: Json = False,
+) -> None:
+    """Say what is wrong with files, all faults at once."""
+    from cosim.logs.log import renamed
+
+    try:
+        lines = check(files, model, load=load, compile=compile_, columns=renamed(column or (), files[0]))
+    except Signalled as ended:
+        raise FmuError(ended.reason) from None
+    except Terminated as ended:
+        raise FmuError(str(ended)) from None
+    except (Interrupted, KeyboardInterrupt):
+        raise typer.Exit(STOPPED) from None
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
+    for line in lines:
+        say(line)
+    say(f"no fault in {', '.join(map(str, files))}")
+    if as_json:
+        say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})

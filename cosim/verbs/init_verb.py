@@ -1,0 +1,56 @@
+"""`cosim init`: write a first scenario of FMUs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.storage.kinds import as_typed
+from cosim.verbs.terminal import Json, say, say_json, warn
+
+
+def command(
+    fmus: Annotated[list[Path], typer.Argument(help="FMUs of one system.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write; never over one.")] = Path(
+        "scenario.yaml"
+    ),
+    as_json: Json = False,
+) -> None:
+    """Write a first scenario of FMUs, connected by name and unit: guesses are marked, and it runs as it is."""
+    from cosim.authoring.draft import write_draft
+    from cosim.authoring.matching import text
+    from cosim.base.text import counted
+
+    draft = write_draft(out, fmus)
+    found = draft.matches.found
+    if as_json:
+        connections = [
+            {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
+        ]
+        left = [text(port) for port, _ in draft.matches.left]
+        say_json({
+            "scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left,
+            "choices": dict(draft.matches.choices),
+        })  # fmt: skip
+        return
+    for m in found:
+        say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
+        for other in m.others:
+            say(f"      or {other}")
+    for name, sources in draft.matches.choices.items():
+        say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
+    for warning in draft.warnings:
+        warn(warning)
+    guesses = sum(bool(m.guess) for m in found)
+    say(
+        f"wrote {out}: {counted(len(fmus), 'FMU')}, {counted(len(found), 'connection')}"
+        + (f", {guesses} guessed (marked in the file)" if guesses else "")
+        + (
+            f", {counted(len(draft.matches.choices), 'input')} to choose for (in the file)"
+            if draft.matches.choices
+            else ""
+        )
+    )
+    say(f"next: cosim run {as_typed(out)}")

@@ -1,0 +1,32 @@
+"""`cosim.read`: what a verb left in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.base.registry import resolve
+from cosim.storage.artefact import artefacts
+from cosim.storage.files import FilePath
+
+if TYPE_CHECKING:
+    from cosim.refinement.refined_result import Refined
+    from cosim.residuals.replay_signals import Replay
+    from cosim.simulation.run_signals import Run, Signals
+    from cosim.sweeps.sweep_table import Runs
+
+
+def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
+    """What `run`, `simulate`, `replay`, `refine` or `sweep` left in a folder, or the signals of a CSV with time first.
+
+    InputError where there is none of it.
+    """
+    from cosim.simulation.run_signals import read_run
+
+    path = Path(folder)
+    for artefact in artefacts():
+        if artefact.reader and artefact.is_left_in(path):
+            result: Run | Replay | Refined | Runs | None = resolve(artefact.reader)(path)
+            if result is not None:
+                return result
+    return read_run(path)

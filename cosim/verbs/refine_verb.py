@@ -1,0 +1,99 @@
+"""`cosim refine` and `cosim.refine`: find what a model lacks in measured logs."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.program import ending_when_stuck
+from cosim.base.settings import Files
+from cosim.storage.files import FilePath
+from cosim.storage.folders import folder_of_file
+from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, files_in, say, say_json, show, stages, warn
+
+if TYPE_CHECKING:
+    from cosim.refinement.refined_result import Refined
+    from cosim.subject.interface import Subject
+
+
+def refine(
+    study: FilePath | Subject,
+    out: FilePath,
+    *,
+    logs: FilePath | Files = (),
+    validation: FilePath | Files = (),
+    settings: Mapping[str, Any] | None = None,
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Refined:
+    """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
+
+    study: a study file, or any object that can be refined (`cosim.subject.interface.Subject`) with its logs beside it
+    logs, validation: logs of such an object, to learn from and sealed; settings: further keys of a study file
+    force: also over what another study or command left there
+    Raises InputError, FmuError, SimulationError.
+    """
+    from cosim.refinement.refined_result import Refined
+    from cosim.refinement.study import study_of
+    from cosim.refinement.workflow import refine as refine_study
+
+    if isinstance(study, (str, PathLike)):
+        if logs or validation or settings:
+            cure = "write them into the study, or give an object in its place"
+            raise InputError([Fault(Path(study), 0, 0, f"logs, validation and settings stand in the file; {cure}")])
+        posed: Any = study
+    else:
+        posed = study_of(study, logs, validation, **(settings or {}))
+    done = refine_study(posed, out, progress, report=report, force=force, in_process=in_process)
+    return Refined(done.record, Path(out), done.refined)
+
+
+def command(
+    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
+    ] = None,
+    report: Report = True,
+    in_process: InProcess = False,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cosim.refinement.report.error_tables import second_sentence
+    from cosim.refinement.stages import numbered
+    from cosim.refinement.workflow import refine as refine_study
+
+    place = folder_of_file(study) if out is None else out
+    with stages(numbered) as progress, ending_when_stuck():
+        result = refine_study(
+            study, place, progress, report=report, force=force, keep=out is None, in_process=in_process
+        )
+    for warning in result.study.warnings:
+        warn(warning)
+    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
+    say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
+    if report:
+        say(f"report: {place / 'report.html'}")
+    if as_json:
+        told_of = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: result.record[key] for key in told_of if key in result.record}
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+    if report and open_:
+        show(place / "report.html")
+    if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
+        from cosim.experiment.ranges import inputs_to_limit
+
+        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")

@@ -1,0 +1,27 @@
+"""`cosim report`: make the page of a run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.verbs.terminal import Json, Open, say, say_json, show
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(help="The folder that a run left.")],
+    figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
+    open_: Open = False,
+    as_json: Json = False,
+) -> None:
+    """Make the page of a run again, from its results.csv and manifest.json."""
+    from cosim.comparison.report_again import report_of
+
+    page = report_of(folder, figures=figures)
+    say(f"report:  {page}")
+    if as_json:
+        say_json({"report": str(page)})
+    if open_:
+        show(page)

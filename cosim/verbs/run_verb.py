@@ -1,0 +1,133 @@
+"""`cosim run` and `cosim.run`: co-simulate a scenario or an SSP."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.base.errors import Fault, InputError
+from cosim.base.scratch import temporary_folder
+from cosim.base.settings import Given, Seed, texts
+from cosim.storage.files import FilePath
+from cosim.verbs.outcome import told
+from cosim.verbs.scratch_results import results_in
+from cosim.verbs.streams import echo
+from cosim.verbs.terminal import Compile, Force, Format, InProcess, Json, Open, Report, progress_bar, say
+
+if TYPE_CHECKING:
+    from cosim.simulation.run_signals import Run
+
+
+def run(
+    scenario: FilePath | Mapping[str, Any],
+    out: FilePath | None = None,
+    set: Given | None = None,
+    *,
+    seed: Seed | None = None,
+    nearest: bool = False,
+    report: bool = True,
+    figures: bool = False,
+    force: bool = False,
+    in_process: bool = False,
+    compile: bool = False,
+    format: str = "csv",
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
+
+    out:    folder for results.csv, manifest.json and report.html; nothing is left without
+    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2};
+            or "path=value" each
+    force:  also over what the run of another scenario left in `out`
+    compile: the sources of FMUs that have no library for this machine are compiled and run
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
+    nearest, figures, in_process, progress: as `cosim run` has them
+    A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
+    """
+    from cosim.blocks.compiling import compiling
+    from cosim.simulation.run_signals import run_of
+    from cosim.simulation.workflow import run as run_file
+
+    overrides = [*texts(set)]
+    overrides += [] if seed is None else [f"seed={seed}"]
+    with compiling(compile), results_in(out) as folder, _scenario_file(scenario, folder) as path:
+        outcome = run_file(
+            path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
+            figures=figures and out is not None, in_process=in_process, format_=format, progress=progress,
+        )  # fmt: skip
+    return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
+
+
+@contextmanager
+def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterator[Path]:
+    """A scenario's file; of a mapping one that is gone at the end, with names of files from the current folder."""
+    if not isinstance(scenario, Mapping):
+        yield Path(scenario)
+        return
+    from cosim.scenario.scenario_file import from_here
+
+    told = Path("scenario")
+    with temporary_folder("scenario") as scratch:
+        path = scratch / "scenario.json"
+        try:
+            path.write_text(json.dumps(from_here(scenario)), encoding="utf-8")
+        except (TypeError, ValueError) as error:
+            raise InputError([Fault(told, 0, 0, f"holds what no file can: {error}")]) from None
+        try:
+            yield path
+        except InputError as error:
+            at_it = [replace(f, file=told, line=0, column=0) if f.file == path else f for f in error.faults]
+            raise InputError(at_it) from None
+
+
+def command(
+    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the scenario without."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. noise=off.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
+    ] = None,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    ] = False,
+    report: Report = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+    figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
+    in_process: InProcess = False,
+    format_: Format = "csv",
+    compile_: Compile = False,
+    coupling: Annotated[
+        bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
+    ] = False,
+) -> None:
+    """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
+    from cosim.blocks.compiling import compiling
+    from cosim.simulation.workflow import run as run_scenario
+
+    overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
+    with compiling(compile_), progress_bar() as progress:
+        outcome = run_scenario(
+            scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
+            in_process=in_process, format_=format_, progress=progress,
+        )  # fmt: skip
+    if coupling:
+        from cosim.simulation.coupling import coupling_error
+
+        source = Path(outcome.manifest["source"])
+        with compiling(compile_):
+            changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
+        echo(changed, err=True) if as_json else say(changed)
+    told(outcome, report=report, open_=open_, as_json=as_json)

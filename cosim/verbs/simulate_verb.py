@@ -1,0 +1,110 @@
+"""`cosim simulate` and `cosim.simulate`: run one FMU without a file of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.base.settings import Given, PositiveSeconds, Seconds, given
+from cosim.storage.files import FilePath
+from cosim.verbs.outcome import told
+from cosim.verbs.scratch_results import results_in
+from cosim.verbs.terminal import Compile, Force, Format, Json, Open, Report, progress_bar, say, seconds, warn
+
+if TYPE_CHECKING:
+    from cosim.simulation.run_signals import Run
+
+
+def simulate(
+    fmu: FilePath,
+    out: FilePath | None = None,
+    set: Given | None = None,
+    *,
+    input: FilePath | None = None,
+    stop: Seconds | None = None,
+    step: PositiveSeconds | None = None,
+    record: Sequence[str] = (),
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    compile: bool = False,
+    format: str = "csv",
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Run one FMU over its default experiment.
+
+    out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
+    set:        parameters and inputs → value; or "name=value" each
+    input:      a CSV with time and columns named as inputs, played to them
+    stop, step: [s], or text such as "4 min", in place of those of the FMU
+    record:     locals and parameters to record beside inputs and outputs
+    compile:    its sources are compiled and run where it has no library for this machine
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
+    Raises InputError, FmuError, SimulationError.
+    """
+    from cosim.authoring.single import simulate as simulate_fmu
+    from cosim.blocks.compiling import compiling
+    from cosim.simulation.run_signals import run_of
+
+    with compiling(compile), results_in(out) as folder:
+        outcome, notes = simulate_fmu(
+            fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
+            report=report and out is not None, force=force, in_process=in_process, format_=format, progress=progress,
+        )  # fmt: skip
+    manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
+    return run_of(outcome.results, manifest, None if out is None else outcome.folder)
+
+
+def command(
+    fmu: Annotated[Path, typer.Argument(help="An FMU.")],
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="NAME=VALUE of a parameter or input; repeatable. mass=2, angle=12deg."),
+    ] = None,
+    recorded: Annotated[
+        Path | None, typer.Option("--input", help="A CSV with time and columns named as inputs, played to them.")
+    ] = None,
+    stop: Annotated[
+        float | None,
+        typer.Option(
+            help="When it ends [s], or 4min; without, as the FMU says, or the input.", parser=seconds, metavar="TIME"
+        ),
+    ] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Communication step [s], or 20ms; without, as the FMU says.", parser=seconds, metavar="TIME"),
+    ] = None,
+    record: Annotated[
+        list[str] | None,
+        typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the FMU without.")
+    ] = None,
+    report: Report = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
+    ] = False,
+    format_: Format = "csv",
+    compile_: Compile = False,
+) -> None:
+    """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
+    from cosim.authoring.single import simulate as simulate_fmu
+    from cosim.blocks.compiling import compiling
+
+    with compiling(compile_), progress_bar() as progress:
+        outcome, notes = simulate_fmu(
+            fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
+            force=force, in_process=in_process, format_=format_, progress=progress,
+        )  # fmt: skip
+    for note in notes:
+        warn(note)
+    if not as_json:
+        say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
+    told(outcome, report=report, open_=open_, as_json=as_json, values=True)

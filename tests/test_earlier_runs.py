@@ -1,0 +1,181 @@
+"""Earlier runs in results/NAME/runs: nothing is lost, nothing of the user moves, a move that is cut off is finished."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from cosim.base.errors import InputError
+from cosim.loading.file import load_model
+from cosim.storage import folders
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.yaml_file import YamlFile
+from tests.users import OTHER, shared_folder
+
+FILES = ("manifest.json", "results.csv", "report.html", "figures/tank.png")
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """The folder of a run, with files of the user in it."""
+    folder = tmp_path / "results" / "tank"
+    for name in (*FILES, "notes.txt", "figures/mine.svg", "mine/results.csv"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+    return folder
+
+
+def files_in(folder: Path) -> set[str]:
+    """All files of a folder, from there."""
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_files_of_the_verb_move_and_those_of_the_user_stay(results: Path) -> None:
+    assert keep_earlier(results, "cosim run") == results / "runs" / "0001"
+    assert files_in(results / "runs" / "0001") == set(FILES)
+    assert files_in(results) - {f"runs/0001/{n}" for n in FILES} == {
+        "notes.txt",
+        "figures/mine.svg",
+        "mine/results.csv",
+    }
+    assert keep_earlier(results, "cosim run") is None  # there is nothing any more
+    assert [p.name for p in (results / "runs").iterdir()] == ["0001"]
+
+
+def test_files_of_another_verb_whose_marks_are_there_move_too(results: Path) -> None:
+    for name in ("refine.json", "model.yaml", "plant.fmu"):
+        (results / name).write_text("parameters: {}\n")
+    keep_earlier(results, "cosim run")
+    assert files_in(results / "runs" / "0001") == {*FILES, "refine.json", "model.yaml", "plant.fmu"}
+
+
+@pytest.mark.parametrize("cut", range(len(FILES) + 3))
+def test_a_move_that_is_cut_off_anywhere_is_finished_by_the_next_verb(
+    results: Path, monkeypatch: pytest.MonkeyPatch, cut: int
+) -> None:
+    """The process ends before the k-th of its moves; neither run is lost, and both stay whole."""
+    real, count = Path.replace, 0
+
+    class Killed(BaseException):
+        pass
+
+    def step(self: Path, target: Path) -> Path:
+        nonlocal count
+        count += 1
+        if count > cut:
+            raise Killed
+        return real(self, target)
+
+    everything = {name: (results / name).read_text() for name in files_in(results)}
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", step)
+        patch.setattr(Path, "rename", step)
+        try:
+            keep_earlier(results, "cosim run")
+        except Killed:
+            assert cut < len(FILES) + 2  # the list of files, each of them, the folder
+    with folder_locks():
+        check_left(results, "cosim run")
+    kept = results / "runs" / "0001"
+    where = kept if kept.exists() else results
+    assert {name for name in FILES if (where / name).is_file()} == set(FILES)
+    if kept.exists():
+        assert files_in(kept) == set(FILES)
+        assert not set(FILES) & files_in(results)
+    assert not (results / "runs" / folders.MOVING).exists()
+    after = {p.read_text() for p in results.rglob("*") if p.is_file()}
+    assert after == set(everything.values())
+
+
+def test_a_stop_during_the_move_waits_for_its_end(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import signal
+
+    real, sent = folders._move, []
+
+    def moving(path: Path, place: Path) -> None:
+        if not sent:
+            sent.append(signal.raise_signal(signal.SIGINT))
+        real(path, place)
+
+    monkeypatch.setattr(folders, "_move", moving)
+    with pytest.raises(KeyboardInterrupt):
+        keep_earlier(results, "cosim run")
+    assert sent
+    assert files_in(results / "runs" / "0001") == set(FILES)
+
+
+def test_a_second_run_at_the_same_time_is_refused_and_moves_nothing(results: Path) -> None:
+    import subprocess
+    import sys
+
+    with folder_locks():
+        check_left(results, "cosim run", keep=True)
+        code = (
+            "import sys; from pathlib import Path; from cosim.base.errors import InputError\n"
+            "from cosim.storage.folder_lock import folder_locks; from cosim.storage.folders import check_left\n"
+            "with folder_locks():\n"
+            "    try: check_left(Path(sys.argv[1]), 'cosim run', keep=True)\n"
+            "    except InputError as error: sys.exit(str(error))\n"
+        )
+        root = Path(__file__).resolve().parent.parent
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(results)], capture_output=True, text=True, timeout=60,
+            env={**os.environ, "PYTHONPATH": str(root)},
+        )  # fmt: skip
+    assert "another command writes into this folder now" in done.stderr
+    assert not (results / "runs").exists()
+
+
+@pytest.mark.parametrize(("last", "following"), [("0009", "0010"), ("9999", "10000"), ("10000", "10001")])
+def test_numbers_go_on_beyond_four_digits(results: Path, last: str, following: str) -> None:
+    for name in (last, "0002", "notes"):
+        (results / "runs" / name).mkdir(parents=True)
+    assert keep_earlier(results, "cosim run") == results / "runs" / following
+
+
+def test_runs_that_is_a_file_of_the_user_is_refused_before_any_work(results: Path) -> None:
+    (results / "runs").write_text("5 km, 10 km")
+    with pytest.raises(InputError, match="is a file; earlier runs are kept in a folder of this name; move it away"):
+        check_left(results, "cosim run", keep=True)
+    check_left(results, "cosim run")  # with --out nothing is kept
+    assert (results / "runs").read_text() == "5 km, 10 km"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork") or os.geteuid() != 0, reason="only root can act as another user")
+def test_runs_that_cannot_be_written_are_refused_before_any_work() -> None:
+    with shared_folder() as folder:
+        (folder / "results.csv").touch()
+        (folder / "runs").mkdir(mode=0o755)
+        pid = os.fork()
+        if pid == 0:
+            code = 1
+            try:
+                os.setuid(OTHER)
+                check_left(folder, "cosim run", keep=True)
+            except InputError as error:
+                code = 3 if "cannot be written" in str(error) else 4
+            finally:
+                os._exit(code)
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 3
+        assert files_in(folder) == {"results.csv"}
+
+
+def test_paths_upwards_in_our_files_are_told_from_the_new_place(tmp_path: Path) -> None:
+    (tmp_path / "tank.py").write_text(
+        (Path(__file__).resolve().parent.parent / "examples" / "tanks" / "model.py").read_text(encoding="utf-8")
+    )
+    folder = tmp_path / "results" / "study"
+    folder.mkdir(parents=True)
+    (folder / "refine.json").write_text("{}")
+    (folder / "model.yaml").write_text("schema_version: 1\nmodel: ../../tank.py:Tank\nparameters: {}\n")
+    (folder / "scenario.yaml").write_text('components:\n  a:\n    fmu: "../my tank.fmu"\n    file: beside.csv\n')
+    keep_earlier(folder, "cosim refine", ["scenario.yaml"])
+    kept = folder / "runs" / "0001"
+    assert load_model(str(kept / "model.yaml"), Path()).model.title
+    assert YamlFile(kept / "scenario.yaml").root["components"]["a"] == {
+        "fmu": "../../../my tank.fmu", "file": "beside.csv",
+    }  # fmt: skip
+    assert not (folder / "model.yaml").exists()

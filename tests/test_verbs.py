@@ -1,0 +1,143 @@
+"""Every verb through the shipped start: `cosim VERB …` in a process of its own, with worker processes of its own.
+
+A verb without --out writes to results/NAME: the files of an earlier run there move to results/NAME/runs/0001, files of
+the user stay.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cosim.fmi.fmu_build import build
+from cosim.loading.file import load_model
+from cosim.storage.artefact import artefacts
+from cosim.verbs import verbs
+from tests.tank import tank_study
+from tests.test_identify_craft import at_rest, protocol
+
+ROOT = Path(__file__).resolve().parent.parent
+RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
+SWEEP = "scenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
+CASES = {  # verb → its words, and a file that it writes
+    "run": ("run.yaml", "results/tank/results.csv"),
+    "build": ("--model tank.py:Tank", "build/plant.fmu"),
+    "export-ssp": ("run.yaml", "tank.ssp"),
+    "check": ("run.yaml tank.fmu tank.py e1.csv", ""),
+    "replay": ("e1.csv --plant tank.fmu", "results/e1/residual.csv"),
+    "refine": ("study.yaml", "results/study/refine.json"),
+    "excite": ("tank.py:Tank --limit level=1 --duration 60", "results/Tank-excitation/excitation.csv"),
+    "info": ("tank.fmu", ""),
+    "init": ("tank.fmu --out first.yaml", "first.yaml"),
+    "simulate": ("tank.fmu --stop 1", "results/tank/results.csv"),
+    "compare": ("e1.csv v1.csv", "results/e1-and-v1/comparison.json"),
+    "report": ("ran", "ran/report.html"),
+    "graph": ("run.yaml", "run.svg"),
+    "schema": ("scenario", ""),
+    "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/linear.json"),
+    "consistency": ("--runs 2 --steps 100", "results/consistency/consistency.json"),
+    "sweep": ("sweep.yaml --workers 1 --force", "results/sweep/sweep.json"),
+    "identify": ("craft.yaml", "results/a-craft/identify.json"),
+}
+NEEDS = {"sweep": ("pyarrow", "SALib")}
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small FMU, its model, logs, a study, a scenario, a sweep and the folder of a run."""
+    folder = tmp_path_factory.mktemp("desk")
+    tank_study(folder)
+    build(load_model("tank.py:Tank", folder).recipe(), folder / "tank.fmu")
+    (folder / "run.yaml").write_text(RUN)
+    (folder / "sweep.yaml").write_text(SWEEP)
+    at_rest(folder / "rest.csv", 1)
+    protocol(folder, rest={"files": ["rest.csv"]})
+    import cosim
+
+    cosim.run(folder / "run.yaml", folder / "ran", report=False)
+    return folder
+
+
+def shipped(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command as it is installed."""
+    return subprocess.run(
+        [sys.executable, "-m", "cosim", *words], cwd=folder, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+def earlier_run(folder: Path, verb: str) -> list[str]:
+    """Put files that a verb declares into its folder, as an earlier run of it would, and one of the user."""
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("of the user")
+    name = "cosim run" if verb == "simulate" else f"cosim {verb}"
+    files = {file.replace("*", "any") for a in artefacts() if a.verb == name for file in a.files}
+    assert files, f"{name} declares no files"
+    for file in files:
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_text("{}")
+    return sorted(files)
+
+
+def test_every_verb_has_a_case() -> None:
+    assert set(CASES) == {name for name, verb in verbs() if verb.command}
+
+
+@pytest.mark.parametrize("verb", CASES)
+def test_a_verb_works_as_shipped_and_moves_an_earlier_run_aside(desk: Path, tmp_path: Path, verb: str) -> None:
+    for library in NEEDS.get(verb, ()):
+        pytest.importorskip(library)
+    words, file = CASES[verb]
+    folder = tmp_path / "desk"
+    shutil.copytree(desk, folder)
+    result = folder / file
+    before = earlier_run(result.parent, verb) if file.startswith("results/") else []
+    done = shipped(folder, verb, *words.split())
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout
+    assert "Traceback" not in done.stderr
+    assert result.exists()
+    if before:
+        assert result.read_text(encoding="utf-8") != "{}"
+        kept = result.parent / "runs" / "0001"
+        moved = sorted(p.relative_to(kept).as_posix() for p in kept.rglob("*") if p.is_file())
+        assert moved == before
+        assert {(kept / name).read_text() for name in before} == {"{}"}
+        assert (result.parent / "notes.txt").read_text() == "of the user"
+        assert sorted(p.name for p in (result.parent / "runs").iterdir()) == ["0001"]
+    else:
+        assert not (folder / "results").exists()
+
+
+# -- earlier runs -------------------------------------------------------------------------------------
+
+
+def test_runs_by_default_are_kept_and_those_with_out_are_written_over(desk: Path, tmp_path: Path) -> None:
+    import cosim
+    from cosim.simulation.workflow import run
+
+    folder = tmp_path / "desk"
+    shutil.copytree(desk, folder)
+    here = os.getcwd()
+    os.chdir(folder)
+    try:
+        for area in (0.5, 0.6, 0.7):
+            run("run.yaml", None, [f"components.tank.start.area={area}"], report=False)
+        run("run.yaml", "results/tank", ["components.tank.start.area=0.8"], report=False)
+    finally:
+        os.chdir(here)
+    areas = [
+        json.loads((folder / "results" / "tank" / place / "manifest.json").read_text())["scenario"]["components"][
+            "tank"
+        ]["start"]["area"]
+        for place in ("runs/0001", "runs/0002", ".")
+    ]
+    assert areas == [0.5, 0.6, 0.8]
+    assert not (folder / "results" / "tank" / "runs" / "0003").exists()
+    assert cosim.read(folder / "results" / "tank" / "runs" / "0002").manifest["scenario"]["name"] == "tank"
