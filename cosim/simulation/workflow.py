@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
+from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
@@ -78,6 +78,7 @@ def run(
     in_process: bool = False,
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
+    observers: Sequence[Observer] = (),
 ) -> Outcome:
     """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
 
@@ -85,10 +86,12 @@ def run(
              it is run as, and its FMUs, are left in its `system`
     force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
+    observers: get the rows while they are made; `progress`, a function of (steps done, of how many), is one.
     format_: of the rows, which are then in results.parquet or the like in place of results.csv.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
+    watching = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
     began, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
     if not is_ssp(path):
         check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before a worker is started
@@ -108,7 +111,7 @@ def run(
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
         loaded = time.perf_counter()
-        stepped = _stepped(file.scenario, system, worker, place, progress)
+        stepped = _stepped(file.scenario, system, worker, place, watching)
         times = began, loaded, time.perf_counter()
         record = manifest(file, designed, system, _timings(file.scenario, *times), tools.result(), stepped.results.loop)
         if is_ssp(path):
@@ -167,14 +170,13 @@ def _left(
 
 
 def _stepped(
-    scenario: Scenario, system: System, worker: Worker | None, folder: Path, progress: Callable[[int, int], None] | None
+    scenario: Scenario, system: System, worker: Worker | None, folder: Path, observers: Sequence[Observer]
 ) -> Stepped:
     """The steps, in the worker or without one in this process."""
     steps, h = scenario.steps, scenario.step
-    told = None if progress is None else partial(_tell, progress, steps)
     if worker is None:
-        return simulate_here(system, steps, h, told)
-    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, told)
+        return simulate_here(system, steps, h, observers)
+    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, observers=observers)
     worker.finish()
     return stepped
 
@@ -194,11 +196,6 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *
     record["warnings"] += [*stepped.results.notes, *stepped.said]
     if not watched and scenario.limits is not None:
         record["warnings"].append("limits are not watched where FMUs run in this process")
-
-
-def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
-    """Progress over a count of rows."""
-    progress(min(done, steps), steps)
 
 
 def _write(file: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:

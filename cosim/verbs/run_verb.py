@@ -21,6 +21,7 @@ from cosim.verbs.streams import echo
 from cosim.verbs.terminal import Compile, Force, Format, InProcess, Json, Open, Report, progress_bar, say
 
 if TYPE_CHECKING:
+    from cosim.master.observer import Observers
     from cosim.simulation.run_signals import Run
 
 
@@ -38,6 +39,7 @@ def run(
     compile: bool = False,
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
+    observers: Observers = (),
 ) -> Run:
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
 
@@ -47,6 +49,7 @@ def run(
     force:  also over what the run of another scenario left in `out`
     compile: the sources of FMUs that have no library for this machine are compiled and run
     format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
+    observers: get the rows while they are made (`cosim.master.observer.Observer`)
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
@@ -60,6 +63,7 @@ def run(
         outcome = run_file(
             path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
             figures=figures and out is not None, in_process=in_process, format_=format, progress=progress,
+            observers=observers,
         )  # fmt: skip
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
