@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import venv
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.tank import MODEL, tank_log, tank_study
@@ -27,6 +29,8 @@ version = "1.0"
 acme_tank = "acme.registered:TANK"
 [project.entry-points."cosim.pages"]
 acme_tank = "acme.registered:PAGE"
+[project.entry-points."cosim.sources"]
+acme = "acme.logs:SOURCE"
 [project.entry-points."cosim.verbs"]
 tank-volume = "acme.registered:VOLUME"
 [tool.setuptools]
@@ -80,6 +84,9 @@ def command(level: float) -> None:
     """Print the volume of water at a level."""
     print(f"volume: {volume(level)} m3")
 '''
+LOGS = re.search(
+    r"```text\n# acme/logs.py.*?\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL
+)
 PAGE = '{% extends "run.html.j2" %}\n{% block subject %}<p id="acme">A tank by {{ maker }}</p>{% endblock %}\n'
 
 
@@ -117,6 +124,8 @@ def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (project / "acme" / "__init__.py").write_text('"""Tanks."""\n')
     (project / "acme" / "tank.py").write_text(MODEL, encoding="utf-8")
     (project / "acme" / "registered.py").write_text(REGISTERED)
+    assert LOGS is not None
+    (project / "acme" / "logs.py").write_text(LOGS[1])
     (project / "acme" / "tank.html.j2").write_text(PAGE)
     return installed(project, target)
 
@@ -152,6 +161,19 @@ def test_a_third_party_registers_a_model_a_page_and_a_command(acme: Path, tmp_pa
         env={**os.environ, "PYTHONPATH": os.pathsep.join((path, str(ROOT)))},
     )  # fmt: skip
     assert done.stdout == "1.0 True\n", done.stderr
+
+
+def test_a_third_party_registers_a_format_of_logs(acme: Path, tmp_path: Path) -> None:
+    """The page's example: each verb takes the format, and each fault of such a file is told as of any other."""
+    rows = np.column_stack((np.arange(3.0), [1.0, 2.0, 3.0]))
+    (tmp_path / "a.acme").write_bytes(b"ACME" + rows.tobytes())
+    (tmp_path / "a.csv").write_text("time,level\n0,1\n1,2\n2,3\n")
+    same = command("compare", "a.csv", "a.acme", "--tol", "0", folder=tmp_path, PYTHONPATH=str(acme))
+    assert same.returncode == 0, same.stderr
+    (tmp_path / "back.acme").write_bytes(b"ACME" + rows[::-1].tobytes())
+    done = command("compare", "a.csv", "back.acme", folder=tmp_path, PYTHONPATH=str(acme))
+    assert done.returncode == 2
+    assert "back.acme:2:1: time 1 s comes after 2 s; sort the rows" in done.stderr
 
 
 def test_a_function_of_python_is_there_exactly_while_it_is_registered() -> None:

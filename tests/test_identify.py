@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.loading.build import build
 from cosim.loading.file import read_model
 from cosim.model.namespaces import arrays
-from cosim.storage.table import write_table
+from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from plant.bench import Bench
