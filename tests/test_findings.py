@@ -236,10 +236,10 @@ def near(h: Hypothesis, name: str, truth: float) -> bool:
 def decided_of(study: Path) -> Attribution:
     """What a study comes to before replays judge it: found, fitted, weighed."""
     read = read_study(study)
-    model, noise = read.loaded.model, read.content.noise
-    problem = build_problem(ModelSubject.of(model), read.logs, noise=noise, settings=read.settings)
-    trial = [c for c in ModelSubject.of(model).candidates(("force",)) if c.name in (read.content.candidates or ())]
-    return decided(attributed(ModelSubject.of(model), problem, trial, lambda stage, share: None))
+    subject = read.subject
+    problem = build_problem(subject, read.logs, noise=read.content.noise, settings=read.settings)
+    trial = [c for c in subject.candidates(("force",)) if c.name in (read.content.candidates or ())]
+    return decided(attributed(subject, problem, trial, lambda stage, share: None))
 
 
 # -- 4: what sensors and recorders do ---------------------------------------------------------------

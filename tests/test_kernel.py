@@ -63,7 +63,12 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return as_data(ModelSubject.of(Hovercraft()), log, Layout((), (), (), tuple(IMU), (), ()), 0.814)
+    return as_data(
+        ModelSubject.of(Hovercraft()),
+        log,
+        Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ()),
+        0.814,
+    )
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:

@@ -170,10 +170,9 @@ def test_a_model_that_runs_away_tells_nothing_of_its_start(tmp_path: Path) -> No
     unstable = MOTOR.replace("- self.k * state[0])", "+ 4 * self.k * state[0])").replace('{"tacho": 1e-4}', "{}")
     (tmp_path / "motor.py").write_text(unstable)
     read = read_study(study)
-    model = read.loaded.model
-    problem = build_problem(ModelSubject.of(model), read.logs)
+    problem = build_problem(read.subject, read.logs)
     assert problem.P0.tolist() == [[1.0, 0.0], [0.0, 0.0]]  # of the unknown input, what a filter takes it for
-    (warning,) = noise_warnings(problem, problem.plain, ModelSubject.of(model))
+    (warning,) = noise_warnings(problem, problem.plain, read.subject)
     assert "how much noise tacho has" in warning
 
 
