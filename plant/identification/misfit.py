@@ -14,6 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 
 FALSE_ALARM = 1e-3  # probability of a warning of right recordings, for each test
+LEAST_FREEDOM = 4  # degrees of freedom of values that are judged as one group or two
 DRAWS = 20_000  # of normal values, for a quantile at `FALSE_ALARM`
 SHARE = 0.5  # of a misfit that one cause explains before the cause is named
 
@@ -75,10 +76,14 @@ def residuals(values: Array, basis: Array) -> Array:
 
 @dataclass(frozen=True)
 class Drift:
-    """A coefficient of each recording that is 0 where nothing drifts, its standard error by noise, and a verdict."""
+    """A coefficient of each recording that is 0 where nothing drifts, and its standard error by noise.
+
+    above_noise: their mean is beyond the noise of the readings; significant: and beyond scatter and calibration
+    """
 
     each: Array
     errors: Array
+    above_noise: bool
     significant: bool
 
     @property
@@ -95,7 +100,6 @@ class Drift:
 def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 0.0) -> Drift | None:
     """Return the coefficient of the last column of each basis; None where the readings have no noise.
 
-    Significant where the mean of the coefficients, or the worst of them, is beyond the noise of the readings.
     calibration: standard error of the coefficients by the calibration, which they have in common
     """
     from scipy import stats
@@ -114,14 +118,17 @@ def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 
         errors.append(float(np.sqrt(variance / (free @ free))))
         freedom += spare
     count = len(each)
-    coefficients, variances = np.array(each), np.array(errors) ** 2
-    ratios = coefficients / np.sqrt(variances + calibration**2)
-    weights = 1.0 / variances
-    mean_error = np.sqrt(1.0 / weights.sum() + calibration**2)
-    chance = FALSE_ALARM / 2.0  # the mean and the worst are two tests
-    mean = abs(float(weights @ coefficients / weights.sum())) / mean_error > stats.t.ppf(1.0 - chance / 2.0, freedom)
-    worst = float(np.abs(ratios).max()) > stats.t.ppf(1.0 - chance / 2.0 / count, freedom / count)
-    return Drift(coefficients, np.sqrt(variances), bool(mean or worst))
+    coefficients, noise = np.array(each), np.array(errors)
+    mean = abs(float(coefficients.mean()))
+    by_noise = float(np.sqrt((noise**2).sum())) / count
+    above_noise = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, freedom) * by_noise
+    if count < 2:
+        return Drift(coefficients, noise, bool(above_noise), significant=False)
+    scatter = float(coefficients.var(ddof=1)) / count
+    variance = scatter + calibration**2
+    spare = min((count - 1) * variance**2 / max(scatter**2, 1e-300), 1e6)  # Welch and Satterthwaite
+    beyond = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, spare) * np.sqrt(variance)
+    return Drift(coefficients, noise, bool(above_noise), bool(above_noise and beyond))
 
 
 def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
@@ -142,7 +149,7 @@ def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
     All groups have the same scatter. The statistic is the scatter within the groups, the one that splits best taken as
     two, over that without a split; its quantile is that of normal values.
     """
-    if sum(v.size for v in groups) < 3 or not any(np.ptp(v) > 0.0 for v in groups):
+    if sum(v.size - 1 for v in groups) < LEAST_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
         return 0, []
     rng = np.random.default_rng(0)
     normal, _, _ = _split([rng.standard_normal((DRAWS, v.size)) for v in groups])
@@ -178,5 +185,5 @@ def _correlated(scatter: Array, power: float) -> float:
     """
     size = scatter.shape[1]
     first = float((scatter[:, 1:] * scatter[:, :-1]).sum()) / max(float((scatter**2).sum()), 1e-300)
-    near = np.clip(first - 2.0 / np.sqrt(scatter.size), 0.0, 1.0 - 2.0 / max(size, 3))  # of white noise 0
+    near = min(first, 1.0 - 2.0 / max(size, 3)) if first > 2.0 / np.sqrt(scatter.size) else 0.0  # of white noise 0
     return float((1.0 + near**power) / (1.0 - near**power))

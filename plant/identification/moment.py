@@ -71,7 +71,7 @@ def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> 
     shapes = [shape(r) for r in m.recordings]
     constant = [np.ones_like(t) for t in times]
     sweep = drift(moments, [np.column_stack(pair) for pair in zip(constant, shapes, strict=True)])
-    if sweep is not None and not sweep.significant:
+    if sweep is not None and not sweep.above_noise:
         result.faults.append(
             "volts_m does not answer the sweep of the tilt, beyond its noise: look at the cell, its plug and its wires"
         )
