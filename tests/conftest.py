@@ -5,17 +5,22 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cosim.fmi.fmu_build import Recipe, build
+from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import process
 from cosim.loading.build_native import build_native
 from fmus.recipes import controller_recipe, plant_recipe
+
+try:
+    import fcntl
+except ImportError:  # on Windows each worker builds its own
+    fcntl = None  # type: ignore[assignment]
 
 ROOT = Path(__file__).resolve().parent.parent
 # every command and worker would compile anew all that it imports
@@ -38,11 +43,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
+def _session(factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the session, which its workers share."""
+    base = factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Designs and kernels are cached in a folder of this session, so that no test lives on an earlier one's."""
-    before, base = os.environ.get("XDG_CACHE_HOME"), tmp_path_factory.getbasetemp()
-    cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    before, cache = os.environ.get("XDG_CACHE_HOME"), _session(tmp_path_factory) / "cache"
     cache.mkdir(exist_ok=True)
     os.environ["XDG_CACHE_HOME"] = str(cache)
     yield
@@ -75,18 +85,38 @@ def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None
     process._spawn = fresh
 
 
-def _built(recipe: Recipe, name: str, factory: pytest.TempPathFactory) -> Path:
-    return build(recipe, factory.mktemp("fmus") / name)
+def _built_once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], object]) -> Path:
+    """Return a folder of the session; the first of its workers that asks for it fills it, the others wait."""
+    if fcntl is None:
+        folder = factory.mktemp(name)
+        fill(folder)
+        return folder
+    place = _session(factory) / name
+    with place.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed
+        if not place.is_dir():
+            draft = place.with_suffix(".draft")
+            shutil.rmtree(draft, ignore_errors=True)  # of a worker that was stopped
+            draft.mkdir()
+            fill(draft)
+            draft.rename(place)
+    return place
 
 
 @pytest.fixture(scope="session")
 def plant_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _built(plant_recipe(), "plant.fmu", tmp_path_factory)
+    def fill(folder: Path) -> None:
+        build(plant_recipe(), folder / "plant.fmu")
+
+    return _built_once(tmp_path_factory, "plant", fill) / "plant.fmu"
 
 
 @pytest.fixture(scope="session")
 def controller_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _built(controller_recipe(), "controller.fmu", tmp_path_factory)
+    def fill(folder: Path) -> None:
+        build(controller_recipe(), folder / "controller.fmu")
+
+    return _built_once(tmp_path_factory, "controller", fill) / "controller.fmu"
 
 
 @pytest.fixture(scope="session")
@@ -94,9 +124,7 @@ def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the native plant and controller for FMI 2.0."""
     if compiler() is None:
         pytest.skip("no C compiler")
-    folder = tmp_path_factory.mktemp("native")
-    build_native(folder)
-    return folder
+    return _built_once(tmp_path_factory, "native", build_native)
 
 
 @pytest.fixture(scope="session")

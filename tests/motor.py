@@ -74,7 +74,13 @@ class Motor(Model):
 
 
 def motor_log(
-    path: Path, seed: int, step: float = 0.02, seconds: float = 8.0, dry: float = 0.01, inertia: float = 2e-4
+    path: Path,
+    seed: int,
+    step: float = 0.02,
+    seconds: float = 8.0,
+    dry: float = 0.01,
+    inertia: float = 2e-4,
+    inductance: float = 2.04e-3,
 ) -> Path:
     """Voltage steps every second, solved by LSODA between the rows; noise of 10 mA and 0.1 rad/s."""
     from scipy.integrate import solve_ivp
@@ -87,7 +93,7 @@ def motor_log(
         def rates(t: float, x: np.ndarray, u: float = voltage[k]) -> list[float]:
             current, speed = x
             torque = 0.05 * current - 1e-4 * speed - dry * np.tanh(speed / 2.0)
-            return [(u - 1.2 * current - 0.05 * speed) / 2.04e-3, torque / inertia]
+            return [(u - 1.2 * current - 0.05 * speed) / inductance, torque / inertia]
 
         state[k + 1] = solve_ivp(rates, (0.0, step), state[k], method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
     read = state + rng.standard_normal(state.shape) * [0.01, 0.1]
@@ -98,17 +104,20 @@ def motor_log(
 def motor_study(folder: Path, step: float = 0.02, **changes: str) -> Path:
     """motor.py with texts of it replaced, two logs to learn from, and a study."""
     model = motor_file(folder, **changes)
+    size = float(changes.get("inductance", "2.04e-3"))
     for seed, name in enumerate(("a", "b")):
-        motor_log(folder / f"{name}.csv", seed, step)
+        motor_log(folder / f"{name}.csv", seed, step, inductance=size)
     path = folder / "study.yaml"
     path.write_text(f"model: {model.name}:Motor\nlogs: {{estimation: [a.csv, b.csv]}}\n")
     return path
 
 
-def motor_file(folder: Path, stated: str = "", inductance: str = "2.04e-3") -> Path:
-    """motor.py, with a substep if one is to be stated, and another inductance [H]."""
+def motor_file(folder: Path, stated: str = "", inductance: str = "2.04e-3", integrator: str = "") -> Path:
+    """motor.py, with a substep and an integrator if they are to be stated, and another inductance [H]."""
     folder.mkdir(parents=True, exist_ok=True)
     text = MODEL.replace("parameter(2.04e-3", f"parameter({inductance}")
     line = '    calibrated = ("resistance", "inertia")\n'
-    (folder / "motor.py").write_text(text.replace(line, line + (f"    substep = {stated}\n" if stated else "")))
+    more = f"    substep = {stated}\n" if stated else ""
+    more += f'    integrator = "{integrator}"\n' if integrator else ""
+    (folder / "motor.py").write_text(text.replace(line, line + more))
     return folder / "motor.py"

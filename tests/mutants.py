@@ -87,6 +87,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
     ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
     ("cosim/residuals/*", "windows residual replay hidden_state"),
+    ("cosim/comparison/report_again.py", "compare"),
     ("cosim/comparison/*", "compare_edges compare"),
     ("cosim/authoring/matching.py", "planning first_steps"),
     ("cosim/authoring/parts.py", "planning first_steps"),
@@ -275,7 +276,6 @@ class Tree:
         self, tests: list[str], timeout: float, change: Change | None = None, **environment: str
     ) -> tuple[int | None, str]:
         """Run tests in a fork; return pytest's exit code, None for one that took too long, and what it printed."""
-        self._import(tests)
         work = self.folder.parent / "tmp"
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
@@ -291,8 +291,8 @@ class Tree:
         deadline.cancel()
         return None if took_too_long else os.waitstatus_to_exitcode(status), output.read_text(errors="replace")
 
-    def _import(self, tests: list[str]) -> None:
-        """Import test files of the copy, and with them what they test."""
+    def load(self, *tests: str) -> None:
+        """Import test files of the copy, and with them what they test: while no mutant is in it."""
         if os.getcwd() != str(self.folder):
             os.chdir(self.folder)
             sys.path[:] = [str(self.folder), *(place for place in sys.path if place not in ("", str(ROOT)))]
@@ -395,6 +395,7 @@ def traced(tree: Tree, file: str) -> dict[str, Trace]:
     """Return the trace of each test in a file without a mutant, from an earlier run where the file is the same."""
     digest = hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
     store = WORK / f"{Path(file).stem}-{digest[:16]}.json"
+    tree.load(file)
     if not store.is_file():
         code, output = tree.test([file], 3600.0, MUTANTS_LOG=str(store))
         if code != 0:

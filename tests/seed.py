@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 import cosim
-from plant.identification.coverage import coverage, table
+from tests.interval_coverage import coverage, table
 
 PROTOCOL = Path(__file__).resolve().parent.parent / "examples" / "bench" / "protocol.yaml"
 LEAST, MOST = 0.90, 0.99  # of 200 intervals of 95 %

@@ -209,9 +209,9 @@ def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     (tmp_path / "hole.csv").write_text("time,x\n0,0\n,1\n1,2\n")
     fmu = typed_fmu(tmp_path)
     for given, words in (
-        (tmp_path / "empty", "holds no results.csv; give the folder that a run left, or a CSV"),
+        (tmp_path / "empty", "empty: holds no results.csv; give the folder that a run left, or a CSV"),
         (tmp_path / "empty.csv", "is empty"),
-        (tmp_path / "none", "no such folder or file; give the folder that a run left"),
+        (tmp_path / "none", "none: no such folder or file; give the folder that a run left"),
         (tmp_path / "ragged.csv", "ragged.csv:3:1: has 1 cell, the header 2"),
         (tmp_path / "back.csv", "back.csv:4:1: time 1 s comes after 2 s; sort the rows"),
         (tmp_path / "hole.csv", "hole.csv:3:1: the row has no time"),
@@ -220,7 +220,7 @@ def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     ):
         assert words in told("compare", given, given, code=2)
     for given, words in (
-        (tmp_path / "empty", "holds no manifest.json; give the folder that `cosim run` left"),
+        (tmp_path / "empty", "empty: holds no manifest.json; give the folder that `cosim run` left"),
         (tmp_path / "none", "no such file"),
         (fmu, "is an FMU, not a folder that a run left"),
     ):
@@ -234,7 +234,7 @@ def test_the_page_of_a_run_is_the_same_when_it_is_made_again(tmp_path: Path) -> 
     told("report", a)
     assert (a / "report.html").read_bytes() == before
     (a / "results.csv").write_text("time,typed.r_out\n")
-    assert "has no rows: the run stopped before its first" in told("report", a, code=2)
+    assert "results.csv: has no rows: the run stopped before its first" in told("report", a, code=2)
 
 
 def test_results_are_read_back_as_they_were_written(tmp_path: Path) -> None:
@@ -286,7 +286,7 @@ def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None
 def test_a_page_is_not_made_again_of_a_torn_manifest(tmp_path: Path, text: str) -> None:
     (tmp_path / "results.csv").write_text("time,a.x\n0,0\n1,1\n")
     (tmp_path / "manifest.json").write_text(text)
-    assert "is no manifest of a run" in told("report", tmp_path, code=2)
+    assert "manifest.json: is no manifest of a run" in told("report", tmp_path, code=2)
     assert not (tmp_path / "report.html").exists()
 
 

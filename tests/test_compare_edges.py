@@ -70,6 +70,11 @@ def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is()
     found = compared(radians, ran("b", units={"x": "deg"}, x=degrees * (1.0 + 20 * EPS)), 0.0)
     assert not found.same
     assert found.differences[0].note == "deg in b, converted"
+    for size in (1e-6, 1e6):  # rounding is a share of the value, however large that is
+        small = ran("a", units={"x": "rad"}, x=size * np.radians(degrees))
+        assert compared(small, ran("b", units={"x": "deg"}, x=size * degrees), 0.0).same
+        off = size * degrees * (1.0 + 20 * EPS)
+        assert not compared(small, ran("b", units={"x": "deg"}, x=off), 0.0).same
     # without a change of unit the last bit counts
     assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
 

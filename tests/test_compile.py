@@ -182,10 +182,10 @@ def test_another_language_is_refused(tmp_path: Path, compiled: Callable[[], int]
 def test_without_a_compiler_the_cure_is_told(
     tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cosim.fmi.native import platforms
+    from cosim.fmi.native import compiler
 
     monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
-    monkeypatch.setattr(platforms, "crossing", lambda: False)
+    monkeypatch.setattr(compiler, "can_cross", lambda: False)
     with pytest.raises(FmuError, match="its sources cannot be compiled: no C compiler is found; install gcc or clang"):
         cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
 

@@ -9,6 +9,8 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.loading.file import load_model
+from cosim.scenario.pinned import sha256, with_files_beside
+from cosim.scenario.scenario import FmuComponent, Scenario
 from cosim.storage import folders
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
@@ -179,3 +181,16 @@ def test_paths_upwards_in_our_files_are_told_from_the_new_place(tmp_path: Path) 
         "fmu": "../../../my tank.fmu", "file": "beside.csv",
     }  # fmt: skip
     assert not (folder / "model.yaml").exists()
+
+
+def test_an_earlier_run_of_an_ssp_is_repeated_with_its_own_fmus(tmp_path: Path) -> None:
+    """Its manifest names results/NAME/system, where a later run has put others."""
+    newest, kept = tmp_path / "system" / "a.fmu", tmp_path / "runs" / "0001" / "system" / "a.fmu"
+    for path, content in ((newest, "new"), (kept, "old")):
+        path.parent.mkdir(parents=True)
+        path.write_text(content)
+    component = {"fmu": str(newest), "sha256": sha256(kept)}
+    scenario = Scenario.model_validate({"name": "s", "duration": 1, "step": 0.1, "components": {"a": component}})
+    found = with_files_beside(scenario, kept.parent.parent).components["a"]
+    assert isinstance(found, FmuComponent)
+    assert found.fmu == "system/a.fmu"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import venv
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.tank import MODEL, tank_log, tank_study
@@ -27,6 +29,8 @@ version = "1.0"
 acme_tank = "acme.registered:TANK"
 [project.entry-points."cosim.pages"]
 acme_tank = "acme.registered:PAGE"
+[project.entry-points."cosim.sources"]
+acme = "acme.logs:SOURCE"
 [project.entry-points."cosim.verbs"]
 tank-volume = "acme.registered:VOLUME"
 [tool.setuptools]
@@ -42,10 +46,25 @@ from cosim.base.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
 from cosim.simulation.report.subject import Subject
+from cosim.storage.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
-VOLUME = Verb("acme.registered:command", "acme.registered:volume")
+VOLUME = Verb("acme.registered:command", "acme.registered:volume", "acme.registered:ARTEFACTS")
+ARTEFACTS = (
+    Artefact(
+        "a tank book", "`cosim tank-volume LEVEL` tells volumes", keys=(frozenset({"tank_book"}),),
+        marks=("book.json",), check="acme.registered:check", reader="acme.registered:read",
+    ),
+)
+
+
+def check(path, checking):
+    return ["note: a tank book"]
+
+
+def read(folder):
+    return "the book of " + folder.name
 
 
 def tank_recipe(values=None):
@@ -65,6 +84,9 @@ def command(level: float) -> None:
     """Print the volume of water at a level."""
     print(f"volume: {volume(level)} m3")
 '''
+LOGS = re.search(
+    r"```text\n# acme/logs.py.*?\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL
+)
 PAGE = '{% extends "run.html.j2" %}\n{% block subject %}<p id="acme">A tank by {{ maker }}</p>{% endblock %}\n'
 
 
@@ -102,6 +124,8 @@ def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (project / "acme" / "__init__.py").write_text('"""Tanks."""\n')
     (project / "acme" / "tank.py").write_text(MODEL, encoding="utf-8")
     (project / "acme" / "registered.py").write_text(REGISTERED)
+    assert LOGS is not None
+    (project / "acme" / "logs.py").write_text(LOGS[1])
     (project / "acme" / "tank.html.j2").write_text(PAGE)
     return installed(project, target)
 
@@ -127,12 +151,29 @@ def test_a_third_party_registers_a_model_a_page_and_a_command(acme: Path, tmp_pa
     told = command("tank-volume", "2.0", folder=tmp_path, PYTHONPATH=path)
     assert told.stdout == "volume: 1.0 m3\n", told.stderr
     assert "tank-volume" in command("--help", folder=tmp_path, PYTHONPATH=path).stdout
-    python = "import cosim; print(cosim.tank_volume(2.0))"
+    (tmp_path / "book.json").write_text('{"tank_book": 1}')
+    assert "book.json: note: a tank book" in command("check", "book.json", folder=tmp_path, PYTHONPATH=path).stdout
+    refused = command("run", "book.json", folder=tmp_path, PYTHONPATH=path).stderr
+    assert "is a tank book, not a scenario or a manifest: `cosim tank-volume LEVEL` tells volumes" in refused
+    python = "import cosim; print(cosim.tank_volume(2.0), cosim.read('.').startswith('the book of'))"
     done = subprocess.run(
         [sys.executable, "-c", python], cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join((path, str(ROOT)))},
     )  # fmt: skip
-    assert done.stdout == "1.0\n", done.stderr
+    assert done.stdout == "1.0 True\n", done.stderr
+
+
+def test_a_third_party_registers_a_format_of_logs(acme: Path, tmp_path: Path) -> None:
+    """The page's example: each verb takes the format, and each fault of such a file is told as of any other."""
+    rows = np.column_stack((np.arange(3.0), [1.0, 2.0, 3.0]))
+    (tmp_path / "a.acme").write_bytes(b"ACME" + rows.tobytes())
+    (tmp_path / "a.csv").write_text("time,level\n0,1\n1,2\n2,3\n")
+    same = command("compare", "a.csv", "a.acme", "--tol", "0", folder=tmp_path, PYTHONPATH=str(acme))
+    assert same.returncode == 0, same.stderr
+    (tmp_path / "back.acme").write_bytes(b"ACME" + rows[::-1].tobytes())
+    done = command("compare", "a.csv", "back.acme", folder=tmp_path, PYTHONPATH=str(acme))
+    assert done.returncode == 2
+    assert "back.acme:2:1: time 1 s comes after 2 s; sort the rows" in done.stderr
 
 
 def test_a_function_of_python_is_there_exactly_while_it_is_registered() -> None:
@@ -150,6 +191,16 @@ def test_an_entry_point_that_fails_is_one_warning(tmp_path: Path) -> None:
     assert done.stderr.count("broken") >= 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stderr.startswith("warning: broken: the entry point cosim.verbs:broken cannot be loaded")
+
+
+def test_a_verb_of_a_package_under_a_name_of_ours_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    site = registering(tmp_path / "site", "clash", "cosim.verbs", "schema = clash:VERB")
+    (site / "clash.py").write_text(
+        "from cosim.base.registry import Verb\nVERB = Verb('clash:command')\n\n\ndef command():\n    print('clash')\n"
+    )
+    done = command("schema", "model", folder=tmp_path, PYTHONPATH=str(site))
+    assert done.stderr == "warning: schema: an installed package registers a verb that cosim has; it is left out\n"
+    assert json.loads(done.stdout)["title"] == "cosim model file"
 
 
 def test_two_packages_under_one_name_are_an_error_that_names_both(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -17,6 +18,7 @@ import typer
 from typer.testing import CliRunner
 
 import cosim
+from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.base.scratch import lock_descriptor
 from cosim.comparison.report_again import report_of
@@ -28,7 +30,7 @@ from cosim.verbs.cli import app
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
-from tests.users import command
+from tests.users import OTHER, command, shared_folder
 
 Verb = Callable[[Path, Path], Any]  # of the folder with its inputs and of --out
 VERBS: dict[str, Verb] = {
@@ -63,7 +65,7 @@ def given(tmp_path: Path) -> Path:
 def held(tmp_path: Path) -> Iterator[Path]:
     """A folder into which another command writes."""
     (folder := tmp_path / "held").mkdir()
-    lock = os.open(folder, os.O_RDONLY)
+    lock = os.open(folder / folder_lock.LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o600)
     lock_descriptor(lock)
     yield folder
     os.close(lock)
@@ -84,7 +86,7 @@ def test_a_folder_into_which_another_command_writes_is_refused(verb: str, given:
                                          "another folder as --out") as refused:  # fmt: skip
         VERBS[verb](given, held)
     assert refused.value.exit_code == 2
-    assert list(held.iterdir()) == []
+    assert [path.name for path in held.iterdir()] == [folder_lock.LOCK_FILE]
 
 
 def test_the_page_of_a_run_is_not_made_again_while_another_command_writes_it(given: Path, held: Path) -> None:
@@ -126,7 +128,7 @@ def test_the_lock_ends_with_the_verb_and_is_shared_by_the_verbs_in_it(tmp_path: 
         assert take_folder(out)
         with folder_locks():
             assert take_folder(out)
-        lock = os.open(out, os.O_RDONLY)
+        lock = os.open(out / folder_lock.LOCK_FILE, os.O_RDWR)
         with pytest.raises(BlockingIOError):
             lock_descriptor(lock)
     assert not out.parent.exists()  # made for the lock, and nothing was written
@@ -137,23 +139,62 @@ def test_the_lock_ends_with_the_verb_and_is_shared_by_the_verbs_in_it(tmp_path: 
     assert [p.name for p in out.iterdir()] == ["results.csv"]
 
 
-def test_a_disk_that_locks_no_folders_is_locked_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = folder_lock.lock_descriptor
+def test_who_may_only_read_a_folder_cannot_hold_it(tmp_path: Path) -> None:
+    if os.name == "nt" or os.geteuid() != 0 or not shutil.which("flock"):
+        pytest.skip("only root can act as another user")
+    with shared_folder() as place:
+        (folder := place / "out").mkdir(mode=0o755)
+        stranger = subprocess.Popen(["flock", folder, "sleep", "60"], user=OTHER, group=OTHER, extra_groups=[])
+        try:
+            while not is_locked(folder):
+                assert stranger.poll() is None
+                time.sleep(0.02)
+            with folder_locks():
+                assert take_folder(folder)
+                assert is_locked(folder / folder_lock.LOCK_FILE)
+                assert (folder / folder_lock.LOCK_FILE).stat().st_mode & 0o777 == 0o600
+        finally:
+            stranger.kill()
+            stranger.wait()
 
-    def only_files(descriptor: int) -> None:
-        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
-            raise OSError(errno.EBADF, "Bad file descriptor")
-        real(descriptor)
 
-    monkeypatch.setattr(folder_lock, "lock_descriptor", only_files)
+def test_those_who_share_a_folder_share_its_lock(tmp_path: Path) -> None:
+    if os.name == "nt":
+        pytest.skip("no groups")
+    tmp_path.chmod(0o770)
     with folder_locks():
         assert take_folder(tmp_path)
-        lock = os.open(tmp_path / folder_lock.LOCK_FILE, os.O_RDWR)
-        with pytest.raises(BlockingIOError):
-            lock_descriptor(lock)
+        assert (tmp_path / folder_lock.LOCK_FILE).stat().st_mode & 0o777 == 0o660
+
+
+def is_locked(path: Path) -> bool:
+    lock = os.open(path, os.O_RDONLY)
+    try:
+        lock_descriptor(lock)
+    except BlockingIOError:
+        return True
+    finally:
         os.close(lock)
+    return False
+
+
+def test_a_lock_that_a_stranger_left_among_temporary_files_is_not_trusted(tmp_path: Path) -> None:
+    if os.name == "nt" or os.geteuid() != 0:
+        pytest.skip("only root can give files to another user")
+    with shared_folder() as place:
+        (file := place / folder_lock.LOCK_FILE).touch(0o666)
+        os.chown(file, OTHER, OTHER)
+        lock = os.open(file, os.O_RDWR)
+        lock_descriptor(lock)
+        with folder_locks():
+            assert not take_folder(place)  # written without a lock
+        os.close(lock)
+
+
+def test_a_file_in_place_of_the_lock_that_is_none_blocks_nothing(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / folder_lock.LOCK_FILE)
     with folder_locks():
-        assert take_folder(tmp_path)
+        assert not take_folder(tmp_path)
 
 
 def test_a_disk_without_locks_is_written_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,6 +205,7 @@ def test_a_disk_without_locks_is_written_without_one(tmp_path: Path, monkeypatch
     with folder_locks():
         assert not take_folder(tmp_path)
         check_writable(tmp_path, ["results.csv"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_drafts_of_a_killed_command_are_removed_by_the_next_one_and_nothing_else(tmp_path: Path) -> None:
@@ -173,6 +215,33 @@ def test_drafts_of_a_killed_command_are_removed_by_the_next_one_and_nothing_else
     with folder_locks():
         check_writable(tmp_path, ["results.csv", "manifest.json"])
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(kept)
+
+
+def test_what_only_another_user_may_replace_is_refused_before_any_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    if os.name == "nt" or os.geteuid() != 0:
+        pytest.skip("only root can give files to another user")
+    with shared_folder() as place:
+        (place / "results.csv").touch()
+        os.chown(place / "results.csv", OTHER, OTHER)
+        check_writable(place, ["results.csv"])  # root may
+        monkeypatch.setattr(os, "geteuid", lambda: OTHER + 1)
+        with pytest.raises(
+            InputError, match=r"results\.csv: belongs to another user, and only its owner may replace it"
+        ):
+            check_writable(place, ["results.csv", "manifest.json"])
+        monkeypatch.undo()
+
+
+def test_what_cannot_take_its_place_at_the_end_is_kept_beside_it(tmp_path: Path) -> None:
+    def write() -> None:
+        with draft_of(tmp_path / "results.csv") as draft:
+            draft.write_text("rows")
+            (tmp_path / "results.csv").mkdir()
+
+    with pytest.raises(OSError, match=r"cannot be replaced .*; what was to take its place is .*results-kept\.csv"):
+        write()
+    assert (tmp_path / "results-kept.csv").read_text() == "rows"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results-kept.csv", "results.csv"]
 
 
 # -- no name at all -------------------------------------------------------------------------------

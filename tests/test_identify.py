@@ -16,13 +16,12 @@ from cosim.base.errors import InputError
 from cosim.loading.build import build
 from cosim.loading.file import read_model
 from cosim.model.namespaces import arrays
-from cosim.storage.table import write_table
+from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from plant.bench import Bench
 from plant.identification.cells import cell_of
 from plant.identification.command_response import tilt_response
-from plant.identification.coverage import coverage
 from plant.identification.ground_effect import fit
 from plant.identification.lag import by_hand
 from plant.identification.prepared import read_protocol
@@ -30,6 +29,7 @@ from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording, play_plain, read_recording, runs_of
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
+from tests.interval_coverage import coverage
 
 ROOT = Path(__file__).resolve().parent.parent
 PROTOCOL = ROOT / "examples" / "bench" / "protocol.yaml"

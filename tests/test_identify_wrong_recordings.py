@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.storage.table import write_table
+from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from plant.identification.columns import COLUMNS
 from plant.identification.equal_readings import equal_readings

@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import CosimError
-from cosim.storage.artefact import artefacts
-from cosim.storage.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.storage.artefact import artefacts, kind_by_keys
+from cosim.storage.kinds import BINARY, LOG, MODEL, RESULTS, SCENARIO, STUDY, kind_of
 from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.cli import app, entry
 
@@ -190,6 +190,20 @@ def test_a_file_is_of_one_kind_by_its_keys(shelf: Path) -> None:
             keys = frozenset(YamlFile(path).root)
             matched = sorted((a.matched_keys(keys), a.kind) for a in artefacts())
             assert matched[-1][0] > matched[-2][0], path
+
+
+@pytest.mark.parametrize(
+    ("keys", "kind"),
+    [
+        ({"model"}, MODEL),
+        ({"schema_version", "model", "parameters_from"}, MODEL),
+        ({"model", "parameters"}, MODEL),
+        ({"model", "logs"}, STUDY),
+        ({"model", "noise"}, None),  # a study that forgets its logs
+    ],
+)
+def test_a_model_file_is_none_that_is_checked_as_a_study(keys: set[str], kind: str | None) -> None:
+    assert kind_by_keys(dict.fromkeys(keys)) == kind
 
 
 def test_every_command_that_takes_a_file_is_tried() -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -101,6 +103,17 @@ def test_a_folder_without_programs_is_named_as_such(tmp_path: Path) -> None:
     made.write_bytes(library().read_bytes())
     error = OSError(f"{made}: failed to map segment from shared object: Operation not permitted")
     assert "set TMPDIR to a folder in which programs may be executed" in load_error(made, error)
+
+
+def test_a_disk_without_programs_is_told_from_a_damaged_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = tmp_path / "x.so"
+    made.write_bytes(library().read_bytes())
+    error, cure = OSError(f"{made}: failed to map segment from shared object"), "set TMPDIR to a folder"
+    assert cure not in load_error(made, error)
+    monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_flag=os.ST_NOEXEC))
+    assert cure in load_error(made, error)
 
 
 def test_an_fmu_for_another_system_names_the_platforms_that_it_is_for(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import math
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,8 @@ from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
-from cosim.storage.table import FAULTS_A_KIND, parted
+from cosim.storage import csv_source
+from cosim.storage.table_columns import FAULTS_A_KIND, parted
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
 
@@ -264,10 +264,7 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
     with path.open("wb") as stream:
         stream.truncate(1_000_000_000)  # sparse: takes no room
 
-    def opened(*_: Any, **__: Any) -> None:
-        raise AssertionError("it was opened")
-
-    monkeypatch.setattr(Path, "open", opened)
+    monkeypatch.setattr(csv_source, "_opened", lambda path: pytest.fail("it was opened"))
     with pytest.raises(InputError, match=r"1000 MB, more than the 200 MB .* cut it into pieces"):
         read_log(path, INPUTS, OUTPUTS)
 

@@ -23,14 +23,14 @@ from cosim.base.errors import InputError, SimulationError
 from cosim.blocks.fmu import read_description
 from cosim.estimation.posing import build_problem
 from cosim.fmi.fmu_build import build
-from cosim.fmi.native import platforms
+from cosim.fmi.native import compiler
 from cosim.kernel.kernel import DISTURBANCE, MEMORY
 from cosim.loading.build_native import class_fmu
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
-from cosim.refinement.decision.verdict import Name
+from cosim.refinement.decision.claims import Name
 from cosim.refinement.proof import measure, proof_replays
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA, Replayed, schema
@@ -154,7 +154,7 @@ def test_without_a_compiler_replays_are_in_python_and_say_why(
     rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", "")
-    monkeypatch.setattr(platforms, "crossing", lambda: False)
+    monkeypatch.setattr(compiler, "can_cross", lambda: False)
     with Workplace(tmp_path, in_process=True) as place:
         _, way = short_of(rubbing, place).replayed({"after": rubbing.variants["after"]})
     assert (way.through, way.log, way.apart) == ("python", "", None)

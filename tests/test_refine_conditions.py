@@ -25,7 +25,6 @@ MOTOR = '''
 from dataclasses import dataclass
 
 from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
-from cosim.subject.model_subject import ModelSubject
 
 
 class Load(Effect):

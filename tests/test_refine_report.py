@@ -23,8 +23,9 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
+from cosim.refinement.decision.claims import Claims, judge
 from cosim.refinement.decision.judgement import decided
-from cosim.refinement.decision.verdict import Verdict, judge
+from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.proof.replay_check import proven
 from cosim.refinement.record import SCHEMA, ranking, schema
@@ -53,7 +54,6 @@ DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
 from dataclasses import dataclass
 from cosim.model import Effect, Equations, Model, Quantity, parameter
-from cosim.subject.model_subject import ModelSubject
 
 @dataclass(frozen=True, kw_only=True)
 class Dry(Effect):
@@ -133,7 +133,7 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     found = decided(Attributor(subject, problem, trial).run())
     assert found.best.names == ("yaw_damping",)
     fit = found.best.fit
-    verdict = Verdict("effect_found", found.best, (), "", {"process_noise": {}}, "It lacks yaw_damping.")
+    verdict = Claims("effect_found", found.best, misfit={"process_noise": {}})
     variants = {
         "before": Variant(subject, problem.values, found.base.fit.noise),
         "after": Variant(subject.refined({"yaw_damping.coefficient": 0.006}), fit.values, fit.noise),
@@ -144,10 +144,10 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     replay = Replay(log.time, 2.0, starts, seen, dict(log.units))
     evidence = {name: {"estimation": [(log, replay)]} for name in variants}
     study = Study(folder / "study.yaml", StudyFile(logs=LogLists(estimation=["a.csv"])), subject, (log,))
-    return Refinement(study, found, verdict, _record(found, verdict), folder, problem, variants, evidence)
+    return Refinement(study, found, verdict, _record(found), folder, problem, variants, evidence)
 
 
-def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
+def _record(found: Attribution) -> dict[str, Any]:
     """What the page reads of refine.json."""
     rows = [
         {"names": list(h.names), "score_gain": found.base.score - h.score, "why": "claimed", "fitted": True,
@@ -157,7 +157,7 @@ def _record(found: Attribution, verdict: Verdict) -> dict[str, Any]:
     sizes = {"psi": 0.1, "psi_dot": 0.2, "ax": math.nan}
     error = {name: {"estimation": sizes} for name in ("before", "recalibrated", "after")}
     return {
-        "sentence": verdict.sentence, "seconds": 1.0, "warnings": [], "held_out_gain": 0.0, "candidates": rows,
+        "sentence": "It lacks yaw_damping.", "seconds": 1.0, "warnings": [], "held_out_gain": 0.0, "candidates": rows,
         "error": error, "horizons": {"0.5 s": error, "free run": error},
         "noise_floors": {"estimation": {"psi": 0.01}},
     }  # fmt: skip
@@ -318,7 +318,7 @@ def test_every_verdict_has_its_page(
     cart: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], says: str
 ) -> None:
     claimed = cart.verdict.claimed if name == "parameter_error" or len(rivals) > 1 else None
-    verdict = Verdict(name, claimed, rivals, "push harder", NONE[1], "A sentence.")
+    verdict = Claims(name, claimed, rivals, "push harder", NONE[1])
     rivalry = {"rivals": list(rivals) if name == "ambiguous" else [], "experiment": "push harder"}
     record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
     jsonschema.validate(record, json.loads(SCHEMA.read_text()))
@@ -332,7 +332,7 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     terms = [{"equation": "v", "signal": n, "gain": 99.0, "coefficient": c} for n, c in (("v", -0.5), ("1", 5.0))]
     residual = {**NONE[1], "equation": "v", "signals": ["v", "1"], "share": 0.6, "terms": terms}
     base = replace(cart.attribution, best=cart.attribution.base)
-    r = replace(cart, attribution=base, verdict=Verdict("unexplained", None, (), "", residual, ""))
+    r = replace(cart, attribution=base, verdict=Claims("unexplained", misfit=residual))
     (found,) = shown(r)
     assert (found.against.name, found.share) == ("v", 0.6)
     assert found.term is not None
@@ -344,13 +344,20 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     assert "the term in v takes away 60\u00a0%" in context(r)["terms"][0]["sentence"]
 
 
+CRAFT = ModelSubject.of(Hovercraft())
+
+
+def words(claims: Claims, r: Refinement) -> str:
+    return sentence(claims, r.study.subject)
+
+
 @dataclass(frozen=True)
 class Judged:
     """The cart's attribution, to be judged with another outcome."""
 
     r: Refinement
 
-    def __call__(self, *unnamed: Unnamed, moves: float = 0.0, **changed: Any) -> Verdict:
+    def __call__(self, *unnamed: Unnamed, moves: float = 0.0, **changed: Any) -> Claims:
         a = replace(self.r.attribution, **changed)
         left = Leftover(unnamed, a.best.fit if unnamed else None, sum(u.gain for u in unnamed), 8.0)
         return judge(a, left, self.r.study.subject, ["v"], {"v": moves} if moves else {}, still=False)
@@ -368,10 +375,10 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     best, rival = (replace(dry, candidates=(*dry.candidates, c)) for c in (push, replace(push, name="shove")))
     verdict = judged(best=best, rivals=(rival,))
     assert (verdict.name, verdict.rivals) == ("ambiguous", ("dry + push", "dry + shove"))
-    assert verdict.sentence.startswith("The model lacks dry (force = 0.")
-    assert ". Beside it, these logs cannot tell push from shove. This may: " in verdict.sentence
+    assert words(verdict, cart).startswith("The model lacks dry (force = 0.")
+    assert ". Beside it, these logs cannot tell push from shove. This may: " in words(verdict, cart)
     alone = judged(best=dry, rivals=(judged.single("push"),))
-    assert alone.sentence.startswith("These logs cannot tell dry from push. ")
+    assert words(alone, cart).startswith("These logs cannot tell dry from push. ")
 
 
 def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(cart: Refinement) -> None:
@@ -380,28 +387,31 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     fuller = replace(dry, candidates=(*dry.candidates, push), score=dry.score - 1.0)
     claimed = judged(best=dry, rivals=(), fuller=fuller)
     assert (claimed.name, claimed.claimed) == ("effect_found", dry)
-    assert claimed.sentence.endswith(" (Perhaps push: what that gains may be chance.)")
+    assert words(claimed, cart).endswith(" (Perhaps push: what that gains may be chance.)")
     base = cart.attribution.base
     none = judged(best=base, rivals=(), noise_gain=(0.0,), fuller=dry)
-    assert (none.name, none.sentence.endswith("noise. (Perhaps dry: what that gains may be chance.)")) == (
+    assert (
+        none.name,
+        words(none, cart).endswith("noise. (Perhaps dry: what that gains may be chance.)"),
+    ) == (
         "no_effect",
         True,
     )
-    assert "Perhaps" not in judged(best=dry, rivals=(), fuller=None).sentence
+    assert "Perhaps" not in words(judged(best=dry, rivals=(), fuller=None), cart)
     # where nothing is certain it is one of those that the logs leave open
     shove = replace(push, name="shove")
     other = replace(dry, candidates=(shove,))
     open_ = judged(best=dry, rivals=(other,), fuller=fuller)
     assert open_.rivals == ("dry", "shove", "dry + push")
-    assert open_.sentence.startswith("These logs cannot tell these apart: dry, or shove, or dry and push. ")
+    assert words(open_, cart).startswith("These logs cannot tell these apart: dry, or shove, or dry and push. ")
 
 
 def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
     judged = Judged(cart)
     best = judged.single("dry")
     moving = replace(best, fit=replace(best.fit, converged=False))
-    settled = judged(best=best, rivals=()).sentence
-    assert judged(best=moving, rivals=()).sentence.startswith(
+    settled = words(judged(best=best, rivals=()), cart)
+    assert words(judged(best=moving, rivals=()), cart).startswith(
         f"{settled.partition('. ')[0].rstrip('.')}. The fit was still"
     )
     assert "still moving" not in settled
@@ -411,8 +421,8 @@ def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refine
     judged, base = Judged(cart), cart.attribution.base
     verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))
     assert verdict.name == "no_effect"
-    assert verdict.sentence.endswith("down to the sensors' noise. (push would not have shown.)")
-    assert "(" not in judged(best=base, rivals=(), noise_gain=(0.0,)).sentence
+    assert words(verdict, cart).endswith("down to the sensors' noise. (push would not have shown.)")
+    assert "(" not in words(judged(best=base, rivals=(), noise_gain=(0.0,)), cart)
 
 
 def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_the_largest_number() -> None:
@@ -421,7 +431,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     base = Hypothesis((), fit, 0.0)
     a = Attribution(base, base.fit, (), base, (), Support(0.0, 0.0), {}, (1.0, 50.0, 90.0))
 
-    def judged(**moves: float) -> Verdict:
+    def judged(**moves: float) -> Claims:
         forced = ["psi_dot", "vx", "vy"]
         return judge(a, Leftover((), None, 0.0, 8.0), ModelSubject.of(Hovercraft()), forced, moves, still=False)
 
@@ -429,11 +439,11 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
     assert [q["inflated"] for q in small.residual["process_noise"].values()] == [False, True, True]
     disturbance = "a disturbance (2\u00a0% of what moves vx, 1\u00a0% of what moves vy) that follows no signal."
-    assert small.sentence == f"Nothing is missing: what the model leaves is {disturbance}"
+    assert sentence(small, CRAFT) == f"Nothing is missing: what the model leaves is {disturbance}"
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
     assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
-    assert large.sentence == "A disturbance acts on vx; it depends on none of the signals tried."
+    assert sentence(large, CRAFT) == "A disturbance acts on vx; it depends on none of the signals tried."
 
 
 def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_is_withdrawn(cart: Refinement) -> None:
@@ -443,28 +453,28 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
 
     def held(
         after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
-    ) -> Verdict:
+    ) -> Claims:
         return proven(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
 
     assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
     part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24
     assert (part.name, part.grade, part.claimed) == (verdict.name, "part", verdict.claimed)
-    assert part.sentence.startswith(
+    assert words(part, cart).startswith(
         "A part of what is missing: replays keep 14\u00a0% of the excess error of v, and the rest has no place"
     )
-    assert part.sentence.endswith(verdict.sentence)
+    assert words(part, cart).endswith(words(verdict, cart))
     assert held({"x": 1.2, "v": 5.0, "quiet": 1.5}).grade == "part"  # one channel is mended
     withdrawn = held({"x": 9.0, "v": 5.0, "quiet": 1.0})
     assert withdrawn.grade == "nearest"
     assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, cart.attribution.best.names)
-    assert withdrawn.sentence.endswith("With it, replays keep 67\u00a0% of the excess error.")  # 80 of 120
+    assert words(withdrawn, cart).endswith("With it, replays keep 67\u00a0% of the excess error.")  # 80 of 120
     # where no channel was far off before, there is no excess to tell of
     near = {**before, "x": 1.9, "v": 1.9}
     assert held({"x": 1.9, "v": 1.9, "quiet": 1.0}, near) is verdict
     # but an effect has to do better than the base parameters do without it
     worse = held({"x": 1.9, "v": 1.9, "quiet": 1.5}, near, {"x": 1.8, "v": 1.7, "quiet": 1.5})
     assert worse.name == "unexplained"
-    assert worse.sentence.endswith("nearer on no channel than those of the model recalibrated without it.")
+    assert words(worse, cart).endswith("nearer on no channel than those of the model recalibrated without it.")
 
 
 def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:
@@ -472,17 +482,19 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     terms = (Unnamed("v", "1", 40.0, 0.1, 41.0, 0.79), Unnamed("v", "time", 30.0, 0.1, 30.0))
     verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
     assert verdict.name == "unexplained"
-    assert "acts on v; it is constant, and that takes away 79\u00a0% of what is missing." in verdict.sentence
+    assert "acts on v; it is constant, and that takes away 79\u00a0% of what is missing." in sentence(
+        verdict, cart.study.subject
+    )
     assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
     nothing = judged(Unnamed("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
-    assert nothing.sentence.endswith("acts on v; it is constant.")
+    assert words(nothing, cart).endswith("acts on v; it is constant.")
     gained = base.score - cart.attribution.best.score
     disputed = judged(Unnamed("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=())
     assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
     left = judged(Unnamed("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best
-    assert (
-        "left in v that depends on |v|: a term without a name promises 25\u00a0% of the claim's gain" in left.sentence
+    assert "left in v that depends on |v|: a term without a name promises 25\u00a0% of the claim's gain" in sentence(
+        left, cart.study.subject
     )
 
 
@@ -508,7 +520,7 @@ def test_every_hypothesis_has_its_reason_and_only_what_is_claimed_is_claimed(car
     rows = ranking(cart.attribution, cart.verdict)
     assert all(row.why for row in rows)
     assert [tuple(row.names) for row in rows if row.why == "claimed"] == [cart.attribution.best.names]
-    unclaimed = ranking(cart.attribution, Verdict("unexplained", None, ("dry",), "", {}, ""))
+    unclaimed = ranking(cart.attribution, Claims("unexplained", rivals=("dry",)))
     assert [row.why for row in unclaimed if tuple(row.names) == ("dry",)] == ["nearest, but disputed"]
     assert json.loads(SCHEMA.read_text(encoding="utf-8")) == schema()
 

@@ -15,7 +15,8 @@ from cosim.estimation.posing import build_problem, coarsened
 from cosim.experiment.excite import excite
 from cosim.loading.file import load_model
 from cosim.logs.log import read_log
-from cosim.refinement.decision.verdict import Verdict
+from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.replay_check import proven
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
@@ -86,17 +87,19 @@ def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
         0.0,
     )
     residual: dict[str, Any] = {"equation": None, "signals": [], "share": None}
-    claim = Verdict("sensor_error", blamed, (), "", residual, "The sensors have …")
+    claim = Claims("sensor_error", blamed, misfit=residual)
     floor = {"ax": 0.2, "x": 1.0}
 
-    def held(x: float) -> Verdict:
+    def held(x: float) -> Claims:
         error = {"ax": 0.2, "x": x}
         return proven(claim, dict.fromkeys(("before", "recalibrated", "after"), error), floor)
 
     assert held(1.2) is claim
     withdrawn = held(8.0)
     assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, ("accelerometer_scale",))
-    assert withdrawn.sentence.endswith("With it, replays still miss x by 8.0 times what noise makes.")
+    assert sentence(withdrawn, ModelSubject.of(Hovercraft())).endswith(
+        "With it, replays still miss x by 8.0 times what noise makes."
+    )
 
 
 def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) -> None:

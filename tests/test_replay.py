@@ -27,7 +27,8 @@ from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay, chains, replay, replay_windows, window_rows
 from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
-from cosim.storage.table import Column, Faults, read_columns, read_table
+from cosim.storage.table import read_columns, read_table
+from cosim.storage.table_columns import Column, Faults
 from cosim.verbs.cli import app
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 from tests.cart import cart_fmu

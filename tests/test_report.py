@@ -18,10 +18,12 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.report.chart_data import Series, to_json
+from cosim.report.drawing import Drawing
 from cosim.report.packed import power
-from cosim.report.panels import Panel, Trace
-from cosim.report.svg import make_axis, thin
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import log_axis, make_axis, thin
 from cosim.simulation.report import write_figures, write_report
+from cosim.simulation.report.figures import sheet
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import connection_panels, signal_panels
 from cosim.simulation.report.run_rows import connections
@@ -482,6 +484,27 @@ def test_a_tick_times_the_power_of_ten_of_its_axis_is_the_value_there() -> None:
             assert value == pytest.approx(low + tick.at / 100 * (high - low), abs=1e-6 * (high - low))
 
 
+@with_node
+def test_a_view_that_is_zoomed_to_has_the_ticks_of_a_first_view_of_that_range() -> None:
+    rng = np.random.default_rng(3)
+    middle, reach = rng.normal(size=200) * 10.0 ** rng.uniform(-9, 9, 200), 10.0 ** rng.uniform(-12, 9, 200)
+    ends = [(float(m - r), float(m + r)) for m, r in zip(middle, reach, strict=True)]
+    ends += [(0.0, 1.0), (2.0, 2.0), (-3e-9, 5e-9), (0.0, 720.0), (-179.9, 180.0), (1e8, 1e8 + 50), (-1e90, 1e90)]
+    cases = [(low, high, count, angle) for low, high in ends for count in (5, 6) for angle in (False, True)]
+    low, wide = rng.uniform(-12, 12, 60), rng.uniform(0.05, 12, 60)
+    decades = [(float(a), float(a + b)) for a, b in zip(low, wide, strict=True)]
+    script = (ROOT / "cosim/report/templates/axes.js").read_text()
+    calls = f"[{json.dumps(cases)}.map((c) => axis(...c)), {json.dumps(decades)}.map((c) => logAxis(...c))].flat()"
+    code = f"{script}\nconsole.log(JSON.stringify({calls}))"
+    done = subprocess.run(["node", "-e", code], capture_output=True, text=True, check=True, timeout=60)
+    expected = [make_axis(*case) for case in cases] + [log_axis(*ends) for ends in decades]
+    for axis, drawn in zip(expected, json.loads(done.stdout), strict=True):
+        where = (axis.low, axis.high)
+        assert [t["label"] for t in drawn["ticks"]] == [t.label for t in axis.ticks], where
+        assert [t["at"] for t in drawn["ticks"]] == pytest.approx([t.at for t in axis.ticks], abs=1e-6), where
+        assert (drawn["low"], drawn["high"], drawn["factor"]) == (*where, axis.factor)
+
+
 def test_a_run_of_one_row_shows_its_values_and_no_time_but_that_row_s(tmp_path: Path) -> None:
     results = Results(np.array([1.5]), ("tank.level", "tank.flow"), np.array([[0.25, -3.0]]), {"tank.level": "m"})
     text = page(tmp_path, results, {"status": "failed"})
@@ -507,6 +530,23 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
     paths = write_figures(tmp_path / "figures", both, {})
     assert sorted(tmp_path.joinpath("figures").iterdir()) == sorted(paths)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+def test_a_figure_has_the_axes_of_the_page() -> None:
+    time = np.linspace(0.0, 12.0, 20_001)
+    turn = Trace("heading", 170.0 * np.sin(time), "true")
+    wild = Band("believed", np.full(time.size, -1e12), np.full(time.size, 1e12))  # of a filter that has diverged
+    panels = [Panel("Heading", "°", [turn], limits=(180.0,)), Panel("Height", "m", [turn], wild)]
+    figure, (heading, height) = sheet(time, panels), Drawing(time, 2).plots(panels)
+    for ax, plot in zip(figure.axes, (heading, height), strict=True):
+        for axis, of in ((ax.xaxis, plot.x), (ax.yaxis, plot.y)):
+            assert tuple(axis.get_view_interval()) == (of.low, of.high)
+            assert axis.get_majorticklocs() == pytest.approx(
+                [of.low + t.at / 100 * (of.high - of.low) for t in of.ticks]
+            )
+        assert len(ax.lines[0].get_xdata()) <= 4100
+    figure.axes[0].set_xlim(2.0, 3.0)  # as in a notebook
+    assert len(figure.axes[0].xaxis.get_majorticklocs()) >= 4
 
 
 def test_a_small_signal_is_read_out_with_digits_of_its_own() -> None:

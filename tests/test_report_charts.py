@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -153,6 +154,12 @@ def test_the_numbers_of_a_chart_with_bars_are_saved_with_both_ends(page: Page) -
     with page.expect_download() as waiting:
         page.get_by_role("button", name="Autocorrelation as SVG").click()
     assert Path(waiting.value.path()).read_bytes().count(b"V") >= LAGS.size
+    with page.expect_download() as waiting:
+        page.get_by_role("button", name="Loss against flow as SVG").click()
+    paths = re.findall(r"<path [^>]*>", Path(waiting.value.path()).read_text())
+    dots = [path for path in paths if path.count("h0") == FLOW.size]
+    assert len(dots) == 1
+    assert 'stroke-linecap="round"' in dots[0]  # else a dot has no size
 
 
 OMEGA = np.geomspace(0.01, 1000.0, 501)

@@ -32,6 +32,12 @@ def faults_of(project: Path, text: str, *overrides: str) -> list[str]:
     return [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
 
 
+def test_a_step_that_is_none_brings_no_fault_of_what_it_would_have_to_fit(project: Path) -> None:
+    text = GOOD + "criteria:\n  rms_error:\n    - {of: plant.x, after: 8, max: 1}\n"
+    (told,) = faults_of(project, GOOD.split("criteria:")[0] + text.removeprefix(GOOD), "step=0")
+    assert "step is 0: it should be greater than 0" in told
+
+
 def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
     for name in ("regulate", "manoeuvre"):
         build_system(ScenarioFile(project / "scenarios" / f"{name}.yaml"))

@@ -27,7 +27,7 @@ from cosim.refinement.report.effect_plots import shown
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
-from cosim.storage.table import write_table
+from cosim.storage.csv_source import write_table
 from plant.effects.sensor_errors import (
     HOVER_THRUST,
     SENSORS,

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.base.errors import InputError, SimulationError
+from cosim.blocks.component import Signal
 from cosim.fmi.state import MEMORY, STATE
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
@@ -382,3 +383,19 @@ def test_what_an_fmu_is_shown_to_give_is_what_follows_its_inputs_in_the_row() ->
     drive._begin = lambda *arguments: begun.append(arguments)
     assert drive.initial({"a": 1.0}, 10) == {"y": 3.0}
     assert begun == [({"a": 1.0}, 10, 1.0)]
+
+
+def test_signals_of_the_log_are_those_of_the_fmu_in_its_units() -> None:
+    drive = drive_of(seconds(1.0))
+    drive.fmu = Path("a.fmu")
+    drive.block = SimpleNamespace(inputs=[], outputs=[Signal("y", "rad")])
+    drive._check_signals()
+    for outputs, told in (
+        ([Signal("yaw", "rad")], 'has no output "y", which a.csv holds (its outputs: yaw)'),
+        ([], 'has no output "y", which a.csv holds (its outputs: none)'),
+        ([Signal("y", "deg")], "y is in deg here and in rad in the log as it was read; read the log for this FMU"),
+    ):
+        drive.block.outputs = outputs
+        with pytest.raises(InputError) as error:
+            drive._check_signals()
+        assert [str(fault) for fault in error.value.faults] == [f"a.fmu: {told}"]

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
-from cosim.storage import table
+from cosim.storage import csv_source
 from tests.logs import MOVING, fly, measured, times, write_log
 
 
@@ -74,7 +74,7 @@ def test_one_file_under_two_names_is_told_at_each_place(tmp_path: Path, flown: b
 def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "e.csv").write_bytes(flown)
     (tmp_path / "v.csv").write_bytes(2 * flown)
-    monkeypatch.setattr(table, "MOST_BYTES", len(flown))
+    monkeypatch.setattr(csv_source, "MOST_BYTES", len(flown))
     opened = Path.open
 
     def small(path: Path, *arguments: object, **keywords: object) -> object:

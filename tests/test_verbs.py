@@ -6,6 +6,7 @@ the user stay.
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import shutil
@@ -15,24 +16,26 @@ from pathlib import Path
 
 import pytest
 
+from cosim.base.registry import resolve
 from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
 from cosim.storage.artefact import artefacts
 from cosim.verbs import verbs
-from tests.tank import tank_study
+from tests.tank import MODEL, tank_log
 from tests.test_identify_craft import at_rest, protocol
 
 ROOT = Path(__file__).resolve().parent.parent
 RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
-SWEEP = "scenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
+STUDY = "model: tank.py:Tank\ncandidates: [leak]\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\n"
+SWEEP = "name: areas\nscenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
 CASES = {  # verb → its words, and a file that it writes
     "run": ("run.yaml", "results/tank/results.csv"),
     "build": ("--model tank.py:Tank", "build/plant.fmu"),
     "export-ssp": ("run.yaml", "tank.ssp"),
     "check": ("run.yaml tank.fmu tank.py e1.csv", ""),
     "replay": ("e1.csv --plant tank.fmu", "results/e1/residual.csv"),
-    "refine": ("study.yaml", "results/study/refine.json"),
-    "excite": ("tank.py:Tank --limit level=1 --duration 60", "results/Tank-excitation/excitation.csv"),
+    "refine": ("study.yaml --no-report", "results/study/refine.json"),
+    "excite": ("tank.py:Tank --against leak --limit level=1 --duration 60", "results/Tank-excitation/excitation.csv"),
     "info": ("tank.fmu", ""),
     "init": ("tank.fmu --out first.yaml", "first.yaml"),
     "simulate": ("tank.fmu --stop 1", "results/tank/results.csv"),
@@ -41,10 +44,11 @@ CASES = {  # verb → its words, and a file that it writes
     "graph": ("run.yaml", "run.svg"),
     "schema": ("scenario", ""),
     "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/linear.json"),
-    "consistency": ("--runs 2 --steps 100", "results/consistency/consistency.json"),
-    "sweep": ("sweep.yaml --workers 1 --force", "results/sweep/sweep.json"),
+    "consistency": ("--runs 2 --steps 100 --no-report", "results/consistency/consistency.json"),
+    "sweep": ("sweep.yaml --workers 1 --force", "results/areas/sweep.json"),
     "identify": ("craft.yaml", "results/a-craft/identify.json"),
 }
+WRITES_OVER = {"excite", "identify", "linearize"}  # in Python: docs/python.md
 NEEDS = {"sweep": ("pyarrow", "SALib")}
 
 
@@ -52,7 +56,10 @@ NEEDS = {"sweep": ("pyarrow", "SALib")}
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a small FMU, its model, logs, a study, a scenario, a sweep and the folder of a run."""
     folder = tmp_path_factory.mktemp("desk")
-    tank_study(folder)
+    (folder / "tank.py").write_text(MODEL, encoding="utf-8")
+    (folder / "study.yaml").write_text(STUDY)
+    for seed, name in enumerate(("e1.csv", "v1.csv")):
+        tank_log(folder / name, seed, seconds=100.0)
     build(load_model("tank.py:Tank", folder).recipe(), folder / "tank.fmu")
     (folder / "run.yaml").write_text(RUN)
     (folder / "sweep.yaml").write_text(SWEEP)
@@ -87,6 +94,19 @@ def earlier_run(folder: Path, verb: str) -> list[str]:
 
 def test_every_verb_has_a_case() -> None:
     assert set(CASES) == {name for name, verb in verbs() if verb.command}
+
+
+@pytest.mark.parametrize("name", [name for name, verb in verbs() if verb.command and verb.function])
+def test_an_option_has_the_default_of_the_function_in_python(name: str) -> None:
+    verb = dict(verbs())[name]
+    option, argument = (
+        {key.rstrip("_"): p.default for key, p in inspect.signature(resolve(place)).parameters.items()}
+        for place in (verb.command, verb.function)
+    )
+    if name in WRITES_OVER:
+        assert (option.pop("force"), argument.pop("force")) == (False, True)
+    both = [key for key in option if argument.get(key, inspect.Parameter.empty) is not inspect.Parameter.empty]
+    assert {key: option[key] or None for key in both} == {key: argument[key] or None for key in both}
 
 
 @pytest.mark.parametrize("verb", CASES)

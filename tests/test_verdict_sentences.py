@@ -13,6 +13,7 @@ import pytest
 from cosim.base.text import percent
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
+from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.sentences import (
     calmer,
     cannot_tell,
@@ -22,11 +23,10 @@ from cosim.refinement.decision.sentences import (
     left_over,
     misses,
     nothing,
-    partly,
+    part,
     rises,
     unexplained,
 )
-from cosim.refinement.decision.verdict import Verdict
 from cosim.refinement.proof.measure import Floor
 from cosim.refinement.record import effects, unseen
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -89,11 +89,8 @@ def in_part() -> dict[str, Any]:
     h = fitted("coulomb_friction")
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
     left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
-    sentence = partly(
-        claim(h, h.candidates, ModelSubject.of(CRAFT)),
-        residual,
-        f"replays keep {percent(left)} of the excess error of vx",
-    )
+    kept = part(residual, f"replays keep {percent(left)} of the excess error of vx")
+    sentence = f"{kept} {claim(h, h.candidates, ModelSubject.of(CRAFT))}"
     near = ("coulomb_friction", "quadratic_drag")
     return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
 
@@ -120,8 +117,7 @@ def too_little() -> dict[str, Any]:
 
 
 def only_recalibrated() -> dict[str, Any]:
-    h = fitted("mass")
-    sentence = misses("vx", 10.0, h.fit)
+    sentence = misses("vx", 10.0, ())
     return written("unexplained", sentence, "nearest", error=errors(0.1, 0.1, 0.1))
 
 
@@ -238,10 +234,10 @@ def test_files_that_do_not_go_with_the_grade_are_noticed(tmp_path: Path) -> None
 
 def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
     h, base = fitted("coulomb_friction"), Hypothesis((), fitted("mass").fit, 0.0)
-    verdict = Verdict("effect_found", h, (), "", {}, "…", "claimed")
+    verdict = Claims("effect_found", h, grade="claimed")
     a = Attribution(base, base.fit, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
     assert unseen(a, verdict) == ["lag"]
-    assert unseen(a, Verdict("no_effect", None, (), "", {}, "…")) == ["coulomb_friction", "lag"]
+    assert unseen(a, Claims("no_effect")) == ["coulomb_friction", "lag"]
 
 
 def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:

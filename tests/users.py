@@ -52,7 +52,7 @@ def command(*arguments: object, python: str = sys.executable) -> list[str]:
 
 
 def cosim(
-    *arguments: object, python: str = sys.executable, timeout: float = 120.0, **given: Any
+    *arguments: object, python: str = sys.executable, timeout: float = 300.0, **given: Any
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     words = command(*arguments, python=python)

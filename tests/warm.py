@@ -1,6 +1,7 @@
 """Worker processes for tests, forked from one that has imported what they need: 1 s of processor time less for each.
 
-A worker does all it does elsewhere but start a Python and import; tests of that are marked `fresh`.
+A worker does all it does elsewhere but start a Python and import; tests of that are marked `fresh`, and
+`tests/test_verbs.py` runs every verb as it is shipped.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ def simulate(
     report: bool = True,
     force: bool = True,
     in_process: bool = False,
+    format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Outcome, tuple[str, ...]]:
     """Run one FMU over its default experiment; scenario.yaml, results.csv, manifest.json, report.html in `folder`.
@@ -51,7 +52,8 @@ def simulate(
     scenario, notes = write_single(
         place, path, given, csv, stop=stop, step=step, record=record, force=force, keep=folder is None
     )
-    return run(scenario, place, report=report, force=True, in_process=in_process, progress=progress), notes
+    outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
+    return outcome, notes
 
 
 def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:

@@ -19,14 +19,26 @@ def is_full(error: object) -> bool:
 
 @contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Where to write what takes the place of `path` only when the block ends without an error."""
+    """Where to write what takes the place of `path` only when the block ends without an error.
+
+    Where the system refuses the exchange, the content stays beside it as `NAME-kept.SUFFIX`, and the OSError says so.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         draft.unlink(missing_ok=True)  # a link that somebody put there would be followed
         os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield draft
-        draft.replace(path)
+        try:
+            draft.replace(path)
+        except OSError as error:
+            kept = path.with_name(f"{path.stem}-kept{path.suffix}")
+            try:
+                draft.replace(kept)
+            except OSError:
+                raise error from None
+            reason = f"cannot be replaced ({error.strerror}); what was to take its place is {kept}"
+            raise OSError(error.errno, reason, str(path)) from None
     finally:
         draft.unlink(missing_ok=True)
 

@@ -1,7 +1,7 @@
-"""Models, report pages, array twins and verbs that installed packages register through entry points.
+"""Models, report pages, array twins, formats of tables and verbs that installed packages register.
 
-An entry point names an object of the classes below. Nothing is imported before it is asked for, so that a study of one
-model never loads another. docs/extending.md shows a package that registers something.
+They register through entry points; each names an object of the classes below. Nothing is imported before it is asked
+for, so that a study of one model never loads another. docs/extending.md shows a package that registers something.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 from cosim.base.errors import Fault, InputError
 
 MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # groups of entry points
+SOURCES = "cosim.sources"  # formats of tables: `cosim.storage.table_source.Source`
 BASE = "base"  # the model that is meant where none is named
 FORMER = "cosim-hovercraft"  # a distribution that held framework and example in one, and registers nothing
 

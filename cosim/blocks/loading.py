@@ -9,6 +9,7 @@ import os
 import platform
 import re
 import struct
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -98,10 +99,16 @@ def _missing_function(text: str, error: Exception) -> str | None:
 
 
 def _not_executable(text: str, error: Exception) -> str | None:
-    if "Operation not permitted" not in text and "Permission denied" not in text:
+    refused = "Operation not permitted" in text or "Permission denied" in text
+    if not refused and not ("failed to map segment" in text and _is_without_programs(tempfile.gettempdir())):
         return None
     cure = "set TMPDIR to a folder in which programs may be executed (not mounted noexec)"
     return f"may not be executed where FMUs are unpacked ({text}); {cure}"
+
+
+def _is_without_programs(folder: str) -> bool:
+    """Whether a disk is mounted noexec."""
+    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
 
 
 def _cause(error: Exception) -> BaseException:

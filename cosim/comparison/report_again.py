@@ -9,6 +9,7 @@ from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.kinds import check_given
+from cosim.storage.results import rows_in
 
 
 @folder_locks()
@@ -19,7 +20,7 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         check_given(path, "a folder that a run left")
         raise InputError([Fault(path, 0, 0, "is a file; give the folder that `cosim run` left")])
     if not (path / "manifest.json").is_file():
-        again = {"refine.json": "refine", "residual.csv": "replay", "comparison.json": "compare"}
+        again = {"refine.json": "refine", "replay.json": "replay", "comparison.json": "compare"}
         verb = next((v for name, v in again.items() if (path / name).is_file()), None)
         cure = (
             f"it is of `cosim {verb}`, which writes its page itself"
@@ -33,7 +34,7 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         raise InputError([Fault(path / "manifest.json", 0, 0, told)])
     if not ran.results.time.size:
         raise InputError(
-            [Fault(path / "results.csv", 0, 0, "has no rows: the run stopped before its first; run it again")]
+            [Fault(rows_in(path) or path, 0, 0, "has no rows: the run stopped before its first; run it again")]
         )
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report

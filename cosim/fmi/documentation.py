@@ -9,7 +9,7 @@ from pathlib import Path
 from cosim.fmi.model_description import LICENCE, Description
 from cosim.fmi.ports import Port
 from cosim.fmi.sampled import AUTHOR
-from cosim.model.model import Model
+from cosim.model.model import AUTO, RK4, STIFF, Model
 
 GUID_PLACEHOLDER = "{guid}"
 STYLE = """
@@ -21,7 +21,8 @@ th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #d8dee
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 """
 
-NEEDS = "<p>Integration: RK4 in equal substeps of at most {substep:g} ms, inputs held.</p>"
+NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, inputs held.</p>"
+METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
 SWITCHES = """<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their
 start value an effect is dormant and costs nothing.</p>"""
 
@@ -35,7 +36,8 @@ def model_text(model: Model) -> str:
     """What a model is, by its own docstrings: equations, effects, integration."""
     effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
     listed = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
-    return documented(type(model), model.equations) + NEEDS.format(substep=1000 * model.substep) + listed
+    needs = NEEDS.format(method=METHOD[model.integrator], substep=1000 * model.substep)
+    return documented(type(model), model.equations) + needs + listed
 
 
 def write_documentation(

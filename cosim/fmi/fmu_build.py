@@ -55,6 +55,7 @@ class Recipe:
     own: tuple[Path, str] | None = None
     printed: tuple[tuple[str, str], ...] = ()
     substep: float | None = None
+    integrator: str | None = None
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -66,7 +67,7 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
     slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
-    return Recipe(slave, (), about, text, ordered(values), own, substep=model.chosen_substep)
+    return Recipe(slave, (), about, text, ordered(values), own, (), model.chosen_substep, model.chosen_integrator)
 
 
 def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
@@ -116,8 +117,10 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
         identity += (class_name,)
     if recipe.substep is not None:
         identity += (recipe.substep,)
+    if recipe.integrator is not None:
+        identity += (recipe.integrator,)
     tag = digest(sources, repr(identity).encode())[:12]
-    package = f"{_snake(class_name)}_{tag}"
+    package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     for name, text in sources.items():
         file = folder / package / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -150,15 +153,16 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
     """Return the file that pythonfmu loads: the slave class, with other defaults where the recipe has them."""
     module, base = recipe.slave
     lines = [f"from {package}.cosim.fmi.lifetime import keep", f"from {package}.{module} import {base} as Base"]
-    if recipe.values or recipe.own or recipe.substep is not None:
+    changes = recipe.substep is not None or recipe.integrator is not None
+    if recipe.values or recipe.own or changes:
         lines.append(f"from {package}.cosim.fmi.ports import model_ports")
     if recipe.own:
         lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
-    if recipe.values or recipe.own or recipe.substep is not None:
+    if recipe.values or recipe.own or changes:
         model = "Own()" if recipe.own else "Base.model"
         changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
-        changed += f".with_substep({recipe.substep!r})" if recipe.substep is not None else ""
+        changed += f".with_substep({recipe.substep!r}, {recipe.integrator!r})" if changes else ""
         lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
     return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
 
@@ -236,7 +240,3 @@ def digest(members: dict[str, bytes], more: bytes) -> str:
         sha.update(members[name])
     sha.update(more)
     return sha.hexdigest()
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

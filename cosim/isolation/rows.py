@@ -115,6 +115,7 @@ class Progress(ctypes.Structure):
 
     made, doing: of the rows
     named:       whether `call` is the FMI function being called now
+    stop:        whether the one that watches asks for an early end
     words:       the last that an FMU said
     loop:        which loop steps
     """
@@ -123,6 +124,7 @@ class Progress(ctypes.Structure):
         ("made", ctypes.c_int64 * 1),
         ("doing", ctypes.c_int64 * 1),
         ("named", ctypes.c_int64 * 1),
+        ("stop", ctypes.c_int64 * 1),
         ("call", ctypes.c_char * 128),
         ("words", ctypes.c_char * 512),
         ("loop", ctypes.c_char * 256),

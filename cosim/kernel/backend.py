@@ -26,7 +26,7 @@ def kernel(
     Raises InputError if there is no C compiler that works, and if the model decides by == on a symbol.
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
-    key = (type(model), flags, tuple(measured), unnamed, tuple(constant))
+    key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
     if key not in _made:
         try:
             _made[key] = CompiledKernel(generate(model, measured, unnamed, constant))

@@ -36,7 +36,7 @@ class CompiledKernel:
 
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
-        self._library = loaded(_source(generated), NATIVE / "rk4.h")
+        self._library = loaded(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
         self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 9]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
@@ -90,7 +90,8 @@ def _address(a: Array) -> int | None:
 
 def _source(generated: Generated) -> str:
     """Return the whole C file."""
-    head = "".join(f"#define {name} {value}\n" for name, value in _sizes(generated.layout).items())
+    sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff))}
+    head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     bodies = ((NATIVE / "step.c").read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))
     return "\n".join(("#include <math.h>", head, generated.source, *bodies))
 

@@ -1,6 +1,6 @@
 /* Extended Kalman filter over a log; the model's functions and step.c stand above this text.
  *
- * The mean of all states runs by RK4; the covariance is that of the stochastic states S only, for the
+ * The mean of all states runs by RK4, or by the method for stiff equations, whose transition then takes the place of the series; the covariance is that of the stochastic states S only, for the
  * others (lags driven by known commands) are known. Measurements are independent and taken one at a time:
  *   P = Phi P Phi' + Q dt,   Phi = (I + hA + (hA)^2/2 + (hA)^3/6)^substeps
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
@@ -25,6 +25,30 @@ static void transpose(const double *a, double *out)
         for (int j = 0; j < NS; j++) out[NS * j + i] = a[NS * i + j];
 }
 
+#if STIFF
+static void linear(const void *of, double t, double share, const double *x, double *k)
+{
+    const double *A = of;
+    (void)t, (void)share;
+    for (int i = 0; i < NS; i++) {
+        k[i] = 0.0;
+        for (int j = 0; j < NS; j++) k[i] += A[NS * i + j] * x[j];
+    }
+}
+
+/* The columns of Phi are what the integrator makes of the unit vectors. */
+static void transition(double h, const double *A, double *Phi)
+{
+    Factored factored;
+    const int singular = factor(NS, h, A, &factored);
+    for (int j = 0; j < NS; j++) {
+        double x[NS + 1] = {0.0};
+        x[j] = singular ? NAN : 1.0;
+        stiff_step(NS, &factored, 0.0, h, x, linear, A);
+        for (int i = 0; i < NS; i++) Phi[NS * i + j] = x[i];
+    }
+}
+#else
 static void transition(double h, const double *A, double *Phi)
 {
     double term[NS * NS + 1], next[NS * NS + 1];
@@ -37,6 +61,7 @@ static void transition(double h, const double *A, double *Phi)
     multiply(term, A, next);
     for (int i = 0; i < NS * NS; i++) Phi[i] += next[i] * h / 3.0;
 }
+#endif
 
 /* Over a whole step: the series is good for a substep, its power for the step. */
 static void transition_over(int substeps, double h, const double *A, double *Phi)
@@ -82,7 +107,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                     multiply(M, A, P);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
-                rk4(before + s * h, h, x, u, p);
+                substep(before + s * h, h, x, u, p);
             }
         }
         held(log, k, command);

@@ -17,7 +17,7 @@ from typing import Any
 
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Layout
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
-from cosim.model.model import Model
+from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
@@ -31,10 +31,12 @@ class Generated:
 
     source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
             `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C are of the stochastic states
+    stiff:  whether the model is integrated as a stiff one; then `state_jacobian(t, x, u, p, J)` of all states is there
     """
 
     layout: Layout
     source: str
+    stiff: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,9 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
     asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
     asked += srepr([list(term.items()) for term in body.terms])
-    made = (stochastic, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
-    text: str = kept(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes))
+    stiff = model.integrator == STIFF
+    made = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
+    text: str = kept(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes, stiff))
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -94,7 +97,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    return Generated(layout, text)
+    return Generated(layout, text, stiff)
 
 
 def _printed(
@@ -102,6 +105,7 @@ def _printed(
     expressions: tuple[Sequence[Any], Sequence[Any]],
     random: tuple[Sequence[int], Sequence[Any]],
     shapes: Sequence[LocalShape],
+    stiff: bool,
 ) -> str:
     """The functions; expressions: derivatives and readings; random: places of the stochastic states, their symbols."""
     import sympy
@@ -113,10 +117,12 @@ def _printed(
         "measure": g,
         "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
     }
+    if stiff:
+        functions["state_jacobian"] = [_slope(e, xj, shapes) for e in f for xj in body.symbols.state]
     stages = [
         dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
     ]
-    first = {"deriv": stages, "jacobian": stages}
+    first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
     printed = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
     return "\n".join((*printed, body.shaping_function(C(), "shape_all")))
 

@@ -92,10 +92,6 @@ def _blocks(A: Array) -> list[list[int]]:
     return [np.flatnonzero(label == k).tolist() for k in sorter.static_order()]
 
 
-def _triangular(A: Array) -> list[int]:
-    return [k for block in _blocks(A) for k in block]
-
-
 def controllability(A: Array, B: Array, powers: int | None = None) -> Array:
     """(B, AB, A²B, …, Aᵖ⁻¹B), p = n without; eq 5.35 has one more."""
     parts = [B]
@@ -138,7 +134,7 @@ def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
 
     if count == 1:
         return (1,)
-    order = _triangular(A)
+    order = [k for block in _blocks(A) for k in block]
     balanced, _ = matrix_balance(A[np.ix_(order, order)], permute=False)
     size = max(float(np.linalg.norm(balanced, 2)), 1e-300)
     form, _, found = schur(balanced, output="complex", sort=lambda v: abs(v - value) <= 10.0 * SAME * size)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from cosim.storage.artefact import Artefact
 from cosim.storage.kinds import CODE, MODEL
 
+SCENARIO_KEYS = frozenset({"components", "connections", "step", "vary"})
+STUDY_KEYS = frozenset({"logs", "noise", "tolerance", "inputs", "candidates", "columns", "per_log", "groups"})
+
 ARTEFACTS = (
     Artefact(
         MODEL,
         "`cosim build --model {file}` builds its FMU, a study names it as model:",
-        keys=(frozenset({"parameters"}), frozenset({"sensors"})),
-        without=frozenset({"components", "connections", "vary", "logs"}),
+        keys=(frozenset({"model"}), frozenset({"parameters"}), frozenset({"parameters_from"}), frozenset({"sensors"})),
+        without=SCENARIO_KEYS | STUDY_KEYS,
         schema="cosim.loading.file:ModelFile",
         schema_name="model",
         title="cosim model file",

@@ -74,10 +74,10 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     from cosim.fmi.native.package import build_native as build_fmu
 
     _check_compiler(())
-    kept, substep = _of_class.setdefault(type(loaded.model), {}), loaded.model.chosen_substep
-    key = loaded.source, substep
+    kept, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
+    key = loaded.source, model.chosen_substep, model.chosen_integrator
     if key not in kept:
-        bare = type(loaded.model)().with_substep(substep)
+        bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
         _, kept[key] = next(_natives(LoadedModel(bare, loaded.source)))
     native = kept[key]
     try:
@@ -86,8 +86,8 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
         raise InputError([_failed(error)]) from None
 
 
-# printed and compared with its Python once in a process, by class, source and substep
-_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None], Native]] = WeakKeyDictionary()
+# printed and compared with its Python once in a process, by class, source, substep and integrator
+_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:

@@ -19,7 +19,7 @@ from cosim.loading.names import Found, named, unique, variables
 from cosim.loading.source import Source
 from cosim.model.delay import Delay
 from cosim.model.gain import Gain
-from cosim.model.model import Effect, Model, Validity, overrides
+from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.sensors import Drift, LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
@@ -154,6 +154,8 @@ def _numbers(kind: type[Model]) -> Found:
     for name, most in (("rate", LARGEST), ("substep", LARGEST), ("horizon", math.inf)):
         if not _is_size(value := getattr(kind, name), most):
             yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
+    if kind.integrator not in INTEGRATORS:
+        yield kind, "integrator", f"integrator is {kind.integrator!r}; it is one of {', '.join(INTEGRATORS)}"
     for attribute in ("sensor_variance", "start_variance", "excursion"):
         for name, value in getattr(kind, attribute).items():
             if not _is_size(value, LARGEST):

@@ -78,6 +78,7 @@ class ModelFile(BaseModel):
     parameters:      name → value, in the unit of the parameter or text such as `400 g`; over those of another file
     sensors:         sensor error → value
     substep:         longest substep of the integration [s], where the class of the model states none
+    integrator:      rk4, or stiff: the implicit method for stiff equations; of the class without
     identified:      parameter → how well it is known, where `cosim identify` wrote the file
     """
 
@@ -89,6 +90,7 @@ class ModelFile(BaseModel):
     parameters: dict[str, Value] = {}
     sensors: dict[str, Annotated[float, Field(allow_inf_nan=False), UNIT_OF_KEY]] = {}
     substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
+    integrator: Literal["rk4", "stiff"] | None = None
     identified: dict[str, Identified] = {}
 
 
@@ -113,7 +115,7 @@ class LoadedModel:
 
         if is_model(self.source):
             made: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
-            return replace(made, substep=self.model.chosen_substep)
+            return replace(made, substep=self.model.chosen_substep, integrator=self.model.chosen_integrator)
         return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
 
 
@@ -189,7 +191,8 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
     refuse(faults)
     values = {**taken, **content.parameters}
     source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
-    return LoadedModel(model.with_values(values).with_substep(content.substep), source, values, content.sensors)
+    model = model.with_values(values).with_substep(content.substep, content.integrator)
+    return LoadedModel(model, source, values, content.sensors)
 
 
 def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
@@ -361,6 +364,8 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
     lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
     if loaded.model.chosen_substep is not None:
         lines.append(f"substep: {loaded.model.chosen_substep!r}")
+    if loaded.model.chosen_integrator is not None:
+        lines.append(f"integrator: {loaded.model.chosen_integrator}")
     for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
         lines.append(f"{section}:" if values else f"{section}: {{}}")
         lines += [

@@ -1,9 +1,11 @@
-"""The substep of the integration: stable and accurate for the fastest mode of the model, or refused.
+"""The integrator and its substep: stable and accurate for the modes of the model, or refused.
 
 Kernel and FMU integrate by RK4 in equal substeps. A mode of eigenvalue λ decays by R(λh) in a substep of h,
 R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, in place of exp(λh): it grows where |R| > 1, though the model decays.
 A class that states its `substep` keeps it, unless it is unstable. So does a class on which the default is accurate.
-Otherwise the longest whole part of `rate` that is accurate is chosen.
+Otherwise the longest whole part of `rate` that is accurate is chosen. A model that would need more than MOST_SUBSTEPS
+is stiff if every mode that is too fast for RK4 dies within a row: then the implicit method takes substeps that are
+accurate for the other modes.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
@@ -25,12 +28,15 @@ from cosim.loading.file import LoadedModel
 from cosim.loading.own_run import Record, command_rows, moments
 from cosim.loading.source import Source
 from cosim.model.integrate import Stepper, substeps
-from cosim.model.model import Model, Values
+from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer
 
 MAX_DEFAULT = 1.0  # |λ|·h up to which the default substep is kept: R is within 2 % of exp(λh)
 MAX_CHOSEN = 0.5  # |λ|·h of a substep that is chosen: R is within 0.05 % of exp(λh), and fits may move λ
-MOST_SUBSTEPS = 100  # of one `rate`; a model that needs more is stiff
+MOST_SUBSTEPS = 100  # RK4 substeps of one `rate`; a model that needs more is stiff
+LEAST_STIFF = 8  # implicit substeps of a row
+FOLLOWED = 10.0  # |λ| times a row up to which the implicit method follows a mode: a faster one is over within a row
+DEAD = 5.0  # -Re(λ) times a row from which a mode has died within a row, to 0.7 %
 GROWTH = 1e-9  # of |R| above 1, up to which a mode is not growing
 POINTS = 500  # of a log, at which the eigenvalues are computed
 MAX_ROWS = 20_000  # of a log, along which the model is run
@@ -59,32 +65,48 @@ class Mode:
 
 
 def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[str]]:
-    """Return the model with a substep that suits its fastest mode, and a sentence if it is not the default.
+    """Return the model with an integrator and a substep that suit its modes, and a sentence if they were chosen.
 
-    The mode is that at the start of the model and along its run on each log. Models of the registry keep their substep.
-    Raises InputError if the stated substep is unstable, or if the model is too stiff for the default to be replaced.
+    The modes are those at the start of the model and along its run on each log. Models of the registry keep theirs.
+    Raises InputError if the stated substep is unstable, or if a mode is too fast for RK4 and does not die within a row.
     """
     model = loaded.model
     if model.static or is_model(loaded.source):
         return loaded, []
-    fastest = _Fastest(model)
+    if model.integrator == STIFF and _is_stated(model):
+        return loaded, []
+    fastest = _Fastest(model, min([model.rate, *(log.step for log in logs)]))
     modes = [(fastest.at_start(), _longest(model, model.rate))]
     modes += [(fastest.along(log), _longest(model, log.step)) for log in logs]
     if _is_stated(model):
-        modes.sort(key=lambda pair: -pair[0].speed * pair[1])
-        faults = [_unstable(loaded, mode, h) for mode, h in modes if _grows(mode.eigenvalue * h)]
-        if faults:
-            raise InputError(faults[:1])
+        _refuse_growth(loaded, modes)
         return loaded, []
-    if all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
+    if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
-    mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
+    return _chosen(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
+
+
+def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> None:
+    """Raise InputError if a mode that decays grows under RK4 in the stated substep; of several name the fastest."""
+    for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
+        if _grows(mode.eigenvalue * h):
+            raise InputError([_unstable(loaded, mode, h)])
+
+
+def _chosen(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[str]]:
+    """Return the model with an integrator and a substep for its fastest mode, and what was chosen."""
+    model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
+    too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
+    if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
+        substep = fastest.stiff_substep()
+        text = f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}"
+        return replace(loaded, model=model.with_substep(substep, STIFF)), [text]
     if count > MOST_SUBSTEPS:
         raise InputError([_stiff(loaded, mode)])
     substep = model.rate / count
     text = f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}"
-    return replace(loaded, model=model.with_substep(substep)), [text]
+    return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [text]
 
 
 def _longest(model: Model, step: float) -> float:
@@ -108,8 +130,9 @@ def _grows(z: complex) -> bool:
 class _Fastest:
     """The fastest mode of a model at its start, and along its run on the commands of a log."""
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
+    def __init__(self, model: Model, row: float) -> None:
+        self.model, self.row = model, row
+        self.eigenvalues: list[NDArray[np.complex128]] = []
         try:
             self.linearized: Linearizer | None = Linearizer(model)
         except (NotImplementedError, ValueError):  # a function without a printed slope, such as `%`: the default stays
@@ -131,10 +154,24 @@ class _Fastest:
             mode = self._at(moment.state, commands[k], moment.t, place)
             if not mode.speed <= fastest.speed:
                 fastest = mode
-            if not self.model.rate * mode.speed <= MOST_SUBSTEPS:
+            if self.model.rate * fastest.speed <= MOST_SUBSTEPS * MAX_CHOSEN:
+                stepper.model = self.model.with_substep(_accurate(self.model, fastest), RK4)
+            elif self.model.integrator != RK4 and self.die_within_a_row():
+                stepper.model = self.model.with_substep(self.stiff_substep(), STIFF)
+            else:
                 break  # the run would take too many substeps
-            stepper.model = self.model.with_substep(_accurate(self.model, fastest))
         return fastest
+
+    def die_within_a_row(self) -> bool:
+        """Whether all modes that are too fast for RK4 have died after one row."""
+        values = np.concatenate(self.eigenvalues)
+        fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
+        return bool(np.all(-self.row * fast.real >= DEAD))
+
+    def stiff_substep(self) -> float:
+        """Return the longest implicit substep that is accurate for the modes that a row shows [s]."""
+        z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
+        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> Mode:
         if self.linearized is None:
@@ -146,6 +183,7 @@ class _Fastest:
         values = eigenvalues(A)
         if not values.size:
             return Mode(0.0, "", place)
+        self.eigenvalues.append(values)
         value = complex(values[np.argmax(np.abs(values))])
         return Mode(value, self._state(A, value), place)
 
@@ -179,6 +217,8 @@ def _stiff(loaded: LoadedModel, mode: Mode) -> Fault:
     text = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps"
     settled = f"let {mode.state} follow the rest at once, as an algebraic equation"
     cure = f"{settled}, or state a substep of at most {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
+    if loaded.model.integrator == RK4 and mode.eigenvalue.real * loaded.model.rate <= -DEAD:
+        cure = f"state integrator = {STIFF!r}, or leave it out"
     return _fault(loaded, "", f"{text} in a rate of {_ms(loaded.model.rate)}; {cure}")
 
 

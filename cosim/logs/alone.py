@@ -14,7 +14,7 @@ from cosim.base.units import parse, taken
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, LogReader
-from cosim.storage.table import Column, Heading
+from cosim.storage.table_columns import Column, Heading
 
 WITHOUT_MODEL = "checked without a model: --model FILE:CLASS holds names, units and signs against one"
 

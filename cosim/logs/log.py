@@ -19,7 +19,8 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, InputError
 from cosim.base.units import Conversion, alternatives, conversion, taken
-from cosim.storage.table import Column, Faults, Heading, read_table
+from cosim.storage.table import read_table
+from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
 USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`

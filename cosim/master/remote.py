@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.base.scratch import Held, scratch
+from cosim.blocks.component import EndedEarly
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -20,6 +21,7 @@ from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.halving import Halved
 from cosim.master.master import StoppedRun, results_of, simulate
+from cosim.master.observer import Feed, Observed, Observer
 from cosim.master.own_process import in_own_processes
 from cosim.storage.files import hold_stops, is_full
 from cosim.storage.results import Results
@@ -45,12 +47,36 @@ def said_of(system: System) -> list[str]:
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
-def simulate_here(system: System, steps: int, h: float, progress: Callable[[int], None] | None = None) -> Stepped:
+def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
     """The steps of a run in this process. Raises FmuError."""
+    feed = _feed(observers, system, steps, h)
+    rows = Rows.in_memory(steps + 1, len(system.columns))
+    feed.table = rows.table
+
+    def give(done: int) -> None:
+        feed(done)
+        if feed.failure is not None:
+            raise feed.failure
+        if feed.stop:
+            raise _early(system, h, done)
+
     try:
-        return Stepped(_stepped(system, steps, h, progress), said_of(system))
+        made, failure = _stepped(system, steps, h, give if observers else None, rows), None
     except StoppedRun as run:
-        return Stepped(run.results, said_of(system), run.error)
+        made, failure = run.results, run.error
+    feed.end(made.values)
+    return Stepped(made, said_of(system), failure or feed.failure)
+
+
+def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
+    """What gives the rows of a run to its observers."""
+    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
+
+
+def _early(system: System, h: float, done: int) -> EndedEarly:
+    """The end of a run that an observer asked for."""
+    return EndedEarly("an observer", system.start + h * max(0, done - 1), "it asked for the end")
 
 
 def _stepped(
@@ -78,8 +104,13 @@ class Ended:
     notes: Sequence[str] = ()
 
 
-def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits) -> Ended:
-    """Simulate into the table in a file."""
+def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> Ended:
+    """Simulate into the table in a file; `observed`: an early end may be asked for."""
+
+    def obey(done: int) -> None:
+        if here.progress.stop[0]:
+            raise _early(system, h, done)
+
     system = in_own_processes(system, limits)
     for stage in system.stages:
         here.overheard(stage.component)
@@ -87,7 +118,8 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        made = _stepped(system, steps, h, rows=Rows(mapped, beside, progress.made, progress.doing, _tell_loop))
+        rows = Rows(mapped, beside, progress.made, progress.doing, _tell_loop)
+        made = _stepped(system, steps, h, obey if observed else None, rows)
     except StoppedRun as run:
         made, failure = run.results, run.error
     except OSError as error:
@@ -116,30 +148,39 @@ def simulate_apart(
     h: float,
     folder: Path,
     limits: Limits | None = None,
-    progress: Callable[[int], None] | None = None,
+    *,
+    observers: Sequence[Observer] = (),
 ) -> Stepped:
     """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
     columns, limits = len(system.columns), limits or Limits()
+    feed = _feed(observers, system, steps, h)
+
+    def give(made: int) -> None:
+        feed(made)
+        worker.progress.stop[0] = feed.over
+
     watch = Watch(
         [stage.component.name for stage in system.stages],
         [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
         lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
         limits,
         8 * columns,
-        progress=progress,
+        progress=give if observers else None,
     )
     ended = Ended()
     compile_beforehand(system)
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
-        counters.loop = b""
+        counters.loop, counters.stop[0] = b"", 0
         held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(held.remove)
         worker.take_along(held.path)
         table = held.path / ROWS
+        if observers and columns:
+            feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
-            ended = worker.call(simulate_rows, system, count - 1, h, table, limits, watch=watch)
+            ended = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
             hold_stops()  # there are rows to be kept
         except SimulationError as error:
             ended = Ended(failure=error)
@@ -152,6 +193,8 @@ def simulate_apart(
         done, failure = counters.made[0], ended.failure
         values = read_table(table, done, columns)
         beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
+    feed.end(values)
+    failure = failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     if done and ended.last is not None:
         time[done - 1] = ended.last

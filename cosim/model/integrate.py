@@ -1,14 +1,17 @@
-"""Stepping a model: inputs held over a communication step, equal RK4 substeps inside it."""
+"""Stepping a model: inputs held over a communication step, equal substeps inside it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-from cosim.model.model import Effect, Model, Number, Values, overrides
+from cosim.model.duals import DualNamespace, jacobian
+from cosim.model.model import STIFF, Effect, Model, Number, Values, overrides
 from cosim.model.namespaces import SCALAR, Namespace
+from cosim.model.rosenbrock import step as stiff_step
 
 Derivative = Callable[[Number, Values, Values], Values]
 
@@ -67,15 +70,23 @@ class Stepper:
             after.append(remembered)
         return command, tuple(after)
 
+    @cached_property
+    def _slopes(self) -> Derivative:
+        """The derivative on dual numbers."""
+        return self.model.acting(DualNamespace()).derivative
+
     def step(self, moment: Moment, command: Values, h: float) -> Moment:
         """Advance by the communication step `h` [s], `command` held."""
         n = substeps(h, self.model.substep)
         dt = h / n
         start, x, memory = moment.t, moment.state, moment.memory
-        derivative, acting = self.derivative, command
+        derivative, acting, stiff = self.derivative, command, self.model.integrator == STIFF
         for k in range(n):
             t = start + k * dt
             if memory:
                 acting, memory = self.shape(t, dt, command, memory)
-            x = rk4(derivative, t, x, acting, dt)
+            if stiff:
+                x = stiff_step(derivative, jacobian(self._slopes, t, x, acting), t, x, acting, dt)
+            else:
+                x = rk4(derivative, t, x, acting, dt)
         return Moment(start + h, x, memory)

@@ -18,6 +18,8 @@ from cosim.model.quantities import Parameter, Quantity, parameters_of
 # A number is a float, an array or a symbol, whichever the namespace handed in works on.
 Number = Any
 Values = tuple[Number, ...]
+AUTO, RK4, STIFF = "auto", "rk4", "stiff"
+INTEGRATORS = (AUTO, RK4, STIFF)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,11 +142,13 @@ class Model(Parametric):
     valid: ClassVar[tuple[Validity, ...]] = ()  # ranges that the model was made for; beyond one, it warns once
     planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
+    integrator: ClassVar[str] = AUTO  # of INTEGRATORS; "auto" is RK4, or the implicit method for a stiff model
     rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
     horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log
 
     effects: tuple[Any, ...] = field(default=())
     chosen_substep: float | None = field(default=None)  # [s]; replaces `substep` where the class states none
+    chosen_integrator: str | None = field(default=None)  # replaces `integrator`
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """A model without a title goes by the name of its class."""
@@ -161,6 +165,8 @@ class Model(Parametric):
         object.__setattr__(self, "effects", tuple(in_order))
         if self.chosen_substep is not None:
             object.__setattr__(self, "substep", self.chosen_substep)
+        if self.chosen_integrator is not None:
+            object.__setattr__(self, "integrator", self.chosen_integrator)
 
     def equations(self, m: Namespace) -> Equations:
         """Bind the one body of equations to a namespace."""
@@ -259,9 +265,9 @@ class Model(Parametric):
             model = model.with_effect(replace(term, **changes))
         return model
 
-    def with_substep(self, substep: float | None) -> Self:
-        """Return the model with another longest substep [s]; None is that of its class."""
-        return replace(self, chosen_substep=substep)
+    def with_substep(self, substep: float | None, integrator: str | None = None) -> Self:
+        """Return the model with another longest substep [s] and integrator; None is that of its class."""
+        return replace(self, chosen_substep=substep, chosen_integrator=integrator)
 
     def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
         """Initial state from start values by state name (`position`, `effect.state`)."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,7 +18,8 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.verdict import Grade, Name, Verdict
+from cosim.refinement.decision.claims import Claims, Grade, Name
+from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
@@ -277,54 +278,54 @@ class Record(_Entry):
     seconds: Finite = Field(description="time it took")
 
 
-def record(
-    study: Study,
-    a: Attribution,
-    verdict: Verdict,
-    near: Hypothesis | None,
-    problem: Problem,
-    between: Between,
-    replayed: Replayed,
-    floors: Floors,
-    left_out: Mapping[str, dict[str, float]] | None,
-    seconds: float,
-    ends: Mapping[str, float] = MappingProxyType({}),
-    way: Replays = IN_PYTHON,
-) -> Record:
-    """What refine.json holds.
+@dataclass(frozen=True)
+class Measured:
+    """What the proof measured, when everything was decided.
 
-    left_out: errors on rows of a table left out, where there is one
-    ends:     values of parameters per log with which the filter ends sealed logs
-    way:      through which FMUs the logs were replayed
+    played:  replays of every variant on every set of logs; floors: what noise alone leaves of their errors
+    way:     through what the logs were replayed
+    ends:    values of parameters per log with which the filter ends sealed logs
+    seconds: time the study took
     """
+
+    played: Replayed
+    floors: Floors
+    way: Replays = IN_PYTHON
+    ends: Mapping[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+def record(study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measured) -> Record:
+    """Return the content of refine.json."""
     judged, static = study.subject.horizon, study.subject.static
-    rows = LeftOut.model_validate(left_out) if left_out else None
+    rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None
+    claimed, floors = claims.claimed, proof.floors
 
     def errors(horizon: float) -> Errors:
         sizes = {
             name: {part: known(rmse(played[horizon])) for part, played in parts.items()}
-            for name, parts in replayed.items()
+            for name, parts in proof.played.items()
         }
         return Errors(**sizes)
 
     return Record(
         study=str(study.path or ""),
-        verdict=verdict.name,
-        sentence=verdict.sentence,
-        grade=verdict.grade,
-        effects=effects(study.subject, verdict.claimed, a.tried) if verdict.claimed else [],
-        rivals=list(verdict.rivals) if verdict.name == "ambiguous" else [],
-        experiment=verdict.experiment,
-        nearest=list(near.names) if near and verdict.grade != "claimed" else [],
-        per_log=per_log(study, verdict.claimed.fit if verdict.claimed else a.given, ends),
-        candidates=ranking(a, verdict),
-        hidden=unseen(a, verdict),
+        verdict=claims.name,
+        sentence=sentence(claims, study.subject),
+        grade=claims.grade,
+        effects=effects(study.subject, claimed, a.tried) if claimed else [],
+        rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
+        experiment=claims.experiment,
+        nearest=list(claims.nearest.names) if claims.nearest else [],
+        per_log=per_log(study, claimed.fit if claimed else a.given, proof.ends),
+        candidates=ranking(a, claims),
+        hidden=unseen(a, claims),
         measured=[q.name for q in study.subject.outputs if any(q.name in log.outputs for log in study.logs)],
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),
-        residual=residual(verdict),
-        replays=way,
+        residual=Residual.model_validate(claims.residual),
+        replays=proof.way,
         horizon="row" if static else judged if math.isfinite(judged) else "free run",
         error=errors(judged).model_copy(update={"left_out": rows}),
         horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
@@ -332,7 +333,7 @@ def record(
         noise_floors={part: known(floor.level) for part, floor in floors.items()},
         floor_scatters={part: known(floor.scatter) for part, floor in floors.items()},
         held_out_gain=a.total.held_out,
-        seconds=seconds,
+        seconds=proof.seconds,
     )
 
 
@@ -387,13 +388,13 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
     return Estimate(value=value, unit=unit, ci95=(value - half, value + half))
 
 
-def unseen(a: Attribution, verdict: Verdict) -> list[str]:
+def unseen(a: Attribution, claims: Claims) -> list[str]:
     """Effects that would not have shown at their usual size; not those that are claimed, for they did."""
-    claimed = verdict.claimed.names if verdict.claimed else ()
+    claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
 
 
-def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:
+def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
     """Every hypothesis tried, best first, with its scores and why it lost."""
     return [
         CandidateEntry(
@@ -402,29 +403,24 @@ def ranking(a: Attribution, verdict: Verdict) -> list[CandidateEntry]:
             score_gain=a.base.score - h.score,
             fitted=h.fit.iterations > 0,
             parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
-            why=_why(a, h, verdict),
+            why=_why(a, h, claims),
         )
         for h in a.tried
     ]
 
 
-def _why(a: Attribution, h: Hypothesis, verdict: Verdict) -> str:
-    if verdict.claimed is not None and h.names == verdict.claimed.names:
+def _why(a: Attribution, h: Hypothesis, claims: Claims) -> str:
+    if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
     if h.names != a.best.names:
         return a.reasons[h.names]
-    if verdict.name == "unexplained":
+    if claims.name == "unexplained":
         return "nearest, but disputed"
-    if verdict.name == "no_effect":
+    if claims.name == "no_effect":
         return "nothing more is missing"
-    if verdict.claimed is not None:
+    if claims.claimed is not None:
         return "only with its numbers beyond their tolerances"
     return "nothing can be said: the logs excite too little"
-
-
-def residual(verdict: Verdict) -> Residual:
-    """The verdict's own account, checked."""
-    return Residual.model_validate(verdict.residual)
 
 
 if __name__ == "__main__":  # python -m cosim.refinement.record > cosim/refinement/refine.schema.json

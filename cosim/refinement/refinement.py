@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.verdict import Verdict
+from cosim.refinement.decision.claims import Claims
 from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
@@ -23,7 +23,7 @@ class Refinement:
 
     study: Study
     attribution: Attribution
-    verdict: Verdict
+    verdict: Claims
     record: Mapping[str, Any]
     folder: Path
     problem: Problem

@@ -21,22 +21,22 @@ from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
+from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness
 from cosim.refinement.decision.judgement import BETTER, decided
-from cosim.refinement.decision.sentences import calmer, holds, rises
+from cosim.refinement.decision.sentences import calmer
 from cosim.refinement.decision.trust import attributed
-from cosim.refinement.decision.verdict import Verdict, judge
 from cosim.refinement.proof.measure import FLOOR_SEED, followed, noise_floor, rmse
 from cosim.refinement.proof.nearest import nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, of_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import held_against_replays
-from cosim.refinement.proof.sealed import risen
-from cosim.refinement.proof.table_errors import errors_left_out, on_rows_left_out, with_leftover
-from cosim.refinement.record import Floors, Record, Replayed, known, record
+from cosim.refinement.proof.sealed import Rise, risen
+from cosim.refinement.proof.table_errors import errors_left_out, with_leftover
+from cosim.refinement.record import Floors, Measured, Record, Replayed, known, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Found
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.search.input_hold import between_rows
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, left_beside
@@ -96,19 +96,14 @@ def refine(
     found = attributed(subject, problem, _on_trial(study, problem), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
-    verdict = _judged(study, attribution, found, progress)
-    noted = noise_warnings(problem, attribution.best.fit.noise, subject)
+    claims = _judged(study, attribution, found, progress)
+    claims = _with_nearest(study, claims, found, attribution)
     between = between_rows(found.search.problem, attribution.base)
-    study = replace(study, warnings=(*study.warnings, *noted, *between.warnings))
-    near = _nearest(found, attribution, verdict)
-    left_out = errors_left_out(found.search, attribution, verdict, near) if problem.table else None
-    verdict = _in_full(study, verdict, near, left_out)
-    with (
-        scratch_folder(folder, ".refine-") as scratch,
-        Workplace(scratch, study.content.limits, in_process=in_process) as place,
-    ):
+    warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
+    limits = study.content.limits
+    with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, limits, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(study, attribution, verdict, near)
+        variants = _variants(study, attribution, claims)
         files = [*variants["after"].subject.write(scratch, folder, "refined")]
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -116,13 +111,14 @@ def refine(
         sets = _unsealed(study)
         played, way = Proof(problem, sets, place).replayed(variants)
         progress("measuring the noise floor", 0.0)
-        floors = _floors(of_noise(variants["after"], attribution, verdict.claimed, found.heard), problem, sets)
-        study = replace(study, warnings=(*study.warnings, *warnings_of(way), *_too_calm(floors, played, subject)))
-        verdict = _opened(verdict, played, study)
+        floors = _floors(of_noise(variants["after"], attribution, claims.claimed, found.heard), problem, sets)
+        claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
         ends = followed(variants["after"], problem, sets.get("validation", ()))
         hold_stops()  # there is an answer to be kept
-        took = time.perf_counter() - began
-        written = record(study, attribution, verdict, near, problem, between, played, floors, left_out, took, ends, way)
+        warnings += [*warnings_of(way), *_too_calm(floors, played, subject)]
+        study = replace(study, warnings=(*study.warnings, *warnings))
+        measured = Measured(played, floors, way, ends, time.perf_counter() - began)
+        written = record(study, attribution, claims, problem, between, measured)
         _write(scratch / ANSWER, written)
         with uninterrupted():
             if keep:
@@ -131,7 +127,7 @@ def refine(
         release_stops()
     evidence = {name: {part: by[subject.horizon] for part, by in parts.items()} for name, parts in played.items()}
     content = written.model_dump(mode="json")
-    outcome = Refinement(study, attribution, verdict, content, folder, problem, variants, evidence)
+    outcome = Refinement(study, attribution, claims, content, folder, problem, variants, evidence)
     if report:
         from cosim.refinement.report.refine_page import write_refine_report
 
@@ -173,8 +169,8 @@ def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
     return every if named is None else [c for c in every if c.name in named]
 
 
-def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Verdict:
-    """The verdict: by what is left beside the best hypothesis, then by replays."""
+def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Claims:
+    """The answer: by what is left beside the best hypothesis, then by replays."""
     subject, search = study.subject, found.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
@@ -188,10 +184,10 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> V
         left = replace(left, terms=(), fit=None, gain=0.0)
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
-    verdict = judge(a, left, subject, problem.layout.forced, moves, still=at_rest(problem))
+    claims = judge(a, left, subject, problem.layout.forced, moves, still=at_rest(problem))
     progress("replaying with the claim and without", 0.0)
-    verdict = held_against_replays(study, a, verdict, found, problem)
-    return with_leftover(verdict, a, problem, subject) if subject.static else verdict
+    claims = held_against_replays(study, a, claims, found, problem)
+    return with_leftover(claims, a, problem, subject) if subject.static else claims
 
 
 def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
@@ -201,34 +197,21 @@ def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon:
     return steadiness(problem, beside, alone) >= beyond_chance(problem, beside, left.among)
 
 
-def _nearest(found: Found, a: Attribution, verdict: Verdict) -> Hypothesis | None:
-    """What the nearest model has; the claim where all is claimed."""
-    if verdict.grade == "claimed":
-        return verdict.claimed
-    close = {h.names: h for h in (a.best, found.best) if h.candidates}
-    return nearest(found.search, a, list(close.values()))
+def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) -> Claims:
+    """The answer with the nearest model where not all is claimed, and of a table the errors on rows left out."""
+    if claims.grade != "claimed":
+        close = {h.names: h for h in (a.best, found.best) if h.candidates}
+        claims = replace(claims, nearest=Nearest(nearest(found.search, a, list(close.values()))))
+    left_out = errors_left_out(found.search, a, claims) if found.search.problem.table else None
+    return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 
 
-def _in_full(
-    study: Study, verdict: Verdict, near: Hypothesis | None, left_out: Mapping[str, dict[str, float]] | None
-) -> Verdict:
-    """The verdict, its sentence followed by what the nearest model holds, what was tried, errors on rows left out."""
-    said = [verdict.sentence]
-    if verdict.grade != "claimed":
-        said.append(holds(near.names if near else (), fitted=near is not None))
-    if study.content.candidates is not None:
-        said.append("(Tried: only what the study names as candidates.)")
-    if left_out:
-        said.append(on_rows_left_out(left_out, verdict, study.subject))
-    return replace(verdict, sentence=" ".join(said))
-
-
-def _variants(study: Study, a: Attribution, verdict: Verdict, near: Hypothesis | None) -> dict[str, Variant]:
+def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
     """Before, recalibrated and after, and the nearest where not all is claimed: what is replayed."""
-    subject, settings, claimed = study.subject, study.settings, verdict.claimed
+    subject, settings, claimed, near = study.subject, study.settings, claims.claimed, claims.near
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
-    if verdict.grade != "claimed":
+    if claims.nearest is not None:
         other = refined_subject(subject, settings, near)
         of_other = variant_of(other, settings, near.fit if near else a.given)
         variants["nearest"] = variants["after"] if near is claimed else of_other
@@ -247,15 +230,13 @@ def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
     return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
 
 
-def _opened(verdict: Verdict, replayed: Replayed, study: Study) -> Verdict:
-    """The verdict, whose sentence begins with an error that rises on the sealed logs. They change nothing else."""
-    subject = study.subject
-    variant, file = ("after", REFINED[0]) if verdict.claimed is not None else ("nearest", NEAREST[0])
+def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str, Rise]:
+    """Errors that rise on the sealed logs, with the claim or without one with the nearest model."""
+    variant = "after" if claims.claimed is not None else "nearest"
     if "validation" not in replayed["before"] or variant not in replayed:
-        return verdict
+        return {}
     before, after = (replayed[name]["validation"][subject.horizon] for name in ("before", variant))
-    said = rises(risen(before, after), {q.name: q.unit for q in subject.outputs}, file)
-    return replace(verdict, sentence=f"{said} {verdict.sentence}") if said else verdict
+    return risen(before, after)
 
 
 def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:

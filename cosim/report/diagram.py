@@ -6,30 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
+from cosim.report.template import TEMPLATES, inlined
+
 CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] wide, of 12.5, 13.5 and 11 px text
 HEAD, LINE, NOTE = 46, 22, 15  # [px] high: a box's head, a port, a line of notes below it
 SLOT, LANE, MARGIN = 13, 15, 24  # [px] between lines side by side, between lanes above and below, around all
 LEAST, ROUND = 150, 6  # [px] width of a box, radius of corners
-STYLE = """
-.diagram text { font: 12.5px var(--sans, system-ui, sans-serif); fill: var(--ink, #1b1f24); }
-.diagram .name { font-weight: 600; font-size: 13.5px; } .diagram .right { text-anchor: end; }
-.diagram .unit { fill: var(--soft, #58616b); }
-.diagram .about, .diagram .key { fill: var(--soft, #58616b); font-size: 11px; }
-.diagram .note-warn { fill: var(--warn, #755400); font-size: 11px; }
-.diagram .note-bad { fill: var(--bad, #a83200); font-size: 11px; }
-.diagram .box { fill: var(--card, #fff); stroke: var(--soft, #58616b); }
-.diagram .head { stroke: var(--rule, #e3e5e8); }
-.diagram .wire { fill: none; stroke: var(--accent, #0067a5); stroke-width: 1.6; }
-.diagram .held { stroke-dasharray: 6 4; }
-@media print { .diagram { max-width: 100%; height: auto; } }
-.diagram .tip { fill: var(--accent, #0067a5); } .diagram .paper { fill: var(--paper, #fcfcfb); }
-"""
-DARK = """
-@media (prefers-color-scheme: dark) {
-  .diagram { --paper: #14171a; --card: #1a1e22; --ink: #e8eaed; --soft: #a6afb8; --rule: #2c3238;
-    --accent: #62b5ea; --warn: #e6c35c; --bad: #ff9d6e; }
-}
-"""
+STYLES = ("diagram.css", "diagram_alone.css")
 
 
 @dataclass(frozen=True)
@@ -83,6 +66,19 @@ class Wire:
     title: str
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Places of a diagram's boxes [px], and the order of the wires in the gaps and lanes between and around them."""
+
+    boxes: Sequence[Box]
+    left: Sequence[float]
+    top: float
+    bottom: float
+    gaps: Sequence[Sequence[tuple[int, str]]]
+    above: Mapping[int, int]
+    below: Mapping[int, int]
+
+
 def diagram(
     boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Sequence[str] = (), *, alone: bool = True
 ) -> str:
@@ -92,26 +88,25 @@ def diagram(
     """
     if not boxes:
         return ""
-    gaps = _gaps(len(boxes), wires)
+    gaps = [_order(gap, wires) for gap in range(len(boxes) + 1)]
     above, below = _lanes(wires)
-    top = MARGIN + LANE * len(above)
+    top: float = MARGIN + LANE * len(above)
     left: list[float] = []
     x: float = MARGIN + SLOT * (1 + len(gaps[0]))
     for number, box in enumerate(boxes):
         left.append(x)
         x += box.width + SLOT * (3 + len(gaps[number + 1]))
     bottom = top + max(box.height for box in boxes) + 12
+    layout = Layout(boxes, left, top, bottom, gaps, above, below)
     parts = [_box(box, left[k], top) for k, box in enumerate(boxes)]
-    for number, wire in enumerate(wires):
-        path = _path(number, wire, boxes, left, top, bottom, gaps, above, below)
-        parts.append(path)
+    parts += [_path(number, wire, layout) for number, wire in enumerate(wires)]
     key_top = bottom + LANE * len(below) + 22
     parts += [
         f'<text class="key" x="{MARGIN}" y="{key_top + 15 * k:.0f}">{escape(key)}</text>' for k, key in enumerate(keys)
     ]
     width, height = x - SLOT + MARGIN / 2, key_top + 15 * len(keys)
     shown = max([width, *(MARGIN * 2 + SMALL * len(key) for key in keys)])
-    style = f"<style>{STYLE}{DARK if alone else ''}</style>"
+    style = f"<style>{inlined([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
     paper = '<rect class="paper" width="100%" height="100%"/>' if alone else ""
     size = f'width="{shown:.0f}" height="{height:.0f}" viewBox="0 0 {shown:.0f} {height:.0f}"'
     return (
@@ -120,21 +115,27 @@ def diagram(
     )
 
 
-def _gaps(count: int, wires: Sequence[Wire]) -> list[list[tuple[int, str]]]:
-    """Of each gap, before the first box to behind the last, the wires that run up or down in it, and at which end.
+def _role(wire: Wire, gap: int) -> str:
+    """Return how a wire runs in the gap before a box: out of the box to its left, into the box, or not ("")."""
+    source, target = wire.source[0], wire.target[0]
+    if source + 1 == gap:
+        return "out back" if target < gap else "out near" if target == gap else "out on"
+    if target == gap:
+        return "in from the left" if source < gap else "in from the right"
+    return ""
+
+
+def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
+    """Return the wires that run up or down in a gap, and at which end, "out" or "in".
 
     In an order, from the left, in which wires from neighbouring ports do not cross.
     """
-    gaps: list[list[tuple[int, str]]] = [[] for _ in range(count + 1)]
-    for gap in range(count + 1):
-        out = [k for k, w in enumerate(wires) if w.source[0] + 1 == gap]
-        back, on = [k for k in out if wires[k].target[0] < gap], [k for k in out if wires[k].target[0] > gap]
-        near = [k for k in out if wires[k].target[0] == gap]
-        into = [k for k, w in enumerate(wires) if w.target[0] == gap and w.source[0] + 1 != gap]
-        from_above, from_below = ([k for k in into if (wires[k].source[0] < gap) is side] for side in (True, False))
-        gaps[gap] = [(k, "out") for k in (*on, *near, *reversed(back))]
-        gaps[gap] += [(k, "in") for k in (*from_below, *reversed(from_above))]
-    return gaps
+    roles: dict[str, list[int]] = {}
+    for number, wire in enumerate(wires):
+        roles.setdefault(_role(wire, gap), []).append(number)
+    out = roles.get("out on", []) + roles.get("out near", []) + roles.get("out back", [])[::-1]
+    into = roles.get("in from the right", []) + roles.get("in from the left", [])[::-1]
+    return [*((number, "out") for number in out), *((number, "in") for number in into)]
 
 
 def _lanes(wires: Sequence[Wire]) -> tuple[Mapping[int, int], Mapping[int, int]]:
@@ -169,20 +170,18 @@ def _port_y(ports: Sequence[Port], number: int, top: float) -> float:
     return top + HEAD + 6 + sum(p.height for p in ports[:number]) + 11
 
 
-def _path(
-    number: int, wire: Wire, boxes: Sequence[Box], left: Sequence[float], top: float, bottom: float,
-    gaps: Sequence[Sequence[tuple[int, str]]], above: Mapping[int, int], below: Mapping[int, int],
-) -> str:  # fmt: skip
+def _path(number: int, wire: Wire, layout: Layout) -> str:
     source, target = wire.source[0], wire.target[0]
-    x1, x2 = left[source] + boxes[source].width, left[target]
-    y1 = _port_y(boxes[source].outputs, wire.source[1], top)
-    y2 = _port_y(boxes[target].inputs, wire.target[1], top)
-    out = x1 + SLOT * (1.5 + gaps[source + 1].index((number, "out")))
+    x1, x2 = layout.left[source] + layout.boxes[source].width, layout.left[target]
+    y1 = _port_y(layout.boxes[source].outputs, wire.source[1], layout.top)
+    y2 = _port_y(layout.boxes[target].inputs, wire.target[1], layout.top)
+    out = x1 + SLOT * (1.5 + layout.gaps[source + 1].index((number, "out")))
     if target == source + 1:
         points = [(x1, y1), (out, y1), (out, y2), (x2, y2)]
     else:
-        lane = top - 10 - LANE * above[number] if number in above else bottom + LANE * below[number]
-        into = x2 - SLOT * (len(gaps[target]) - gaps[target].index((number, "in")) + 0.5)
+        over, gap = number in layout.above, layout.gaps[target]
+        lane = layout.top - 10 - LANE * layout.above[number] if over else layout.bottom + LANE * layout.below[number]
+        into = x2 - SLOT * (len(gap) - gap.index((number, "in")) + 0.5)
         points = [(x1, y1), (out, y1), (out, lane), (into, lane), (into, y2), (x2, y2)]
     tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
     held = " held" if wire.held else ""

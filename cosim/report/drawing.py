@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.report.chart_data import OVER_TIME, Abscissa, Series, sample_rows, to_json
 from cosim.report.panels import Band, Panel
-from cosim.report.svg import Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
+from cosim.report.svg import TICKS_ACROSS, Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
 
 NOTHING: Mapping[str, Array] = MappingProxyType({})
 POINTS = 1000  # a curve of the first picture
@@ -30,7 +30,7 @@ class Drawing:
         self.series = Series(time, curves, abscissa, name=name)
         self.few = sample_rows(time.size, POINTS)
         self.lone = time.size == 1
-        self.axis: Axis = make_axis(*abscissa.ends, 6) if abscissa.ends else time_axis(time)
+        self.axis: Axis = make_axis(*abscissa.ends, TICKS_ACROSS) if abscissa.ends else time_axis(time)
         if self.lone:
             self.axis = lone_axis(float(time[0]))
         elif abscissa.log:

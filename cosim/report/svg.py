@@ -18,9 +18,9 @@ from cosim.base.text import MINUS, MISSING
 from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
 
 WIDTH, HEIGHT = 4000, 1000
+TICKS_ACROSS, TICKS_UP = 6, 5  # about
 CAP = 18  # half the width of a bar's ends
 LONE, RISE = 28, 17  # half the width and height of a sample between two gaps
-WIDE, NARROW, LEAST_ROOM = 7.6, 3.9, 46  # [px] a digit, a point, and what a plot has beside it at least
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 Whole = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
@@ -42,12 +42,6 @@ class Axis:
     high: float
     ticks: tuple[Tick, ...]
     factor: str = ""
-
-    @property
-    def room(self) -> int:
-        """Width that its labels take beside a plot [px]."""
-        widths = [sum(NARROW if c == "." else WIDE for c in tick.label) for tick in self.ticks]
-        return max(LEAST_ROOM, math.ceil(max(widths, default=0.0)) + 11)
 
     def whole(self, values: Array, size: int) -> Whole:
         """Values as whole numbers 0 … size along the axis."""
@@ -155,24 +149,26 @@ def tick_label(value: float, decimals: int) -> str:
 
 def log_axis(low: float, high: float) -> Axis:
     """An axis over 10^low … 10^high: decades, or in fewer than two what is round between them."""
-    decades = range(math.floor(low), math.ceil(high) + 1)
     every = max(1, math.ceil((high - low) / 8))
-    choices = (
-        [10.0**d for d in decades if d % every == 0],
-        *([m * 10.0**d for d in decades for m in parts] for parts in ((1, 2, 5), range(1, 10))),
-    )
-    for values in choices:
-        ticks = [(math.log10(v), v) for v in values if low - 1e-9 <= math.log10(v) <= high + 1e-9]
+    decades = [d for d in range(math.floor(low), math.ceil(high) + 1) if d % every == 0]
+
+    def at(value: float) -> float:
+        return 100 * (math.log10(value) - low) / (high - low)
+
+    for parts in ((1,), (1, 2, 5), range(1, 10)):
+        values = [m * 10.0**d for d in decades for m in parts]
+        ticks = tuple(Tick(at(v), _short(v)) for v in values if -1e-7 < at(v) < 100 + 1e-7)
         if len(ticks) >= 3:
-            return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), _short(v)) for at, v in ticks))
+            return Axis(low, high, ticks)
     linear = make_axis(10.0**low, 10.0**high, 6)
     span = linear.high - linear.low
-    places = ((math.log10(linear.low + t.at / 100 * span), t.label) for t in linear.ticks)
-    return Axis(low, high, tuple(Tick(100 * (at - low) / (high - low), label) for at, label in places), linear.factor)
+    return Axis(
+        low, high, tuple(Tick(at(linear.low + t.at / 100 * span), t.label) for t in linear.ticks), linear.factor
+    )
 
 
 def _short(value: float) -> str:
-    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("-", MINUS)
+    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e").replace("-", MINUS)
 
 
 def lone_axis(value: float) -> Axis:
@@ -276,13 +272,13 @@ def value_axis(panel: Panel) -> Axis:
         low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
     low, high = min((low, *panel.limits)), max((high, *panel.limits))
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    return make_axis(low - margin, high + margin, 5, panel.unit == "°")
+    return make_axis(low - margin, high + margin, TICKS_UP, panel.unit == "°")
 
 
 def time_axis(time: Array) -> Axis:
     """The axis all plots of a run share."""
     low, high = extent([time]) or (0.0, 1.0)
-    return make_axis(low, high if high > low else low + 1.0, 6)
+    return make_axis(low, high if high > low else low + 1.0, TICKS_ACROSS)
 
 
 def make_plot(
@@ -308,9 +304,20 @@ def make_plot(
     levels = HEIGHT - y.whole(np.array(panel.limits), HEIGHT)
     zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
     return Plot(
-        panel.title, panel.unit, curves, shade, band.label if band else "", tuple(levels.tolist()),
-        panel.limit_label, x, y, zero, _summary(panel, over), tuple(panel.limits), keys,
-    )  # fmt: skip
+        title=panel.title,
+        unit=panel.unit,
+        curves=curves,
+        band=shade,
+        band_label=band.label if band else "",
+        limits=tuple(levels.tolist()),
+        limit_label=panel.limit_label,
+        x=x,
+        y=y,
+        zero=zero,
+        summary=_summary(panel, over),
+        levels=tuple(panel.limits),
+        keys=keys,
+    )
 
 
 def _only(trace: Trace) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 TEMPLATES = Path(__file__).with_name("templates")
-SCRIPTS = ("charts.js", "report.js")
+SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
@@ -28,12 +28,12 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
     )
     environment.filters["code"] = _code
     # a page's own script listens to that of all pages, so it comes first; a style goes over that of all pages
-    style = _inlined([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
-    script = _inlined([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
+    style = inlined([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
+    script = inlined([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 
-def _inlined(files: Sequence[Path]) -> str:
+def inlined(files: Sequence[Path]) -> str:
     """Return the texts of files without indentation and lines of comment."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cosim.simulation.run_signals import Signals
 from cosim.storage.folders import left_by_replay
-from cosim.storage.results import read_results
+from cosim.storage.results import read_results, rows_in
 
 
 @dataclass(frozen=True, repr=False)
@@ -23,11 +23,12 @@ class Replay(Signals):
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     """Return the replay in a folder, None if it came to no residual; kept: the folder stays."""
-    if not (folder / "residual.csv").is_file():
+    files = rows_in(folder), rows_in(folder, "residual")
+    if files[1] is None:
         return None
     record = left_by_replay(folder)
     units = record.get("units")
     known = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
-    rows, missed = (read_results(folder / name, known) for name in ("results.csv", "residual.csv"))
+    rows, missed = (read_results(file or folder / "results.csv", known) for file in files)
     place = folder if kept else None
     return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))

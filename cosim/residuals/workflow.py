@@ -45,7 +45,7 @@ from cosim.storage.files import (
 )
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import REPLAY, check_left, keep_earlier
-from cosim.storage.results import Results
+from cosim.storage.results import Results, remove_rows, rows_name
 
 SCHEMA_VERSION = 1
 MEASURED = "log"  # the component's name of what was measured, beside PLANT
@@ -65,6 +65,7 @@ def replay(
     keep: bool = False,
     in_process: bool = False,
     limits: str = "",
+    format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
@@ -78,6 +79,7 @@ def replay(
     limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
     """
     most = read_limits(limits)
+    rows_name("results", format_)  # or why it cannot be written
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
     check_left(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
@@ -97,6 +99,7 @@ def replay(
             passing=fmu is None,
             worker=worker,
             limits=most,
+            format_=format_,
             keep=keep,
             progress=progress,
         )
@@ -115,6 +118,7 @@ def write_replay(
     passing: bool = False,
     worker: Worker | None = None,
     limits: Limits | None = None,
+    format_: str = "csv",
     keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
@@ -129,6 +133,7 @@ def write_replay(
     Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
     """
     total = steps_of(log)
+    rows_file, residual_file = (folder / rows_name(stem, format_) for stem in ("results", "residual"))
 
     def tell(done: int) -> None:
         if progress is not None:
@@ -140,18 +145,20 @@ def write_replay(
         findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
         findings += _older(drive)
         refuse_faults(log, findings)
-        check_writable(folder, ("results.csv", "residual.csv", REPLAY, "report.html"), (log.path, fmu))
+        check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
         if keep:
             keep_earlier(folder, "cosim replay")
-        for name in ("report.html", "residual.csv", REPLAY):  # they would be of other results
+        for name in ("report.html", REPLAY):  # they would be of other results
             (folder / name).unlink(missing_ok=True)
-        free = _free_run(drive, start, folder)
+        remove_rows(folder, "residual")
+        remove_rows(folder, "results", besides=rows_file.name)
+        free = _free_run(drive, start, rows_file)
         try:
             release_stops()
             findings += outliers(log, find_spikes(log, lambda _: free.outputs))
             comparison = compare(drive, free, findings)
             left = residuals(comparison)
-            left.write_csv(folder / "residual.csv")
+            left.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **left.units}
             of = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
             _record(folder, {**of, "sentence": verdict(comparison), "units": units})
@@ -161,7 +168,7 @@ def write_replay(
         except OSError as error:
             if not is_full(error):
                 raise
-            raise _full(folder, log) from None
+            raise _full(rows_file, residual_file, log) from None
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stopped(stop, float(log.time[-1]), "the comparison")
             ended.left = folder
@@ -169,48 +176,48 @@ def write_replay(
     return comparison
 
 
-def _free_run(drive: Drive, start: Mapping[str, Any] | None, folder: Path) -> Replay:
-    """The whole log in one run, its rows in results.csv; those so far where it stops, and the error."""
+def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
+    """The whole log in one run, its rows in a file; those so far where it stops, and the error."""
     try:
         free = free_run(drive, start)
         hold_stops()  # there are rows to be kept
     except StoppedReplay as failed:
-        _write_rows(results(drive, as_columns(failed.done, drive.outputs)), folder)
-        failed.left = folder
+        _write_rows(results(drive, as_columns(failed.done, drive.outputs)), file)
+        failed.left = file.parent
         raise
     except (KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
         made = results(drive, as_columns(drive.left, drive.outputs))
-        _write_rows(made, folder)
+        _write_rows(made, file)
         error = stopped(stop, made.time[-1] if made.time.size else drive.log.time[0], "the replay")
-        error.left = folder
+        error.left = file.parent
         raise error from None
-    _write_rows(results(drive, free.outputs), folder)
+    _write_rows(results(drive, free.outputs), file)
     return free
 
 
-def _full(folder: Path, log: Log) -> DiskFull:
+def _full(file: Path, residual: Path, log: Log) -> DiskFull:
     """What there is no room for beside the rows."""
-    missing = "no report" if (folder / "residual.csv").exists() else "no residual.csv and no report"
-    reason = f"the disk is full: all {log.rows} rows are in results.csv, there is {missing}"
+    missing = "no report" if residual.exists() else f"no {residual.name} and no report"
+    reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
     return DiskFull("the replay", float(log.time[-1]), reason)
 
 
-def _write_rows(made: Results, folder: Path) -> None:
-    """results.csv, its units in replay.json; DiskFull where only some of its rows fit."""
+def _write_rows(made: Results, file: Path) -> None:
+    """The rows, their units in replay.json; DiskFull where only some of them fit."""
     try:
-        _record(folder, {"units": dict(made.units)})
-        made.write_csv(folder / "results.csv")
+        _record(file.parent, {"units": dict(made.units)})
+        made.write(file)
     except OSError as error:
         if not is_full(error):
             raise
         try:
-            (folder / "results.csv").unlink(missing_ok=True)  # an earlier one's, whose room is needed
-            count = made.write_what_fits(folder / "results.csv")
+            file.unlink(missing_ok=True)  # an earlier one's, whose room is needed
+            count = made.write_what_fits(file)
         except OSError:
             count = 0
-        told = f"the disk is full: {count} of {len(made.time)} rows are in results.csv"
+        told = f"the disk is full: {count} of {len(made.time)} rows are in {file.name}"
         raise DiskFull("the replay", made.time[max(0, count - 1)].item(), told) from None
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from cosim.scenario.scenario import Component, FmuComponent, Scenario
 
+SYSTEM = "system"  # within the folder of a run of an SSP: its scenario and FMUs
+
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file."""
@@ -20,7 +22,8 @@ def key_of(component: Component) -> str:
 
 
 def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario of a manifest in `folder`, which takes from there, by name, a file that is not at its place.
+    """The scenario of a manifest in `folder`, which takes a file that is not at its place from there, by name, or from
+    the system of an SSP there.
 
     One that is there with another content gives way too where that in the folder is the one of the run.
     """
@@ -28,10 +31,11 @@ def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
     for name, component in scenario.components.items():
         key = key_of(component)
         pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
-        beside = folder / PureWindowsPath(named or "").name  # of a path of any system
-        if pinned is None or not named or not beside.is_file():
+        file = PureWindowsPath(named or "").name  # of a path of any system
+        beside = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
+        if pinned is None or not named or not beside:
             continue
         there = folder / named
-        if not there.is_file() or (sha256(there) != pinned and sha256(beside) == pinned):
-            components[name] = component.model_copy(update={key: beside.name})
+        if not there.is_file() or (sha256(there) != pinned and sha256(folder / beside) == pinned):
+            components[name] = component.model_copy(update={key: beside})
     return scenario.model_copy(update={"components": {**scenario.components, **components}}) if components else scenario

@@ -123,7 +123,8 @@ class ScenarioFile:
                 faults.append(self.fault(where, f"{kind} {'needs a' if kind == 'settling_time' else 'takes no'} band"))
             start, whole = criterion.after, self.scenario.duration
             end = whole if criterion.until is None else criterion.until
-            if not 0 <= start < end <= whole or end - start < self.scenario.step:
+            fits = self.stands_in or (start < end <= whole and end - start >= self.scenario.step)
+            if start < 0 or not fits:
                 faults.append(self.fault(where, f"{kind} looks from {start:g} s to {end:g} s of {whole:g} s"))
         return faults
 

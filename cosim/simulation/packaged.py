@@ -14,6 +14,7 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
+from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
@@ -27,7 +28,7 @@ from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
 
-FOLDER, SCENARIO = "system", "scenario.json"  # within that of the results
+FOLDER, SCENARIO = SYSTEM, "scenario.json"  # within that of the results
 STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say
 
 

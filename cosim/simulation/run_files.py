@@ -10,9 +10,9 @@ from typing import Any
 from cosim.base.errors import Fault, InputError
 from cosim.storage.folders import left_by_replay, manifest_in
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import Results, read_results
+from cosim.storage.results import Results, read_results, rows_in
 
-WANTED = "the folder of a run or a CSV"
+WANTED = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ def read_ran(path: Path) -> Ran:
     if not path.is_dir():
         check_given(path, LOG)
         return Ran(path, path.stem, read_results(path))
-    csv = path / "results.csv"
-    if not csv.is_file():
+    rows = rows_in(path)
+    if rows is None:
         refuse_folder(path, WANTED)
         cure = "give the folder that a run left, or a CSV"
         raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
     manifest = manifest_in(path)
     units = manifest.get("units") or left_by_replay(path).get("units")
     text = manifest.get("beside")
-    results = read_results(csv, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
+    results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
     return Ran(path, path.resolve().name, results, manifest)

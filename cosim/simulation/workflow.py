@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
+from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, Stepped, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
@@ -38,10 +38,10 @@ from cosim.storage.files import (
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_ours, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
-from cosim.storage.results import Results
+from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import System, build_system
 
-RESULTS, MANIFEST = "results.csv", "manifest.json"
+MANIFEST = "manifest.json"
 SPARE = 8192  # bytes beside a manifest's own
 
 
@@ -51,7 +51,12 @@ class Outcome:
 
     results: Results
     manifest: dict[str, Any]
-    folder: Path
+    file: Path  # of the rows
+
+    @property
+    def folder(self) -> Path:
+        """Where the rows, the manifest and the report are."""
+        return self.file.parent
 
     @property
     def missed(self) -> list[dict[str, Any]]:
@@ -71,7 +76,9 @@ def run(
     report: bool = True,
     figures: bool = False,
     in_process: bool = False,
+    format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
+    observers: Sequence[Observer] = (),
 ) -> Outcome:
     """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
 
@@ -79,10 +86,13 @@ def run(
              it is run as, and its FMUs, are left in its `system`
     force:   also over what the run of another scenario left there
     nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
+    observers: get the rows while they are made; `progress`, a function of (steps done, of how many), is one.
+    format_: of the rows, which are then in results.parquet or the like in place of results.csv.
     in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
     Raises InputError, FmuError; and SimulationError after the rows so far are written.
     """
-    began, path = time.perf_counter(), Path(scenario)
+    watching = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
+    began, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
     if not is_ssp(path):
         check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before a worker is started
     with ExitStack() as stack:
@@ -98,21 +108,21 @@ def run(
         system = build_system(file, designed)
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force, keep=keep)
-        check_writable(place, (RESULTS, MANIFEST, "report.html"), file.files)
+        check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
         loaded = time.perf_counter()
-        stepped = _stepped(file.scenario, system, worker, place, progress)
+        stepped = _stepped(file.scenario, system, worker, place, watching)
         times = began, loaded, time.perf_counter()
         record = manifest(file, designed, system, _timings(file.scenario, *times), tools.result(), stepped.results.loop)
         if is_ssp(path):
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = _left(place, file.scenario, stepped, record, report=report, figures=figures, keep=keep)
+        failure = _left(place / rows_file, file.scenario, stepped, record, report=report, figures=figures, keep=keep)
     if failure is not None:
         failure.left = place
         raise failure
-    return Outcome(stepped.results, record, place)
+    return Outcome(stepped.results, record, place / rows_file)
 
 
 def _read(
@@ -129,7 +139,7 @@ def _read(
 
 
 def _left(
-    place: Path,
+    file: Path,
     scenario: Scenario,
     stepped: Stepped,
     record: dict[str, Any],
@@ -138,19 +148,19 @@ def _left(
     figures: bool,
     keep: bool,
 ) -> SimulationError | None:
-    """Leave everything in the folder, or what fits of it; the failure of the run, or of the disk."""
+    """Leave everything beside the file of rows, or what fits of it; the failure of the run, or of the disk."""
     written: list[str] = []
     try:
         if keep:
-            keep_earlier(place, "cosim run")
-        _write(place, stepped.results, record, written)
+            keep_earlier(file.parent, "cosim run")
+        _write(file, stepped.results, record, written)
         release_stops()
-        _draw(place, stepped.results, record, report=report, figures=figures)
+        _draw(file.parent, stepped.results, record, report=report, figures=figures)
     except OSError as error:
         if not is_full(error):
             raise
         rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
-        return _write_what_fits(place, stepped.results, record, written, rows, stepped.failure)
+        return _write_what_fits(file, stepped.results, record, written, rows, stepped.failure)
     except (KeyboardInterrupt, Terminated) as stop:  # all but the report is written
         end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
         return stepped.failure or stopped(stop, end, "the report of the run")
@@ -160,14 +170,13 @@ def _left(
 
 
 def _stepped(
-    scenario: Scenario, system: System, worker: Worker | None, folder: Path, progress: Callable[[int, int], None] | None
+    scenario: Scenario, system: System, worker: Worker | None, folder: Path, observers: Sequence[Observer]
 ) -> Stepped:
     """The steps, in the worker or without one in this process."""
     steps, h = scenario.steps, scenario.step
-    told = None if progress is None else partial(_tell, progress, steps)
     if worker is None:
-        return simulate_here(system, steps, h, told)
-    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, told)
+        return simulate_here(system, steps, h, observers)
+    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, observers=observers)
     worker.finish()
     return stepped
 
@@ -189,17 +198,14 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *
         record["warnings"].append("limits are not watched where FMUs run in this process")
 
 
-def _tell(progress: Callable[[int, int], None], steps: int, done: int) -> None:
-    """Progress over a count of rows."""
-    progress(min(done, steps), steps)
-
-
-def _write(folder: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
+def _write(file: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
     """Write the rows and the manifest of a run, whether or not it came to its end; `written` gets their names."""
+    folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
     with uninterrupted():  # or what was stopped once could be lost by stopping it again
-        results.write_csv(folder / RESULTS)
-        written.append(RESULTS)
+        results.write(file)
+        remove_rows(folder, file.stem, besides=file.name)  # they would be of another run
+        written.append(file.name)
         write_manifest(folder / MANIFEST, record)
         written.append(MANIFEST)
 
@@ -217,13 +223,14 @@ def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: boo
 
 
 def _write_what_fits(
-    folder: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
+    file: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
     failure: SimulationError | None,
 ) -> SimulationError:  # fmt: skip
     """What a full disk has room for of the rows and the manifest of a run; what to tell of it."""
+    folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)
-    count = len(results.time) if RESULTS in written else _rows_that_fit(folder, results, 2 * len(json.dumps(record)))
-    told = f"the disk is full: {count} of {rows} rows are in results.csv"
+    count = len(results.time) if file.name in written else _rows_that_fit(file, results, 2 * len(json.dumps(record)))
+    told = f"the disk is full: {count} of {rows} rows are in {file.name}"
     told += ", there is no report" if count == rows else ""
     before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
     at = results.time[max(0, count - 1)].item() if len(results.time) else 0.0
@@ -237,17 +244,17 @@ def _write_what_fits(
     return DiskFull("the run", at, told + before)
 
 
-def _rows_that_fit(folder: Path, results: Results, manifest: int) -> int:
+def _rows_that_fit(file: Path, results: Results, manifest: int) -> int:
     """Write rows for which there is room, beside a manifest of this size [bytes] where there is that; their number."""
-    for name in (RESULTS, MANIFEST):  # of an earlier run, whose room is needed
-        (folder / name).unlink(missing_ok=True)
-    spare = folder / ".spare"
+    remove_rows(file.parent, file.stem)  # of an earlier run, whose room is needed
+    file.with_name(MANIFEST).unlink(missing_ok=True)
+    spare = file.parent / ".spare"
     try:
         try:
             allocate(spare, manifest + SPARE)
         except OSError:
             spare.unlink(missing_ok=True)  # the rows before the manifest
-        return results.write_what_fits(folder / RESULTS)
+        return results.write_what_fits(file)
     except OSError:
         return 0
     finally:

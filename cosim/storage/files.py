@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import stat
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -174,6 +175,14 @@ def check_folder(folder: Path) -> None:
         raise InputError([Fault(folder, 0, 0, why)])
 
 
+def _is_kept_by_another(path: Path) -> bool:
+    """Whether a file is in a folder as that for temporary files, where only its owner may replace it, and not ours."""
+    if not hasattr(os, "geteuid") or not os.path.lexists(path):
+        return False
+    owner, folder = path.lstat().st_uid, path.parent.stat()
+    return bool(folder.st_mode & stat.S_ISVTX) and os.geteuid() not in (0, owner, folder.st_uid)
+
+
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
     """Make and lock the folder and see that files of these names can be written there; InputError before any work.
 
@@ -196,6 +205,13 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
         Fault(path, 0, 0, "is read, and results would be written over it; give another folder as --out")
         for path in dict.fromkeys(read)
         if path.is_file() and any(path.samefile(other) for other in written)
+    ]
+    faults += [
+        Fault(
+            folder / n, 0, 0, "belongs to another user, and only its owner may replace it; give another folder as --out"
+        )
+        for n in names
+        if _is_kept_by_another(folder / n)
     ]
     if not os.access(folder, os.W_OK):
         faults.append(Fault(folder, 0, 0, "cannot be written"))

@@ -1,14 +1,15 @@
 """Locks on folders for results: two commands never write into one folder at the same time.
 
-The lock is on the folder itself and ends with the process, however that ends: no file of it is left. Only where a
-folder cannot be locked, as on Windows and some network disks, the lock is on a hidden file in it. A disk without any
-locks is written without one.
+The lock is on a hidden file in the folder, which is removed at the end; one that a killed process left is taken over.
+Only those who may write into the folder may open the file: who can merely read the folder cannot hold its lock. A disk
+without any locks is written without one.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -31,12 +32,18 @@ class _Locks:
     made: list[Path] = field(default_factory=list)
 
     def release(self) -> None:
-        """Remove folders that were made and are empty, and end the locks, in this order."""
+        """Remove the files of the locks and folders that were made and are empty, and end the locks, in this order."""
+        for folder, lock in self.held.items():
+            with suppress(OSError):
+                if os.name == "nt":  # an open file cannot be removed there
+                    os.close(lock)
+                (folder / LOCK_FILE).unlink(missing_ok=True)
         for folder in reversed(self.made):
             with suppress(OSError):
                 folder.rmdir()
         for lock in self.held.values():
-            os.close(lock)
+            with suppress(OSError):
+                os.close(lock)
 
 
 _locks: ContextVar[_Locks | None] = ContextVar("folder locks", default=None)
@@ -89,27 +96,47 @@ def take_folder(folder: Path) -> bool:
 
 
 def _lock(folder: Path) -> int | None:
-    """Return the descriptor that holds a folder, None on a disk without locks; raise BlockingIOError if it is held."""
-    for path, flags in ((folder, os.O_RDONLY), (folder / LOCK_FILE, os.O_RDWR | os.O_CREAT)):
-        try:
-            lock = os.open(path, flags | NO_LINK, 0o600)
-        except OSError:  # a folder that may be written but not read, and Windows, which opens none
-            continue
-        try:
-            lock_descriptor(lock)
-            return lock
-        except OSError as error:
+    """Return the descriptor that holds a folder, None if it cannot be locked; raise BlockingIOError if held."""
+    try:
+        lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | NO_LINK, 0o600)
+    except OSError:  # a folder that may not be written, or a file of somebody who keeps it to himself
+        return None
+    try:
+        if not _is_shared_with_writers(lock, folder):
             os.close(lock)
-            if error.errno in HELD:
-                raise BlockingIOError from None
-    return None
+            return None
+        lock_descriptor(lock)
+    except OSError as error:
+        os.close(lock)
+        if error.errno in HELD:
+            raise BlockingIOError from None
+        with suppress(OSError):
+            (folder / LOCK_FILE).unlink()
+        return None
+    return lock
+
+
+def _is_shared_with_writers(lock: int, folder: Path) -> bool:
+    """Give an own file the permissions of who may write into the folder; False if a stranger's is not to trust."""
+    own, place = os.fstat(lock), folder.stat()
+    if not stat.S_ISREG(own.st_mode):
+        return False
+    if not hasattr(os, "geteuid"):
+        return True
+    if own.st_uid == os.geteuid():
+        with suppress(OSError):  # a disk without permissions
+            os.fchown(lock, -1, place.st_gid)
+        writers = place.st_mode & 0o222
+        with suppress(OSError):
+            os.fchmod(lock, writers | writers << 1)
+    # in a folder as that for temporary files anybody may leave a file
+    return own.st_uid in (os.geteuid(), place.st_uid, 0) or not place.st_mode & stat.S_ISVTX
 
 
 def _is_of(lock: int, folder: Path) -> bool:
-    """Whether a lock is still on the folder of this name, or on the hidden file in it."""
-    own = os.fstat(lock)
-    places = (folder, folder / LOCK_FILE)
-    if any(place.exists() and os.path.samestat(own, place.stat()) for place in places):
+    """Whether a lock is still on the hidden file in the folder of this name; closed if not."""
+    path = folder / LOCK_FILE
+    if path.exists() and os.path.samestat(os.fstat(lock), path.stat()):
         return True
     os.close(lock)
     return False

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cosim.base.errors import Fault, InputError
 from cosim.storage.artefact import artefacts, kind_by_keys, kind_where, left_in, of_kind
+from cosim.storage.table_source import suffixes
 from cosim.storage.yaml_file import YamlFile
 
 LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, TABLE = (
@@ -41,8 +42,10 @@ def kind_by_form(path: Path) -> str | None:
         kind = _marked(head)
     if kind is not None:
         return kind
-    if beside := kind_where(lambda a: a.beside and a.beside[0] == path.name and (path.parent / a.beside[1]).is_file()):
+    if beside := kind_where(lambda a: a.beside and _is_named(path, a.beside)):
         return beside
+    if head.startswith(b"PAR1") or (ending in suffixes() and ending != ".csv"):
+        return LOG  # its columns say whether it is one
     if ending == ".csv" and _no_text(head):
         return BINARY
     if ending == ".csv" and _keyed(head):
@@ -53,6 +56,13 @@ def kind_by_form(path: Path) -> str | None:
     if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
     return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
+
+
+def _is_named(path: Path, beside: tuple[str, str]) -> bool:
+    """Whether a file has a name, or that of the same rows in another format than CSV, and another file is beside it."""
+    name, other = beside
+    rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
+    return (path.name == name or rows) and (path.parent / other).is_file()
 
 
 def _head(path: Path) -> bytes:

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
-from cosim.base.text import counted
-from cosim.storage.table import MOST_BYTES, is_time, not_time, parted, seconds, write_table
+from cosim.base.drafts import draft_of, is_full
+from cosim.storage.csv_source import cell_text, write_table
+from cosim.storage.table import is_there
+from cosim.storage.table_columns import Faults, is_time, not_time, seconds
+from cosim.storage.table_source import Frame, SourceColumn, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
+FEWER = 0.7  # of the rows, tried next where a disk has no room for so many in a format that is written whole
 
 
 @dataclass(frozen=True)
@@ -57,16 +59,36 @@ class Results:
     def _places(self) -> Mapping[str, int]:
         return {name: k for k, name in enumerate(self.columns)}
 
+    def write(self, path: Path) -> None:
+        """Write `time` and every column in the format of the path's suffix."""
+        if path.suffix == ".csv":
+            self.write_csv(path)
+        else:
+            source_named(path.suffix).write(path, self._source_columns(len(self.time)))
+
+    def _source_columns(self, rows: int) -> list[SourceColumn]:
+        """Every column of the first rows, the time first."""
+        columns = [SourceColumn("time", "s", self.time[:rows])]
+        for k, name in enumerate(self.columns):
+            values = np.ascontiguousarray(self.values[:rows, k])
+            columns.append(
+                SourceColumn(name, self.units.get(name, ""), values.astype(np.int64) if name in self.whole else values)
+            )
+        exact = (SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items())
+        return [*columns, *exact]
+
     def write_csv(self, path: Path) -> None:
         """Write `time` and every column; numbers as the shortest text that reads back bit for bit."""
         header = ("time", *self.columns, *self.exact)
         if self.exact or self.whole:
-            write_table(path, header, self._typed_rows(), cell)
+            write_table(path, header, self._typed_rows(), cell_text)
         else:
             write_table(path, header, self._rows())
 
     def write_what_fits(self, path: Path) -> int:
         """Write as many rows as the disk has room for; their number. OSError where that is none."""
+        if path.suffix != ".csv":
+            return self._write_whole_that_fits(path)
         with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
             text = io.StringIO()
             csv.writer(text, lineterminator="\n").writerow(("time", *self.columns, *self.exact))
@@ -74,7 +96,7 @@ class Results:
             if stream.write(header) < len(header):
                 raise OSError(errno.ENOSPC, "no room for a header")
             for number, row in enumerate(self._typed_rows()):
-                line, before = (",".join(map(cell, row)) + "\n").encode(), stream.tell()
+                line, before = (",".join(map(cell_text, row)) + "\n").encode(), stream.tell()
                 try:
                     whole = stream.write(line) == len(line)
                 except OSError:
@@ -83,6 +105,19 @@ class Results:
                     stream.truncate(before)
                     return number
         return len(self.time)
+
+    def _write_whole_that_fits(self, path: Path) -> int:
+        """Write fewer and fewer rows until the disk has room for a whole file of them; their number."""
+        count = len(self.time)
+        while True:
+            try:
+                source_named(path.suffix).write(path, self._source_columns(count))
+            except OSError as error:
+                if not (count and is_full(error)):
+                    raise
+                count = int(FEWER * count)
+            else:
+                return count
 
     def _rows(self) -> Iterator[tuple[float, ...]]:
         for first in range(0, len(self.time), CHUNK):  # Python's floats take four times the room
@@ -99,86 +134,73 @@ class Results:
             yield *typed, *(column[number] for column in self.exact.values())
 
 
-def cell(value: Any) -> str:
-    """A value as a cell of CSV: binary data in hexadecimal digits, text in quotes where it needs them."""
-    if isinstance(value, bytes):
-        return value.hex()
-    if not isinstance(value, str):
-        return repr(value)
-    return '"' + value.replace('"', '""') + '"' if any(c in value for c in ',"\r\n') else value
-
-
 # -- read back ------------------------------------------------------------------------------------
 
 
 def read_results(path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = ()) -> Results:
-    """Results that were written, or any CSV whose first column is `time`; InputError where it is none.
+    """Return results that were written, or any table whose first column is `time`; InputError with every fault.
 
     A time in another unit is converted to seconds.
     units: of columns whose header says none
     text:  columns that are no numbers, whatever they look like; others are told by their cells
     """
-    header, rows = _cells(path)
-    named = [parted(text, units or {}) for text in header]
-    if not is_time(named[0][0] if named else ""):
-        raise InputError([Fault(path, 1, 1, not_time(named[0][0] if named else ""))])
-    scale, unknown = seconds(named[0][1])
-    if unknown:
-        raise InputError([Fault(path, 1, 1, unknown)])
-    named[0] = ("time", "s")
-    wrong = next((k for k, row in enumerate(rows, 2) if len(row) != len(header)), None)
-    if wrong is not None:
-        count = len(rows[wrong - 2])
-        raise InputError([Fault(path, wrong, 1, f"has {counted(count, 'cell')}, the header {len(header)}")])
-    numbers: dict[str, Array] = {}
-    exact: dict[str, list[str]] = {}
-    whole: set[str] = set()
-    for (name, _), cells in zip(named, zip(*rows, strict=True) if rows else ((),) * len(named), strict=True):
-        if name in text:
-            exact[name] = list(cells)
-            continue
-        try:
-            numbers[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
-            if cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
-                whole.add(name)  # as they are written: every other number has a point or an exponent
-        except ValueError:
-            exact[name] = list(cells)
-    if "time" not in numbers:
-        raise InputError([Fault(path, 2, 1, "a time is no number")])
-    time = numbers.pop("time") * scale
-    _check_time(path, time)
+    faults = Faults(path)
+    frame = source_of(path).frame(path, units or {}, text) if is_there(faults) else Frame()
+    faults.raise_any()
+    time = _time_of(frame, faults)
+    signals = frame.columns[1:]
+    for cell, column in enumerate(signals, 2):
+        if column.fault:
+            faults.note(0, cell, f"column {column.name} {column.fault}")
+    faults.raise_any()
+    numbers = {c.name: np.asarray(c.values, dtype=np.float64) for c in signals if c.numeric}
+    exact = {c.name: list(c.values) for c in signals if not c.numeric}
+    whole = frozenset(c.name for c in signals if isinstance(c.values, np.ndarray) and c.values.dtype.kind == "i")
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    found = {n: u for n, u in named[1:] if u} | {n: u for n, u in (units or {}).items() if n in numbers or n in exact}
-    return Results(time, tuple(numbers), values, found, exact, frozenset(whole - {"time"}))
+    known = {c.name: c.unit for c in signals if c.unit}
+    known |= {name: unit for name, unit in (units or {}).items() if name in numbers or name in exact}
+    return Results(time, tuple(numbers), values, known, exact, whole)
 
 
-def _check_time(path: Path, time: Array) -> None:
-    """Times are known and in order; at an event other tools write several rows of one."""
-    unknown = np.flatnonzero(~np.isfinite(time))
-    back = np.flatnonzero(np.diff(time) < 0.0) + 1
-    if unknown.size:
-        raise InputError(
-            [Fault(path, int(unknown[0]) + 2, 1, "the row has no time; fill the cell or leave the row out")]
-        )
-    if back.size:
-        row = int(back[0])
-        why = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
-        raise InputError([Fault(path, row + 2, 1, why)])
+def _time_of(frame: Frame, faults: Faults) -> Array:
+    """The first column in seconds, known and in order; at an event other tools write several rows of one."""
+    first = frame.columns[0] if frame.columns else SourceColumn("", "")
+    lines = frame.row_lines
+    line = 1 if len(lines) and lines[0] > 1 else 0  # of the header
+    if not is_time(first.name):
+        faults.note(line, 1, not_time(first.name))
+        return np.empty(0)
+    scale, unknown = seconds(first.unit)
+    if unknown:
+        faults.note(line, 1, unknown)
+    if not first.numeric:
+        if len(lines):
+            faults.note(lines[0], 1, f"time {first.fault}" if first.fault else "a time is no number")
+        return np.empty(0)
+    time = np.asarray(first.values, dtype=np.float64) * scale
+    for row in np.flatnonzero(~np.isfinite(time)).tolist():
+        message = "the row has no time; fill the cell or leave the row out"
+        faults.note_cell(lines[row], 1, "rows without a time", message)
+    for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
+        message = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
+        faults.note_cell(lines[row], 1, "times that go back", message)
+    return time
 
 
-def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
-    """The header and the rows of a CSV as text."""
-    if not path.is_file():
-        raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
-    if path.stat().st_size > MOST_BYTES:
-        raise InputError([Fault(path, 0, 0, f"has more than the {MOST_BYTES / 1e6:.0f} MB that are read")])
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except UnicodeDecodeError:
-        raise InputError([Fault(path, 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")]) from None
-    except csv.Error as error:
-        raise InputError([Fault(path, 1, 1, f"is not CSV: {error}")]) from None
-    if not rows:
-        raise InputError([Fault(path, 1, 1, "is empty; the first line names the columns: time, then signals")])
-    return rows[0], rows[1:]
+def rows_name(stem: str, format_: str) -> str:
+    """Return the name of a file of rows in a format, `csv` or another; InputError where none can be written."""
+    source = source_named(format_)
+    source.check_writable()
+    return f"{stem}{source.suffixes[0]}"
+
+
+def rows_in(folder: Path, stem: str = "results") -> Path | None:
+    """Return the file of rows that a command left in a folder, results.csv or one of another format; None without."""
+    return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)
+
+
+def remove_rows(folder: Path, stem: str, besides: str = "") -> None:
+    """Remove the files of rows that an earlier command left in a folder, in any format, besides one name."""
+    for suffix in suffixes():
+        if f"{stem}{suffix}" != besides:
+            (folder / f"{stem}{suffix}").unlink(missing_ok=True)

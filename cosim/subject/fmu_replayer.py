@@ -34,7 +34,7 @@ class FmuReplayer(Replayer):
         parameters: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self.model, self.fmu, self.place = model, fmu, place
-        self.through, self.parameters = through, parameters
+        self.through, self.parameters = through, dict(parameters)  # a worker takes plain ones
 
     def replays(
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]

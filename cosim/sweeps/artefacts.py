@@ -30,7 +30,7 @@ ARTEFACTS = (
     Artefact(
         TABLE,
         "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
-        heads=(b"PAR1",),
+        beside=("sweep.parquet", "sweep.parquet"),  # by its name alone: any other Parquet file is a log
     ),
     Artefact(
         "a database",

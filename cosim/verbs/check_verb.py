@@ -93,7 +93,7 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kinds.kind_by_form(path)
     if kind is None:
         root = YamlFile(path).root
-        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # without its logs
+        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # one that forgets its logs
         kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:

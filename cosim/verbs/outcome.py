@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import CriterionMissed
+from cosim.storage.results import rows_in
 from cosim.verbs.terminal import MANNER, judged, say, say_json, say_more, show, table, warn
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool =
         timings = outcome.manifest["timings"]
         say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, simulated in "
                  f"{timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)")  # fmt: skip
-        say(f"results: {outcome.folder / 'results.csv'}")
+        say(f"results: {outcome.file}")
         if page is not None:
             say(f"report:  {page}")
     if page is not None and open_:
@@ -49,9 +50,9 @@ def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool =
 
 def told_left(folder: Path) -> None:
     """Where the rows of a run are that stopped before its end, and its page."""
-    for what, name in (("rows so far:", "results.csv"), ("report:     ", "report.html")):
-        if (folder / name).is_file():
-            say(f"{what} {folder / name}")
+    for what, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
+        if path is not None and path.is_file():
+            say(f"{what} {path}")
 
 
 def _content(outcome: Outcome) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def _content(outcome: Outcome) -> dict[str, Any]:
         "warnings": outcome.manifest["warnings"],
         "rows": len(results.time),
         "end": float(results.time[-1]) if len(results.time) else None,
-        "results": str(folder / "results.csv"),
+        "results": str(outcome.file),
         "manifest": str(folder / "manifest.json"),
         "report": str(page) if page.is_file() else None,
     }

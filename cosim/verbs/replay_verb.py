@@ -11,11 +11,13 @@ import typer
 from cosim.base.settings import Given, given, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
+from cosim.storage.results import rows_in
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import (
     Compile,
     Force,
+    Format,
     InProcess,
     Json,
     Open,
@@ -43,6 +45,7 @@ def replay(
     in_process: bool = False,
     compile: bool = False,
     limits: str = "",
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
     """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
@@ -52,6 +55,7 @@ def replay(
     columns: of the log under other names, column → variable, or `time`
     force:   also over what another command, or the replay of another log or FMU, left in `out`
     compile: the sources of the FMU are compiled and run where it has no library for this machine
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.blocks.compiling import compiling
@@ -62,7 +66,7 @@ def replay(
         replay_log(
             log, folder, fmu, start=texts(start, "start"),
             columns=_pairs(columns), report=report and out is not None,
-            force=force, in_process=in_process, limits=limits, progress=progress,
+            force=force, in_process=in_process, limits=limits, format_=format, progress=progress,
         )  # fmt: skip
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
@@ -92,6 +96,7 @@ def command(
     ] = None,
     report: Report = True,
     in_process: InProcess = False,
+    format_: Format = "csv",
     compile_: Compile = False,
     limits: Annotated[
         str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
@@ -110,16 +115,17 @@ def command(
     with compiling(compile_), progress_bar("replaying") as progress:
         comparison = replay_log(
             log, place, plant, start=start or (), columns=column or (), report=report, force=force, keep=out is None,
-            in_process=in_process, limits=limits, progress=progress,
+            in_process=in_process, limits=limits, format_=format_, progress=progress,
         )  # fmt: skip
     for finding in comparison.findings:
         if finding.severity == "warning":
             echo(finding.line, err=True)
     say(verdict(comparison))
-    say(f"residual: {place / 'residual.csv'}" + (f", report: {place / 'report.html'}" if report else ""))
+    say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
-        say_json({**content, **files_in(place, "results.csv", "residual.csv")})
+        rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
+        say_json({**content, **files_in(place, *rows)})
     if report and open_:
         show(place / "report.html")

@@ -18,9 +18,10 @@ from cosim.storage.files import FilePath
 from cosim.verbs.outcome import told
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Compile, Force, InProcess, Json, Open, Report, progress_bar, say
+from cosim.verbs.terminal import Compile, Force, Format, InProcess, Json, Open, Report, progress_bar, say
 
 if TYPE_CHECKING:
+    from cosim.master.observer import Observers
     from cosim.simulation.run_signals import Run
 
 
@@ -36,7 +37,9 @@ def run(
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
+    observers: Observers = (),
 ) -> Run:
     """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
 
@@ -45,6 +48,8 @@ def run(
             or "path=value" each
     force:  also over what the run of another scenario left in `out`
     compile: the sources of FMUs that have no library for this machine are compiled and run
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
+    observers: get the rows while they are made (`cosim.master.observer.Observer`)
     nearest, figures, in_process, progress: as `cosim run` has them
     A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
     """
@@ -57,7 +62,8 @@ def run(
     with compiling(compile), results_in(out) as folder, _scenario_file(scenario, folder) as path:
         outcome = run_file(
             path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
-            figures=figures and out is not None, in_process=in_process, progress=progress,
+            figures=figures and out is not None, in_process=in_process, format_=format, progress=progress,
+            observers=observers,
         )  # fmt: skip
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
@@ -105,6 +111,7 @@ def command(
     as_json: Json = False,
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     in_process: InProcess = False,
+    format_: Format = "csv",
     compile_: Compile = False,
     coupling: Annotated[
         bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
@@ -118,7 +125,7 @@ def command(
     with compiling(compile_), progress_bar() as progress:
         outcome = run_scenario(
             scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
-            in_process=in_process, progress=progress,
+            in_process=in_process, format_=format_, progress=progress,
         )  # fmt: skip
     if coupling:
         from cosim.simulation.coupling import coupling_error

@@ -12,7 +12,7 @@ from cosim.base.settings import Given, PositiveSeconds, Seconds, given
 from cosim.storage.files import FilePath
 from cosim.verbs.outcome import told
 from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import Compile, Force, Json, Open, Report, progress_bar, say, seconds, warn
+from cosim.verbs.terminal import Compile, Force, Format, Json, Open, Report, progress_bar, say, seconds, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
@@ -31,6 +31,7 @@ def simulate(
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run one FMU over its default experiment.
@@ -41,6 +42,7 @@ def simulate(
     stop, step: [s], or text such as "4 min", in place of those of the FMU
     record:     locals and parameters to record beside inputs and outputs
     compile:    its sources are compiled and run where it has no library for this machine
+    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
     Raises InputError, FmuError, SimulationError.
     """
     from cosim.authoring.single import simulate as simulate_fmu
@@ -50,7 +52,7 @@ def simulate(
     with compiling(compile), results_in(out) as folder:
         outcome, notes = simulate_fmu(
             fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
-            report=report and out is not None, force=force, in_process=in_process, progress=progress,
+            report=report and out is not None, force=force, in_process=in_process, format_=format, progress=progress,
         )  # fmt: skip
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
@@ -89,6 +91,7 @@ def command(
     in_process: Annotated[
         bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
     ] = False,
+    format_: Format = "csv",
     compile_: Compile = False,
 ) -> None:
     """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
@@ -98,7 +101,7 @@ def command(
     with compiling(compile_), progress_bar() as progress:
         outcome, notes = simulate_fmu(
             fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
-            force=force, in_process=in_process, progress=progress,
+            force=force, in_process=in_process, format_=format_, progress=progress,
         )  # fmt: skip
     for note in notes:
         warn(note)

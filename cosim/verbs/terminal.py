@@ -18,6 +18,7 @@ import typer
 
 from cosim.base.errors import CosimError, SimulationError
 from cosim.base.units import read_quantity
+from cosim.storage.results import rows_in
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
@@ -45,6 +46,9 @@ InProcess = Annotated[
 Compile = Annotated[
     bool,
     typer.Option("--compile", help="Compile and run the sources of FMUs that have no library for this machine."),
+]
+Format = Annotated[
+    str, typer.Option("--format", help="Of the rows: csv, or parquet, which needs the extra of that name.")
 ]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
@@ -97,8 +101,9 @@ def say_failure(error: CosimError) -> None:
 
 def _stopped(error: SimulationError) -> dict[str, Any]:
     """Where a run stopped, and the files that it left, null where there are none."""
-    names = {"results": "results.csv", "manifest": "manifest.json", "report": "report.html"}
+    names = {"manifest": "manifest.json", "report": "report.html"}
     paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
+    paths["results"] = None if error.left is None else rows_in(error.left)
     left = {key: str(path) if path is not None and path.is_file() else None for key, path in paths.items()}
     time = error.time if math.isfinite(error.time) else None
     return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **left}

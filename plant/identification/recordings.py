@@ -17,7 +17,8 @@ from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
 from cosim.model import Stepper
 from cosim.model.namespaces import arrays
-from cosim.storage.table import Column, Faults, Heading, read_table
+from cosim.storage.table import read_table
+from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.columns import COLUMNS, PULSE

@@ -1,4 +1,4 @@
-/* A model of equations: what acts of a command, RK4 substeps, and the same equations for a solver of the host's.
+/* A model of equations: what acts of a command, substeps, and the same equations for a solver of the host's.
  *
  * Printed above this text, each taking every effect's branch only while it is awake:
  *   derivatives(t, x, u, p, near, awake, out), outputs(t, x, u, p, awake, out)   the body; near: what is known nearby
@@ -119,6 +119,40 @@ static void mean_command(Instance *m, double t, double h, double *out)
     while (past->count > 1 && row_of(past, 1)[0] <= t + h - DELAY_LONGEST) past->first++, past->count--;
 }
 
+#if STIFF
+#define MOST STATES
+#include "stiff.h"
+
+typedef struct {
+    const double *u;
+    Instance *m;
+} Acting;
+
+static void rates_of(const void *of, double t, double share, const double *x, double *k)
+{
+    const Acting *acting = of;
+    Near near[NEAR + 1];
+    (void)share;
+    forget_all(near, NEAR);
+    derivatives(t, x, acting->u, acting->m->values, near, acting->m->awake, k);
+}
+
+static void substep(Instance *m, double t, double h, double *x, const double *u)
+{
+    const Acting acting = {u, m};
+    const double still[INPUTS + 1] = {0.0};
+    double J[STATES * STATES + 1], column[STATES + 1];
+    Factored factored;
+    for (int j = 0; j < STATES; j++) {
+        double unit[STATES + 1] = {0.0};
+        unit[j] = 1.0;
+        derivative_slopes(t, x, u, m->values, unit, still, m->awake, column);
+        for (int i = 0; i < STATES; i++) J[STATES * i + j] = column[i];
+    }
+    if (factor(STATES, h, J, &factored)) x[0] = NAN;
+    else stiff_step(STATES, &factored, t, h, x, rates_of, &acting);
+}
+#else
 #define KIND static
 #define SHAPE [STATES + 1]
 #define EACH for (int i = 0; i < STATES; i++)
@@ -126,6 +160,14 @@ static void mean_command(Instance *m, double t, double h, double *out)
 #define ARGUMENTS double *x, const double *u, const double *p, Near *near, const unsigned char *awake
 #define RATES(t, moment, x, k) derivatives(t, x, u, p, near, awake, k)
 #include "rk4.h"
+
+static void substep(Instance *m, double t, double h, double *x, const double *u)
+{
+    Near near[NEAR + 1];
+    forget_all(near, NEAR);
+    rk4(t, h, x, u, m->values, near, m->awake);
+}
+#endif
 
 static int not_finite(Instance *m, const double *before)
 {
@@ -160,9 +202,7 @@ static int advance(Instance *m, double t, double h)
             memcpy(ACTING, shaped, sizeof(double) * INPUTS);
             memcpy(MEMORY, shaped + INPUTS, sizeof(double) * MEMORIES);
         }
-        Near near[NEAR + 1];
-        forget_all(near, NEAR);
-        rk4(now, dt, STATE, ACTING, m->values, near, m->awake);
+        substep(m, now, dt, STATE, ACTING);
     }
     m->time = t + h;
     for (int i = 0; i < STATES; i++) if (!isfinite(STATE[i])) return not_finite(m, before);

@@ -118,6 +118,7 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
         "floating.h": part("floating.h"),
         "near.h": part("near.h"),
         "rk4.h": part("rk4.h"),
+        "stiff.h": part("stiff.h"),
         "model.h": part("model.h"),
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),

@@ -9,7 +9,7 @@ from itertools import product
 from typing import Any
 
 from cosim.fmi.ports import Port
-from cosim.model.model import Effect, Model, overrides
+from cosim.model.model import STIFF, Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.blocks import function, kinks, nearby, places_of, tangent
@@ -151,6 +151,7 @@ class Printer:
             "DELAY_LONGEST": number(_longest(self.delay)) if self.delay else "0.0",
             "SHAPING": int(bool(overrides(self.trace.effects, "shape", Effect))),
             "SUBSTEP": number(self.model.substep),
+            "STIFF": int(self.model.integrator == STIFF),
             "EXCHANGE": 1,
         }
         return Sources("\n".join(parts), sizes)

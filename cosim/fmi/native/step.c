@@ -1,4 +1,4 @@
-/* A model on the commands of a log: what acts after delay and shaping, RK4 substeps, outputs row by row. The same for every
+/* A model on the commands of a log: what acts after delay and shaping, substeps, outputs row by row. The same for every
  * model; NX, NU, NY, NM and DELAY and the model's functions deriv, measure and shape_all stand above this text. */
 #include <math.h>
 #include <string.h>
@@ -41,6 +41,36 @@ static void on_ramps(const Log *log, double at, double *out)
 }
 
 /* Commands (3 x NU) act at the start, the middle and the end of a substep. */
+#if STIFF
+#define MOST NX
+#include "stiff.h"
+
+typedef struct {
+    const double *u, *p;
+} Acting;
+
+/* Between its three values a command runs on a parabola. */
+static void rates_of(const void *of, double t, double share, const double *x, double *k)
+{
+    const Acting *acting = of;
+    double u[NU + 1];
+    for (int j = 0; j < NU; j++) {
+        const double start = acting->u[j], middle = acting->u[NU + j] - start, end = acting->u[2 * NU + j] - start;
+        u[j] = start + share * (4.0 * middle - end + share * (2.0 * end - 4.0 * middle));
+    }
+    deriv(t, x, u, acting->p, k);
+}
+
+static void substep(double t, double h, double *x, const double *u, const double *p)
+{
+    const Acting acting = {u, p};
+    double J[NX * NX + 1];
+    Factored factored;
+    state_jacobian(t, x, u, p, J);
+    if (factor(NX, h, J, &factored)) x[0] = NAN;
+    else stiff_step(NX, &factored, t, h, x, rates_of, &acting);
+}
+#else
 #define KIND static
 #define SHAPE [NX + 1]
 #define EACH for (int i = 0; i < NX; i++)
@@ -48,6 +78,12 @@ static void on_ramps(const Log *log, double at, double *out)
 #define ARGUMENTS double *x, const double *u, const double *p
 #define RATES(t, moment, x, k) deriv(t, x, u + (moment) * NU, p, k)
 #include "rk4.h"
+
+static void substep(double t, double h, double *x, const double *u, const double *p)
+{
+    rk4(t, h, x, u, p);
+}
+#endif
 
 /* The commands with which the FMU gives its outputs in row k: those held over the step that ends there, or interpolated. */
 static void held(const Log *log, int k, double *u)
@@ -95,7 +131,7 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
         if (k > first) {
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
-                rk4(t - log->step + s * h, h, x, u, p);
+                substep(t - log->step + s * h, h, x, u, p);
             }
             if (kicks) for (int i = 0; i < NX; i++) x[i] += kicks[NX * k + i];
         }

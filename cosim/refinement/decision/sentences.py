@@ -1,13 +1,14 @@
-"""What a verdict says, in sentences that follow from its numbers."""
+"""The words of a verdict, from its facts alone: `sentence` is called once, when all facts are known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from cosim.base.text import amount, finer, joined, percent, plain, written
-from cosim.estimation.fit import Fit
+from cosim.base.text import amount, finer, joined, percent, plain, size, written
+from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.claims import Claims, Doubt, Moved
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Unnamed
@@ -17,13 +18,62 @@ from cosim.subject.interface import Subject
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
 NOTHING = "Nothing is missing: the model, within its tolerances, explains these logs down to the sensors' noise."
-DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
-MORE_ROWS = "more rows, over a wider range of every input, each with each"
+NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
+NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
 
 
-def usual_experiment(subject: Subject) -> str:
-    """What tells more of any model of this kind."""
-    return MORE_ROWS if subject.static else DEFAULT_EXPERIMENT
+def sentence(c: Claims, subject: Subject) -> str:
+    """Return the verdict in words: what rises on sealed logs, what is claimed of how much, what comes nearest."""
+    return " ".join((*_prefaces(c, subject), _answer(c, subject), *_remarks(c, subject)))
+
+
+def _prefaces(c: Claims, subject: Subject) -> Iterator[str]:
+    """Sentences before the answer: a rise on sealed logs, and that a claim is of a part only."""
+    units = {q.name: q.unit for q in subject.outputs}
+    files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
+    if rise := rises(c.risen, units, files[c.claimed is None]):
+        yield rise
+    if c.left_share is not None and c.left_of is not None:
+        of = f"the mean square error of {c.left_of[0]}, as the model recalibrated has it, is left"
+        yield part(c.residual, f"{percent(c.left_share)} of {of}")
+    if c.part is not None:
+        yield part(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
+    if c.disturbed:
+        moved = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
+        yield f"A part of what is missing: beside it {moved} is left."
+
+
+def _answer(c: Claims, subject: Subject) -> str:
+    """The answer itself."""
+    if c.name == "ambiguous" and c.claimed is None:
+        return excites_too_little(len(c.unshown), c.experiment, still=c.still)
+    if c.name == "ambiguous" and c.claimed is not None:
+        certain = claim(c.claimed, c.certain, subject) if c.certain else ""
+        return cannot_tell(c.apart, c.experiment, certain, subject)
+    if c.name == "no_effect":
+        return nothing(c.unshown, c.moves) + perhaps(c.small)
+    if c.claimed is not None:
+        left = left_over(c.beside, c.gained) + further(c.further)
+        return claim(c.claimed, c.claimed.candidates, subject) + perhaps(c.small) + left
+    if c.missed is not None:
+        return misses(*c.missed, c.recalibrated)
+    if c.doubt is not None:
+        return f"{unexplained(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubted(c.doubt)}"
+    return unexplained(c.residual, c.rivals)
+
+
+def _remarks(c: Claims, subject: Subject) -> Iterator[str]:
+    """Sentences after the answer: what is left of a table, the nearest model, what was tried, rows left out."""
+    if c.left_of is not None and c.claimed is not None and c.left_share is None:
+        output, signal = c.left_of
+        yield f"Something is left of {output} that {follows(signal)}."
+    if c.nearest is not None:
+        file = NEAREST[0] if c.written else "The nearest object"
+        yield holds(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file)
+    if c.restricted:
+        yield "(Tried: only what the study names as candidates.)"
+    if c.left_out:
+        yield on_rows_left_out(c, subject)
 
 
 def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
@@ -57,11 +107,7 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Su
     return f"{opening} cannot tell {apart}. This may: {experiment}{designed}."
 
 
-def unexplained(
-    residual: Mapping[str, Any],
-    nearest: Sequence[str],
-    otherwise: str = "No hypothesis holds on logs it was not fitted on.",
-) -> str:
+def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
     """Where something acts that has no name, on what it depends, and what comes nearest."""
     where = residual["equation"]
     if residual["signals"]:
@@ -77,26 +123,27 @@ def unexplained(
     return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
 
 
-def partly(sentence: str, residual: Mapping[str, Any], left: str) -> str:
-    """A claim that is a part of what is missing: what is left, and where that acts."""
+def doubted(doubt: Doubt) -> str:
+    """Why a claim was withdrawn after replays."""
+    if doubt.kind == "missed":
+        return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times what noise makes."
+    if doubt.kind == "no_nearer":
+        return "Replays with it are nearer on no channel than those of the model recalibrated without it."
+    if doubt.kind == "kept":
+        return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
+    return f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(doubt.names)}."
+
+
+def part(residual: Mapping[str, Any], left: str) -> str:
+    """That a claim is a part of what is missing: what is left, and where that acts."""
     where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
     on = f" and {_goes(residual)}" if residual["signals"] else ""
-    return f"A part of what is missing: {left}, and the rest{where}{on}. {sentence}"
+    return f"A part of what is missing: {left}, and the rest{where}{on}."
 
 
-def beside(sentence: str, equation: str, share: float) -> str:
-    """A claim that is a part of what is missing, by the unknown input that is left."""
-    left = f"beside it an unknown input of {percent(share)} of what moves {equation} is left"
-    return f"A part of what is missing: {left}. {sentence}"
-
-
-def misses(channel: str, times: float, base: Fit) -> str:
+def misses(channel: str, times: float, recalibrated: Sequence[Moved]) -> str:
     """By how much the model as it stands misses a channel, and how far recalibration had to go to mend that."""
-    moved = ", ".join(
-        f"{f.name} {plain(f.prior[0])} → {plain(base.values[f.name])}"
-        for f in base.free
-        if f.prior and not f.group and abs(base.values[f.name] - f.prior[0]) > 2 * f.prior[1]
-    )
+    moved = ", ".join(map(_moved, recalibrated))
     further = f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else ""
     return (
         f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
@@ -104,16 +151,14 @@ def misses(channel: str, times: float, base: Fit) -> str:
     )
 
 
-def further(base: Fit, names: Sequence[str]) -> str:
+def further(moved: Sequence[Moved]) -> str:
     """That other numbers come out beyond their tolerances beside a claim."""
-    moved = [
-        f"{f.name} {plain(f.prior[0])} → {plain(base.values[f.name])}" for f in base.free if f.prior and f.name in names
-    ]
-    return (
-        f" Beside it, {' and '.join(moved)} {'is' if len(moved) == 1 else 'are'} further off than stated."
-        if moved
-        else ""
-    )
+    verb = "is" if len(moved) == 1 else "are"
+    return f" Beside it, {' and '.join(map(_moved, moved))} {verb} further off than stated." if moved else ""
+
+
+def _moved(m: Moved) -> str:
+    return f"{m.name} {plain(m.stated)} → {plain(m.fitted)}"
 
 
 def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
@@ -143,12 +188,23 @@ def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[s
     )
 
 
-def holds(names: Sequence[str], *, fitted: bool) -> str:
-    """What nearest.yaml holds: what was added, or nothing; fitted: base parameters are recalibrated."""
+def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0]) -> str:
+    """What the nearest model holds: what was added, or nothing; fitted: base parameters are recalibrated."""
     what = (
         f"has {' and '.join(names)}" if names else "is the model recalibrated" if fitted else "is the model as it was"
     )
-    return f"nearest.yaml, which predicts logs left out best, {what}."
+    return f"{file}, which predicts logs left out best, {what}."
+
+
+def on_rows_left_out(c: Claims, subject: Subject) -> str:
+    """The errors on rows left out, in words: of what is claimed, or of the model recalibrated, and without it."""
+    units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
+    effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
+    best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
+    who, without = ("the model", "without it") if effect else ("the model recalibrated", "as it is")
+    missed = " and ".join(f"{size(v, units[n])} in {n}" for n, v in errors[best].items())
+    before = " and ".join(size(v, units[n]) for n, v in errors[other].items())
+    return f"On rows left out, fitted to the others, {who} is off by {missed}; {without}, by {before}."
 
 
 def follows(signal: str, shape: Shape | None = None) -> str:
@@ -209,10 +265,3 @@ def left_over(term: Unnamed | None, gained: float) -> str:
         return ""
     more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"
     return f" Something is left in {term.equation} that {follows(term.signal, term.shape)}: {more}."
-
-
-def experiment_for(subject: Subject, names: Sequence[str]) -> str:
-    """The input that would separate these rivals, as the model says."""
-    known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
-    shared, text = max(known, default=(0, ""))
-    return text if shared > 1 else usual_experiment(subject)

@@ -10,18 +10,17 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import percent, plain
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
+from cosim.refinement.decision.claims import Claims, Doubt, Moved, Part, experiment_for, name_of
 from cosim.refinement.decision.judgement import BETTER, RIVAL, SIGNIFICANT, beyond, outside
-from cosim.refinement.decision.sentences import cannot_tell, claim, experiment_for, further, misses, partly, unexplained
-from cosim.refinement.decision.verdict import Verdict, name_of
 from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
 from cosim.refinement.proof.refined_models import of_noise, refined_subject, variants_of
 from cosim.refinement.search.fits import Found, Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM, excess_left
+from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.interface import Subject
 
 PART = 0.1  # of the excess error, from which a claim that leaves it is of a part only
@@ -31,36 +30,36 @@ Channels = Mapping[str, float]  # measured output → root mean square
 ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 
-def held_against_replays(study: Study, a: Attribution, verdict: Verdict, found: Found, problem: Problem) -> Verdict:
-    """The verdict, its claim or that nothing is missing compared with replays of the estimation logs."""
+def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
+    """The answer, its claim or that nothing is missing compared with replays of the estimation logs."""
     within, single = _within_tolerances(a.base.fit), False
-    if verdict.name == "no_effect":
-        error, floor = _replay_errors(study, a, verdict, problem, found.heard)
+    if claims.name == "no_effect":
+        error, floor = _replay_errors(study, a, claims, problem, found.heard)
         if missed := _missed(error["before"], floor):
             explained = within and not _missed(error["recalibrated"], floor)
-            verdict = verdict if explained else standing(verdict, a, study.subject, found, missed)
+            claims = claims if explained else standing(claims, a, study.subject, found, missed)
             single = True
-    elif verdict.name == "parameter_error" and verdict.claimed and (others := _beyond(verdict.claimed.fit)):
-        said = verdict.sentence + further(verdict.claimed.fit, others)
-        otherwise = standing(verdict, a, study.subject, found, {})
-        verdict = otherwise if otherwise.claimed is not None else replace(verdict, sentence=said)
-    if verdict.claimed is None:
-        return verdict
-    error, floor = _replay_errors(study, a, verdict, problem, found.heard)
+    elif claims.name == "parameter_error" and claims.claimed and (others := _beyond(claims.claimed.fit)):
+        otherwise = standing(claims, a, study.subject, found, {})
+        further = _moved(claims.claimed.fit, others)
+        claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
+    if claims.claimed is None:
+        return claims
+    error, floor = _replay_errors(study, a, claims, problem, found.heard)
     if single and (doubt := _still_missed(error, floor)):
-        return _withdrawn(verdict, doubt)
-    return proven(verdict, error, floor, a.support, recalibrated=within)
+        return claims.withdrawn(doubt)
+    return proven(claims, error, floor, a.support, recalibrated=within)
 
 
 def _replay_errors(
-    study: Study, a: Attribution, verdict: Verdict, problem: Problem, heard: Array | None
+    study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
     """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
     subject, settings = study.subject, study.settings
-    refined = refined_subject(subject, settings, verdict.claimed)
-    variants = variants_of(subject, settings, a, verdict.claimed, refined)
+    refined = refined_subject(subject, settings, claims.claimed)
+    variants = variants_of(subject, settings, a, claims.claimed, refined)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    quiet = of_noise(variants["after"], a, verdict.claimed, heard)
+    quiet = of_noise(variants["after"], a, claims.claimed, heard)
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 
@@ -68,54 +67,49 @@ def _replay_errors(
 
 
 def proven(
-    verdict: Verdict,
+    claims: Claims,
     error: ErrorOf,
     floor: Channels,
     support: Mapping[str, Support] = MappingProxyType({}),
     *,
     recalibrated: bool = True,
-) -> Verdict:
-    """The verdict, its claim one of a part where replays still miss much, and none where they are no better for it.
+) -> Claims:
+    """The answer, its claim one of a part where replays still miss much, and none where they are no better for it.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it.
     recalibrated: the base model is, within its tolerances; else it is no alternative
     """
-    if verdict.claimed is None:
-        return verdict
-    of_sensors = verdict.claimed.of_sensors
-    effects = recalibrated and any(c.kind == "effect" for c in verdict.claimed.candidates)
+    if claims.claimed is None:
+        return claims
+    of_sensors = claims.claimed.of_sensors
+    effects = recalibrated and any(c.kind == "effect" for c in claims.claimed.candidates)
     doubt = _still_missed(error, floor) if of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt:
-        return _withdrawn(verdict, doubt)
+        return claims.withdrawn(doubt)
     left = _left(error, floor)
-    whole = verdict.name != "ambiguous" and verdict.grade == "claimed"
+    whole = claims.name != "ambiguous" and claims.grade == "claimed"
     if whole and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
-        if weak := [n for n in verdict.claimed.names if n in support and support[n].predicted < BETTER]:
-            text = f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(weak)}."
-            return _withdrawn(verdict, text)
-        kept = f"replays keep {percent(left[worst])} of the excess error of {worst}"
-        sentence = partly(verdict.sentence, verdict.residual, kept)
-        return replace(verdict, grade="part", sentence=sentence)
-    return verdict
+        if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
+            return claims.withdrawn(Doubt("unsteady", names=weak))
+        return replace(claims, grade="part", part=Part(worst, left[worst]))
+    return claims
 
 
-def _still_missed(error: ErrorOf, floor: Channels) -> str:
+def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
     """Replays must be down to the noise with what leaves the equations as they are: a sensor's error, a number."""
     if not (missed := _missed(error["after"], floor)):
-        return ""
+        return None
     worst = max(missed, key=lambda n: missed[n])
-    return f"With it, replays still miss {worst} by {plain(missed[worst], 2)} times what noise makes."
+    return Doubt("missed", worst, missed[worst])
 
 
-def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> str:
+def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
     """Effects must bring replays nearer than recalibration does; every claim must mend some channel by half."""
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
-        return "Replays with it are nearer on no channel than those of the model recalibrated without it."
+        return Doubt("no_nearer")
     left = _left(error, floor)
-    if left and min(left.values()) > HALF:
-        return f"With it, replays keep {plain(100 * min(left.values()), 2)}\u00a0% of the excess error."
-    return ""
+    return Doubt("kept", size=min(left.values())) if left and min(left.values()) > HALF else None
 
 
 def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
@@ -124,26 +118,17 @@ def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
 
-def _withdrawn(verdict: Verdict, doubt: str) -> Verdict:
-    """The verdict without its claim, which is nearest; and why."""
-    names = verdict.claimed.names if verdict.claimed else ()
-    opening = unexplained(verdict.residual, names, "No hypothesis explains what the model misses.")
-    sentence = f"{opening} {doubt}"
-    return replace(
-        verdict, name="unexplained", claimed=None, rivals=names, experiment="", sentence=sentence, grade="nearest"
-    )
-
-
 # -- that nothing is missing ------------------------------------------------------------------
 
 
-def standing(verdict: Verdict, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Verdict:
+def standing(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
     """`no_effect`, taken back where the model explains the logs only recalibrated beyond its tolerances.
 
-    Then the one number that is off is claimed, or the gain of an input: what leaves all others within theirs.
+    Then the one number that is off is claimed, or the gain of an input: what leaves all others within theirs. Where the
+    logs do not separate several of these, the best is claimed until an experiment does.
     missed: channel → how many times what noise makes the model as it stands misses it
     """
-    search = found.search
+    search, misfit = found.search, claims.misfit
     single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
     # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
     stated = [search.hypothesis((c,), replace(a.base.fit, values=search.problem.values)) for c in single]
@@ -152,14 +137,24 @@ def standing(verdict: Verdict, a: Attribution, subject: Subject, found: Found, m
     off = sorted((h for h in best.values() if _alone_off(search, h)), key=lambda h: h.score)
     near = [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
     if len(near) > 1:
-        return _one_of(verdict, near, subject)
+        names = tuple(n for h in near for n in h.names)
+        experiment = experiment_for(subject, names)
+        return Claims("ambiguous", near[0], names, experiment, misfit, claims.grade, apart=names)
     if near:
-        sentence, name = claim(near[0], near[0].candidates, subject), name_of(near[0].candidates, subject)
-        return replace(verdict, name=name, claimed=near[0], sentence=sentence, grade="claimed")
-    worst = max(missed, key=lambda n: missed[n], default="")
-    return replace(
-        verdict, name="unexplained", claimed=None, sentence=misses(worst, missed.get(worst, 0.0), a.base.fit)
-    )
+        return Claims(name_of(near[0].candidates, subject), near[0], misfit=misfit, grade="claimed")
+    worst, fit = max(missed, key=lambda n: missed[n], default=""), a.base.fit
+    moved = [x.name for x in fit.free if x.prior and not x.group and _is_far(fit.values[x.name], x.prior)]
+    return Claims("unexplained", misfit=misfit, missed=(worst, missed.get(worst, 0.0)), recalibrated=_moved(fit, moved))
+
+
+def _is_far(value: float, prior: tuple[float, float]) -> bool:
+    """Whether a fitted value is further from the stated one than its tolerance."""
+    return abs(value - prior[0]) > WIDTHS * prior[1]
+
+
+def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
+    """Base parameters of a fit, stated and fitted."""
+    return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
 def _alone_off(search: Search, h: Hypothesis) -> bool:
@@ -182,14 +177,6 @@ def _within_tolerances(f: Fit) -> bool:
 def _beyond(f: Fit) -> list[str]:
     """Base parameters that are plainly further from their stated values than their tolerances."""
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
-
-
-def _one_of(verdict: Verdict, near: Sequence[Hypothesis], subject: Subject) -> Verdict:
-    """One of several parameters is off, and the logs do not separate them; the best is claimed."""
-    names = tuple(n for h in near for n in h.names)
-    experiment = experiment_for(subject, names)
-    sentence = cannot_tell(names, experiment, "", subject)
-    return replace(verdict, name="ambiguous", claimed=near[0], rivals=names, experiment=experiment, sentence=sentence)
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:

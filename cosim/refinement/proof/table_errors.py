@@ -7,17 +7,14 @@ over an input are no more alike than others; else something goes with that input
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import percent, size
 from cosim.estimation.problem import Problem
+from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.evidence import learnt_without, open_loop
-from cosim.refinement.decision.sentences import follows, partly, unexplained
-from cosim.refinement.decision.verdict import Verdict
 from cosim.refinement.proof.replay_check import PART
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -28,12 +25,12 @@ PLAIN = 3.0  # standard deviations of their correlation, from which they are ali
 Channels = dict[str, float]
 
 
-def errors_left_out(search: Search, a: Attribution, verdict: Verdict, near: Hypothesis | None) -> dict[str, Channels]:
+def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
     """Before, recalibrated, after, nearest → output → root mean square on rows left out, fitted to the others."""
     given = _missed(search, None)
     found = {"before": given, "recalibrated": _missed(search, a.base)}
-    found["after"] = _missed(search, verdict.claimed) if verdict.claimed else given
-    return found if verdict.grade == "claimed" else {**found, "nearest": _missed(search, near)}
+    found["after"] = _missed(search, claims.claimed) if claims.claimed else given
+    return found if claims.nearest is None else {**found, "nearest": _missed(search, claims.near)}
 
 
 def _missed(search: Search, h: Hypothesis | None) -> Channels:
@@ -48,24 +45,20 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
     return dict(zip(problem.layout.outputs, sizes, strict=True))
 
 
-def with_leftover(verdict: Verdict, a: Attribution, problem: Problem, subject: Subject) -> Verdict:
-    """The verdict, and what of an output goes with an input beside the best hypothesis, where something does."""
+def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
+    """The answer, and what of an output goes with an input beside the best hypothesis, where something does."""
     left = _leftover(problem, a.best, subject)
     if left is None:
-        return verdict
-    output, signal = left
-    verdict = replace(verdict, residual={**verdict.residual, "equation": output, "signals": [signal]})
-    if verdict.claimed is None:
-        if verdict.name == "unexplained":
-            return verdict
-        sentence = unexplained(verdict.residual, ())
-        return replace(verdict, name="unexplained", rivals=(), experiment="", sentence=sentence)
-    column = problem.layout.outputs.index(output)
-    kept = _sizes(problem, verdict.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
-    if verdict.name != "ambiguous" and kept > PART:
-        share = f"{percent(kept)} of the mean square error of {output}, as the model recalibrated has it, is left"
-        return replace(verdict, grade="part", sentence=partly(verdict.sentence, verdict.residual, share))
-    return replace(verdict, sentence=f"{verdict.sentence} Something is left of {output} that {follows(signal)}.")
+        return claims
+    if claims.claimed is None:
+        if claims.name == "unexplained":
+            return replace(claims, left_of=left)
+        return Claims("unexplained", misfit=claims.misfit, left_of=left)
+    column = problem.layout.outputs.index(left[0])
+    kept = _sizes(problem, claims.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
+    if claims.name != "ambiguous" and kept > PART:
+        return replace(claims, grade="part", left_of=left, left_share=float(kept))
+    return replace(claims, left_of=left)
 
 
 def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
@@ -97,14 +90,3 @@ def _left(problem: Problem, h: Hypothesis) -> Array:
 def _sizes(problem: Problem, h: Hypothesis) -> Array:
     """Root mean square of what is left of each output."""
     return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))
-
-
-def on_rows_left_out(errors: Mapping[str, Channels], verdict: Verdict, subject: Subject) -> str:
-    """The errors on rows left out, in words: of what is claimed, or of the model recalibrated, and without it."""
-    units = {q.name: q.unit for q in subject.outputs}
-    effect = verdict.claimed is not None and any(c.kind != "parameter" for c in verdict.claimed.candidates)
-    best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
-    who, without = ("the model", "without it") if effect else ("the model recalibrated", "as it is")
-    missed = " and ".join(f"{size(v, units[n])} in {n}" for n, v in errors[best].items())
-    before = " and ".join(size(v, units[n]) for n, v in errors[other].items())
-    return f"On rows left out, fitted to the others, {who} is off by {missed}; {without}, by {before}."

@@ -1,5 +1,6 @@
 // Charts that can be looked into: zoom by dragging, by keys or with two fingers, all charts of an axis together; curves
 // that can be hidden; pictures and numbers of what is shown. What is drawn at first is what the page came with.
+/* global axis, logAxis */
 document.addEventListener("rows", (event) => {
   "use strict";
   const page = event.detail,
@@ -22,91 +23,13 @@ document.addEventListener("rows", (event) => {
     return element;
   };
 
-  // -- axes --------------------------------------------------------------------------------------
-  function roundStep(least, angle) {
-    if (angle && least > 10 && least <= 360) return [15, 30, 45, 90, 180, 360].find((part) => part >= least);
-    const power = 10 ** Math.floor(Math.log10(least));
-    return power * ([1, 2, 2.5, 5].find((m) => m * power >= least * (1 - 1e-9)) ?? 10);
-  }
-
-  function axis(low, high, number, angle = false) {
-    if (high - low <= 1e-9 * Math.max(Math.abs(low), Math.abs(high))) {
-      const room = 0.1 * Math.abs(low) || 1;
-      low -= room;
-      high += room;
-    }
-    const step = roundStep((high - low) / number, angle),
-      largest = Math.max(Math.abs(low), Math.abs(high));
-    const power = largest >= 1e-3 && largest < 1e6 ? 0 : 3 * Math.floor(Math.log10(largest) / 3 + 1e-9),
-      unit = step / 10 ** power;
-    let decimals = Math.max(0, -Math.floor(Math.log10(unit) + 1e-9));
-    if (Math.abs(unit * 10 ** decimals - Math.round(unit * 10 ** decimals)) > 1e-6) decimals++;
-    const ticks = [],
-      factor = power
-        ? "\u00d710" +
-          [...String(power)]
-            .map((c) => "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207b"["0123456789-".indexOf(c)])
-            .join("")
-        : "";
-    for (let i = Math.ceil(low / step - 1e-9); i <= Math.floor(high / step + 1e-9); i++) {
-      const text = (i * unit).toFixed(Math.min(decimals, 20));
-      ticks.push({
-        share: (i * step - low) / (high - low),
-        text: (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212"),
-      });
-    }
-    return { low, high, ticks, factor };
-  }
-  // Width that labels take beside a plot.
-  const room = (ticks) =>
-    Math.max(
-      46,
-      11 +
-        Math.ceil(Math.max(0, ...ticks.map((t) => [...t.text].reduce((sum, c) => sum + (c === "." ? 3.9 : 7.6), 0)))),
-    );
-
-  // Of an axis that holds logarithms: decades, or what is round between them.
-  function logAxis(low, high) {
-    const every = Math.max(1, Math.ceil((high - low) / 8)),
-      from = Math.floor(low),
-      decades = Array.from({ length: Math.ceil(high) - from + 1 }, (_, k) => from + k);
-    const choices = [
-      decades.filter((d) => d % every === 0).map((d) => 10 ** d),
-      ...[
-        [1, 2, 5],
-        [1, 2, 3, 4, 5, 6, 7, 8, 9],
-      ].map((parts) => decades.flatMap((d) => parts.map((m) => m * 10 ** d))),
-    ];
-    const share = (value) => (Math.log10(value) - low) / (high - low);
-    for (const values of choices) {
-      const seen = values.filter((v) => share(v) > -1e-9 && share(v) < 1 + 1e-9);
-      if (seen.length >= 3)
-        return {
-          low,
-          high,
-          ticks: seen.map((v) => ({ share: share(v), text: String(Number(v.toPrecision(3))).replace("-", "\u2212") })),
-          factor: "",
-        };
-    }
-    const linear = axis(10 ** low, 10 ** high, 6);
-    return {
-      low,
-      high,
-      factor: linear.factor,
-      ticks: linear.ticks.map((t) => ({
-        share: share(linear.low + t.share * (linear.high - linear.low)),
-        text: t.text,
-      })),
-    };
-  }
   // Fewer ticks where their labels are long.
   function across(width) {
     if (data.log) return logAxis(view.from, view.to);
-    const full = axis(view.from, view.to, 6),
-      long = Math.max(0, ...full.ticks.map((t) => t.text.length));
-    return long * 9 * full.ticks.length < width
-      ? full
-      : axis(view.from, view.to, Math.max(1, Math.floor(width / (long * 9 + 20))));
+    const full = axis(view.from, view.to, 6);
+    const long = 9 * Math.max(0, ...full.ticks.map((t) => t.label.length));
+    const fits = long * full.ticks.length < width;
+    return fits ? full : axis(view.from, view.to, Math.max(1, Math.floor(width / (long + 20))));
   }
 
   // -- drawing -----------------------------------------------------------------------------------
@@ -277,25 +200,12 @@ document.addEventListener("rows", (event) => {
       this.yTicks = figure.querySelector(".y-ticks");
       this.xTicks = figure.querySelector(".x-ticks");
       this.factors = [figure.querySelector(".factor"), figure.querySelector(".x-label span")];
-      const kept = [this.grid, this.yTicks, this.xTicks, ...this.factors],
-        gutter = figure.querySelector(".axes").style,
-        beside = gutter.getPropertyValue("--gutter"),
-        drawn = all("path", this.svg);
-      const inner = kept.map((e) => e.innerHTML),
-        shapes = drawn.map((p) => p.getAttribute("d"));
-      const home = this.grid.querySelectorAll("path").length; // the grid's own paths are replaced with it
-      this.gutter = (width) => {
-        if (width !== this.beside) gutter.setProperty("--gutter", (this.beside = width));
-      };
-      this.beside = beside;
+      // The page came with the whole view: what svg.py has drawn comes back as it was.
+      const texts = [this.grid, this.yTicks, this.xTicks, ...this.factors].map((e) => [e, e.innerHTML]);
+      const shapes = all(":scope > path", this.svg).map((p) => [p, p.getAttribute("d")]);
       this.original = () => {
-        this.gutter(beside);
-        kept.forEach((e, k) => {
-          e.innerHTML = inner[k];
-        });
-        drawn.slice(home).forEach((p, k) => {
-          p.setAttribute("d", shapes[home + k]);
-        });
+        for (const [element, text] of texts) element.innerHTML = text;
+        for (const [path, shape] of shapes) path.setAttribute("d", shape);
       };
       this.stale = false;
       this.near = true;
@@ -375,28 +285,24 @@ document.addEventListener("rows", (event) => {
         this.original();
         return;
       }
-      const { rows, x, y, u, v } = this.axes(),
-        columns = Math.max(200, this.width);
-      this.grid.innerHTML =
-        y.ticks.map((t) => `<path d="M0 ${(H - H * t.share).toFixed(0)}h${W}"/>`).join("") +
-        x.ticks.map((t) => `<path d="M${(W * t.share).toFixed(0)} 0v${H}"/>`).join("");
-      this.gutter(`${room(y.ticks)}px`);
+      const { rows, x, y, u, v } = this.axes();
+      const columns = Math.max(200, this.width);
+      const labels = (ticks, side) => ticks.map((t) => `<span style="${side}:${t.at.toFixed(2)}%">${t.label}</span>`);
+      this.grid.innerHTML = [
+        ...y.ticks.map((t) => `<path d="M0 ${(H - (H * t.at) / 100).toFixed(0)}h${W}"/>`),
+        ...x.ticks.map((t) => `<path d="M${((W * t.at) / 100).toFixed(0)} 0v${H}"/>`),
+      ].join("");
       this.factors[0].textContent = y.factor;
       this.factors[1].textContent = x.factor;
-      this.yTicks.innerHTML = y.ticks
-        .map((t) => `<span style="bottom:${(100 * t.share).toFixed(2)}%">${t.text}</span>`)
-        .join("");
-      this.xTicks.innerHTML = x.ticks
-        .map((t) => `<span style="left:${(100 * t.share).toFixed(2)}%">${t.text}</span>`)
-        .join("");
+      this.yTicks.innerHTML = labels(y.ticks, "bottom").join("");
+      this.xTicks.innerHTML = labels(x.ticks, "left").join("");
       for (const line of this.lines) if (line.on) line.path.setAttribute("d", path(line.series, rows, u, v, columns));
       if (this.band) this.band.setAttribute("d", bandPath(this.edges, rows, u, v, columns));
       for (const level of this.levels) level.path.setAttribute("d", `M0 ${v(level.value).toFixed(0)}h${W}`);
-      for (const place of this.uprights)
-        place.path.setAttribute(
-          "d",
-          view.from <= place.value && place.value <= view.to ? `M${u(place.value).toFixed(0)} 0v${H}` : "",
-        );
+      for (const { path, value } of this.uprights) {
+        const shown = view.from <= value && value <= view.to;
+        path.setAttribute("d", shown ? `M${u(value).toFixed(0)} 0v${H}` : "");
+      }
       if (this.zero) this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0).toFixed(0)}h${W}` : "");
     }
 
@@ -609,9 +515,10 @@ document.addEventListener("rows", (event) => {
   }
 
   function picture(chart) {
+    if (chart.stale) chart.draw();
     const { rows, x, y, u, v } = chart.measure().axes();
     const [width, height, top, right, bottom] = [900, 420, 56, 20, 46];
-    const left = Math.max(70, room(y.ticks) + 8);
+    const left = Math.max(70, chart.yTicks.offsetWidth + 8);
     const [wide, high] = [width - left - right, height - top - bottom];
     const px = (t) => left + (wide * u(t)) / W;
     const py = (value) => top + (high * v(value)) / H;
@@ -637,14 +544,14 @@ document.addEventListener("rows", (event) => {
       along += 52 + 7.2 * label.length;
       return stroke(`M${at} 40h22`, look) + words(at + 28, 44, label);
     });
-    const rise = (tick) => top + high * (1 - tick.share);
-    const run = (tick) => left + wide * tick.share;
+    const rise = (tick) => top + high * (1 - tick.at / 100);
+    const run = (tick) => left + (wide * tick.at) / 100;
     const { title, unit } = chart.figure.dataset;
     const parts = [
       tag("rect", { width, height, fill: colour("--card") }),
-      ...y.ticks.map((t) => level(rise(t), grid) + words(left - 8, rise(t) + 4, t.text, { "text-anchor": "end" })),
+      ...y.ticks.map((t) => level(rise(t), grid) + words(left - 8, rise(t) + 4, t.label, { "text-anchor": "end" })),
       ...x.ticks.map((t) => upright(run(t), grid)),
-      ...x.ticks.map((t) => words(run(t), top + high + 18, t.text, { "text-anchor": "middle" })),
+      ...x.ticks.map((t) => words(run(t), top + high + 18, t.label, { "text-anchor": "middle" })),
       tag(
         "svg",
         { x: left, y: top, width: wide, height: high, viewBox: `${left} ${top} ${wide} ${high}` },

@@ -10,6 +10,7 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
+from cosim.report.svg import TICKS_ACROSS, TICKS_UP, lone_axis, make_axis, thin, time_axis, value_axis
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import recorded, signal_panels
 from cosim.simulation.report.subject import figures_of
@@ -18,6 +19,7 @@ from cosim.storage.results import Results
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.ticker import Locator
 
 
 # Okabe and Ito's colours, told apart by all common kinds of sight; dashes carry the same message without colour.
@@ -38,6 +40,7 @@ LINES: dict[str, tuple[str, str, float]] = {
     "s5": ("#1a1a1a", ":", 1.1),
 }
 PANELS_A_FIGURE = 8
+MOST_POINTS = 4000  # of a curve: some five for each pixel across
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
@@ -88,18 +91,36 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     for trace in panel.traces:
         colour, dash, width = LINES[trace.style]
         shape = "steps-post" if trace.held else "default"
-        marker = "." if time.size == 1 else ""
-        ax.plot(time, trace.values, color=colour, linestyle=dash, linewidth=width, drawstyle=shape, marker=marker,
-                label=literal(trace.label))  # fmt: skip
+        rows = thin(trace.values, MOST_POINTS)
+        (line,) = ax.plot(time[rows], trace.values[rows], color=colour, linestyle=dash, linewidth=width)
+        line.set(drawstyle=shape, marker="." if time.size == 1 else "", label=literal(trace.label))
     for i, limit in enumerate(panel.limits):
         ax.axhline(
             limit, color="#767676", linestyle=(0, (4, 3)), linewidth=0.9, label=panel.limit_label if i == 0 else None
         )
     ax.set_title(literal(panel.title), loc="left", fontsize=10)
-    ax.margins(x=0, y=0.14)  # room for the legend
+    x, y = lone_axis(float(time[0])) if time.size == 1 else time_axis(time), value_axis(panel)
+    ax.set(xlim=(x.low, x.high), ylim=(y.low, y.high))
+    ax.xaxis.set_major_locator(_ticks(TICKS_ACROSS))
+    ax.yaxis.set_major_locator(_ticks(TICKS_UP, panel.unit == "°"))
     ax.set_ylabel(f"[{literal(panel.unit)}]")
     tidy(ax, "time [s]")
     ax.legend(fontsize=7.5, frameon=False, ncols=2, loc="best")
+
+
+def _ticks(count: int, angle: bool = False) -> Locator:
+    """Return ticks by the rules of the page, for whatever part of an axis is shown."""
+    from matplotlib.ticker import Locator
+
+    class Ticks(Locator):
+        def __call__(self) -> list[float]:
+            return self.tick_values(*(self.axis.get_view_interval() if self.axis else (0.0, 1.0)))
+
+        def tick_values(self, vmin: float, vmax: float) -> list[float]:
+            axis = make_axis(vmin, vmax, count, angle)
+            return [axis.low + tick.at / 100 * (axis.high - axis.low) for tick in axis.ticks]
+
+    return Ticks()
 
 
 def tidy(ax: Axes, label: str) -> None:

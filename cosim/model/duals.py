@@ -1,0 +1,129 @@
+"""Numbers that carry their slopes, so that the one body of equations gives its Jacobian without a symbol.
+
+A dual number is a value and its derivatives by each state. A branch takes the slopes of the side that is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from cosim.model.namespaces import ScalarNamespace
+
+
+class Dual:
+    """A value and its slopes, one for each state."""
+
+    __slots__ = ("slopes", "value")
+
+    def __init__(self, value: float, slopes: Sequence[float]) -> None:
+        self.value, self.slopes = value, slopes
+
+    def __add__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, [a + b for a, b in zip(self.slopes, other.slopes, strict=True)])
+        return Dual(self.value + other, self.slopes)
+
+    def __mul__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            v, w = self.value, other.value
+            return Dual(v * w, [a * w + v * b for a, b in zip(self.slopes, other.slopes, strict=True)])
+        return _along(self, self.value * other, other)
+
+    def __neg__(self) -> Dual:
+        return _along(self, -self.value, -1.0)
+
+    def __sub__(self, other: Any) -> Dual:
+        return self.__add__(-other)
+
+    def __rsub__(self, other: Any) -> Dual:
+        return self.__neg__().__add__(other)
+
+    def __truediv__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return self * _along(other, 1.0 / other.value, -1.0 / (other.value * other.value))
+        return _along(self, self.value / other, 1.0 / other)
+
+    def __rtruediv__(self, other: Any) -> Dual:
+        return _along(self, other / self.value, -other / (self.value * self.value))
+
+    def __pow__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            power = self.value**other.value
+            grown = _along(other, 0.0, power * math.log(self.value)) if any(other.slopes) else 0.0
+            return _along(self, power, other.value * self.value ** (other.value - 1.0)) + grown
+        return _along(self, self.value**other, other * self.value ** (other - 1) if other else 0.0)
+
+    def __rpow__(self, other: Any) -> Dual:
+        power = other**self.value
+        return _along(self, power, power * math.log(other))
+
+    def __abs__(self) -> Dual:
+        return -self if self.value < 0.0 else self
+
+    def __pos__(self) -> Dual:
+        return self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __eq__(self, other: object) -> bool:
+        return bool(self.value == _value(other))
+
+    def __lt__(self, other: Any) -> bool:
+        return bool(self.value < _value(other))
+
+    def __le__(self, other: Any) -> bool:
+        return bool(self.value <= _value(other))
+
+    def __gt__(self, other: Any) -> bool:
+        return bool(self.value > _value(other))
+
+    def __ge__(self, other: Any) -> bool:
+        return bool(self.value >= _value(other))
+
+    __hash__ = None  # type: ignore[assignment]  # a number that is compared by value, and changes none
+
+
+def _value(number: Any) -> Any:
+    return number.value if isinstance(number, Dual) else number
+
+
+def _along(x: Dual, value: float, slope: float) -> Dual:
+    """Return a function of a dual number from its value and its slope there."""
+    return Dual(value, [slope * a for a in x.slopes])
+
+
+def _lifted(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
+    """Return a function on dual numbers; slope: of (argument, value of the function)."""
+
+    def of(x: Any) -> Any:
+        value = function(_value(x))
+        return _along(x, value, slope(x.value, value)) if isinstance(x, Dual) else value
+
+    return of
+
+
+class DualNamespace(ScalarNamespace):
+    """The functions of the equations on dual numbers."""
+
+    sin = staticmethod(_lifted(math.sin, lambda x, _: math.cos(x)))
+    cos = staticmethod(_lifted(math.cos, lambda x, _: -math.sin(x)))
+    tanh = staticmethod(_lifted(math.tanh, lambda _, y: 1.0 - y * y))
+    exp = staticmethod(_lifted(math.exp, lambda _, y: y))
+    sqrt = staticmethod(_lifted(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # no use has the slope at a kink
+
+    @staticmethod
+    def rint(x: Any) -> Any:
+        """The nearest whole number, with the slope of what is rounded."""
+        return x + (ScalarNamespace.rint(_value(x)) - _value(x))
+
+
+def jacobian(
+    derivative: Callable[..., Sequence[Any]], t: float, state: Sequence[float], command: Sequence[float]
+) -> list[list[float]]:
+    """Return ∂f/∂x, row by row, of a derivative that is bound to the namespace of dual numbers."""
+    n = len(state)
+    units = [[float(i == j) for j in range(n)] for i in range(n)]
+    rates = derivative(t, tuple(map(Dual, state, units)), command)
+    return [list(r.slopes) if isinstance(r, Dual) else [0.0] * n for r in rates]

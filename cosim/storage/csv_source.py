@@ -1,0 +1,375 @@
+"""CSV: numbers read at once by numpy; a file with a fault is read cell by cell, and every fault has its place."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from array import array
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.text import counted
+from cosim.storage.files import atomic_write
+from cosim.storage.table_columns import (
+    Column,
+    Faults,
+    Heading,
+    Table,
+    Wanted,
+    choose_columns,
+    note_backwards,
+    note_infinite,
+    note_missing,
+    parted,
+)
+from cosim.storage.table_source import Frame, Source, SourceColumn, fill
+
+MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
+LONGEST_LINE = 2_000_000  # bytes; of the header some 100 000 columns
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
+EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
+
+
+class Csv(Source):
+    """Comma-separated values in UTF-8, one line of names first."""
+
+    name = "CSV"
+    suffixes = (".csv",)
+    writes = True
+
+    def table(self, faults: Faults, wanted: Wanted) -> Table:
+        """Read the columns that are wanted as far as they go, and note the faults of all cells."""
+        if not _small_enough(faults, wanted.shorter):
+            return Table()
+        try:
+            with _opened(faults.path) as stream:
+                return _read_table(_Cells(stream, faults), wanted)
+        except OSError as error:
+            faults.note(0, 0, f"cannot be read: {error.strerror}")
+            return Table()
+
+    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+        """Read all columns, those with a cell that is no number as text; InputError with every fault of the text."""
+        faults = Faults(path)
+        frame = Frame()
+        if _small_enough(faults, "leave out columns or rows"):
+            with _opened(path) as stream:
+                cells = _Cells(stream, faults)
+                if cells.header:
+                    frame = _frame_of(cells, names, text)
+                elif not faults.found:
+                    faults.note(1, 1, "is empty; the first line names the columns: time, then signals")
+        faults.raise_any()
+        return frame
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the names in the header; none if the file cannot be read."""
+        try:
+            with _opened(path) as stream:
+                return [parted(text)[0] for text in _Cells(stream, Faults(path)).header]
+        except OSError:
+            return []
+
+    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+        """Write columns; numbers as the shortest text that reads back bit for bit."""
+        values = [c.values.tolist() if isinstance(c.values, np.ndarray) else c.values for c in columns]
+        write_table(path, [c.name for c in columns], zip(*values, strict=True), cell_text)
+
+
+CSV = Csv()
+
+
+def _small_enough(faults: Faults, shorter: str) -> bool:
+    size = faults.path.stat().st_size
+    if size > MOST_BYTES:
+        most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
+        faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
+    return size <= MOST_BYTES
+
+
+# -- text -----------------------------------------------------------------------------------------
+
+
+class _NotText(Exception):
+    """A line that is not UTF-8."""
+
+
+class _TooLong(Exception):
+    """A line that no CSV has."""
+
+
+def _opened(path: Path) -> TextIO:
+    """Open a CSV so that a character is a byte, and a line ends with LF, CR LF or CR alone."""
+    return path.open(encoding="latin-1", newline="")
+
+
+def _lines(stream: TextIO) -> Iterator[str]:
+    """Yield lines of UTF-8 text from a file that `_opened` has opened; the first may begin with a byte order mark."""
+    while line := stream.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise _TooLong
+        raw = line.encode("latin-1")
+        try:
+            yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
+        except UnicodeDecodeError:
+            raise _NotText from None
+
+
+def _filled(row: Sequence[str]) -> bool:
+    return any(cell.strip() for cell in row)
+
+
+class _Cells:
+    """The header and the rows of a CSV as text; what is wrong with the text itself is noted.
+
+    header: cells of the first line that is not blank; none in a file that is empty or no text
+    line:   of the header
+    plain:  cells are separated by commas
+    whole:  the rows were read to their end
+    """
+
+    def __init__(self, stream: TextIO, faults: Faults) -> None:
+        self.faults = faults
+        self.header: list[str] = []
+        self.line, self.plain, self.whole = 1, True, False
+        self._text = _lines(stream)
+        self._rows, self._above = csv.reader(self._text), 0  # lines that another reader has read
+        self._guarded(self._read_header)
+
+    def _read_header(self) -> None:
+        header = next(filter(_filled, self._rows), [])
+        self.line = max(1, self._rows.line_num)
+        if any("\0" in text for text in header):
+            cure = "save it as plain CSV, UTF-8"
+            self.faults.note(self.line, 1, f"is a binary file, or text of another encoding; {cure}")
+            return
+        only = header[0] if len(header) == 1 else ""
+        if mark := next((m for m in SEPARATORS if m in only), None):
+            cure = "separate them with commas, decimals with a point"
+            self.faults.note(self.line, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
+            header = next(csv.reader(header, delimiter=mark))  # what else is wrong is told too
+            self._above, self._rows = self._rows.line_num, csv.reader(self._text, delimiter=mark)
+            self.plain = False
+        self.header = header
+
+    def rows(self, keep: Callable[[int, list[str]], None]) -> None:
+        """Give each row of the header's length, with its line, to a function; note the others."""
+        self._guarded(lambda: self._read_rows(keep))
+
+    def _read_rows(self, keep: Callable[[int, list[str]], None]) -> None:
+        rows, faults, width = self._rows, self.faults, len(self.header)
+        for row in rows:
+            line = self._above + rows.line_num
+            if len(row) == width and _filled(row):
+                keep(line, row)
+            elif _filled(row):
+                faults.note_cell(line, 1, "rows of another length", _wrong_length(len(row), width))
+            if faults.many:
+                faults.note(line, 1, "nothing is read from here on")
+                return
+        self.whole = True
+
+    def _guarded(self, read: Callable[[], None]) -> None:
+        try:
+            read()
+        except _NotText:
+            self.faults.note(self._line() + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
+        except _TooLong:
+            message = f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?"
+            self.faults.note(self._line() + 1, 1, message)
+        except csv.Error as error:
+            self.faults.note(self._line(), 1, f"is not CSV: {error}")
+
+    def _line(self) -> int:
+        return self._above + self._rows.line_num
+
+
+# -- all cells at once ----------------------------------------------------------------------------
+
+
+def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[bytes]] | None:
+    """Return the cells below a header as numbers, NaN where they are empty, and the text of the first row.
+
+    None unless all are plainly numbers.
+    above: lines down to the header, which the rows follow line by line
+    """
+    body = path.read_bytes()
+    for _ in range(above):
+        body = body.partition(b"\n")[2]
+    if not body.strip() or not body.isascii() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
+        return None
+    if b",," in body or b",\n" in body or b",\r" in body or body.endswith(b","):
+        body = EMPTY_CELL.sub(b",nan", body)
+    rows = body.count(b"\n") + (not body.endswith(b"\n"))
+    try:
+        numbers: Array = np.loadtxt(io.BytesIO(body), np.float64, comments=None, delimiter=",", ndmin=2)
+    except ValueError:  # a cell that is no number, a row of another length
+        return None
+    return (numbers, body.partition(b"\n")[0].split(b",")) if numbers.shape == (rows, width) else None
+
+
+def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Frame:
+    """All columns below a header."""
+    named = [parted(cell, names) for cell in cells.header]
+    plain = _plain_numbers(cells.faults.path, cells.line, len(named)) if cells.plain and not text else None
+    if plain is not None and not _may_be_whole(*plain):
+        columns = [SourceColumn(*pair, values) for pair, values in zip(named, plain[0].T, strict=True)]
+        return Frame(columns, range(cells.line + 1, cells.line + 1 + len(plain[0])))
+    lines, rows = array("q"), list[list[str]]()
+
+    def keep(line: int, row: list[str]) -> None:
+        lines.append(line)
+        rows.append(row)
+
+    cells.rows(keep)
+    by_column = zip(*rows, strict=True) if rows else ((),) * len(named)
+    return Frame([_column(*pair, c, pair[0] in text) for pair, c in zip(named, by_column, strict=True)], lines)
+
+
+def _may_be_whole(numbers: Array, first: Sequence[bytes]) -> bool:
+    """Whether the text of some column may be that of integers, which the numbers alone do not tell."""
+    digits = [k for k, cell in enumerate(first) if cell.strip().removeprefix(b"-").isdigit()]
+    with np.errstate(invalid="ignore"):
+        return any(bool((numbers[:, k] == np.rint(numbers[:, k])).all()) for k in digits)
+
+
+def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> SourceColumn:
+    if is_text:
+        return SourceColumn(name, unit, list(cells))
+    try:
+        values = np.array([cell if cell and not cell.isspace() else "nan" for cell in cells], dtype=np.float64)
+    except ValueError:
+        return SourceColumn(name, unit, list(cells))
+    # integers as they are written: every other number has a point or an exponent
+    if cells and all(cell.removeprefix("-").isdecimal() for cell in cells) and np.abs(values).max() < 2.0**63:
+        return SourceColumn(name, unit, values.astype(np.int64))
+    return SourceColumn(name, unit, values)
+
+
+# -- cell by cell ---------------------------------------------------------------------------------
+
+
+def _read_table(cells: _Cells, wanted: Wanted) -> Table:
+    """Read the columns that are wanted: all cells at once where none has a fault, else one by one."""
+    faults, table = cells.faults, Table(header=cells.line)
+    if not cells.header:
+        if not faults.found:
+            names = f"time, then {wanted.holds}" if wanted.timed else wanted.holds
+            faults.note(1, 1, f"is empty; the first line names the columns: {names}")
+        return table
+    named = [parted(text, wanted.names) for text in cells.header]
+    choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(named, 1)], faults, wanted)
+    if wanted.timed and "time" not in table.columns:
+        return table
+    plain = _plain_numbers(faults.path, cells.line, len(named)) if cells.plain else None
+    if plain is not None:
+        numbers, _ = plain
+        columns = [SourceColumn(*pair, values) for pair, values in zip(named, numbers.T, strict=True)]
+        trial, lines = Faults(faults.path), range(cells.line + 1, cells.line + 1 + len(numbers))
+        filled = Table(dict(table.columns), header=table.header, first=table.first)
+        fill(filled, columns, lines, trial, timed=wanted.timed)
+        if not trial.counts:
+            return filled
+    reader = _Reader(table, faults, timed=wanted.timed)
+    cells.rows(reader.row)
+    table.whole = cells.whole
+    return table
+
+
+class _Reader:
+    """Gives a table its values, cell by cell."""
+
+    def __init__(self, table: Table, faults: Faults, *, timed: bool) -> None:
+        self.table, self.faults, self.timed = table, faults, timed
+        columns = [c for c in table.columns.values() if c.cell > 1 or not timed]
+        self.signals = [(c, c.cell - 1, table.values[c.name]) for c in columns]  # all but the time
+
+    def row(self, line: int, row: list[str]) -> None:
+        """Take the cells of a row."""
+        if self.timed and not self._time(line, row[0]):
+            return
+        for column, place, values in self.signals:
+            values.append(self._value(line, column, row[place]))
+        self.table.lines.append(line)
+
+    def _time(self, line: int, text: str) -> bool:
+        """Take the time of a row; false where there is none."""
+        time, before = self._value(line, self.table.columns["time"], text), self.table.values["time"]
+        if self.table.columns["time"].spare:
+            before.append(time)
+            return True
+        if math.isnan(time):
+            return False
+        if before and time <= before[-1]:
+            note_backwards(self.faults, line, time, before[-1])
+        before.append(time)
+        return True
+
+    def _spare(self, column: Column, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            self.table.spoiled.add(column.name)
+        return float(column.converted(value))
+
+    def _value(self, line: int, column: Column, text: str) -> float:
+        """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
+        if column.spare:
+            return self._spare(column, text)
+        try:
+            value = float(text) if text and not text.isspace() else math.nan
+        except ValueError:
+            self.faults.note_cell(line, column.cell, *_no_number(text, column))
+            return math.nan
+        if math.isinf(value):
+            note_infinite(self.faults, line, column, text.strip())
+            return math.nan
+        if column.known and math.isnan(value):
+            note_missing(self.faults, line, column)
+        return float(column.converted(value))
+
+
+def _no_number(text: str, column: Column) -> tuple[str, str]:
+    """What cells like this one are called where there are many, and what is said of it."""
+    cell, name = text.strip()[:30], column.name
+    if DECIMAL_COMMA.fullmatch(cell):
+        return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
+    return f"cells of {name} that are no number", f'"{cell}" in column {name} is no number; {column.cure}'
+
+
+def _wrong_length(cells: int, header: int) -> str:
+    """What is said of a row that has not as many cells as the header."""
+    cure = "delete the row, or leave cells empty where nothing was measured"
+    if cells == 2 * header:
+        cure = "is each number cut in two by a decimal comma? Write a point"
+    return f"has {counted(cells, 'cell')}, the header {header}; {cure}"
+
+
+# -- writing --------------------------------------------------------------------------------------
+
+
+def write_table(
+    path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]], number: Callable[[Any], str] = repr
+) -> None:
+    """Write a header and rows; `number` prints a cell, by itself as the shortest text that reads back bit for bit."""
+    with atomic_write(path) as stream:
+        csv.writer(stream, lineterminator="\n").writerow(header)
+        stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
+
+
+def cell_text(value: Any) -> str:
+    """A value as a cell of CSV: binary data in hexadecimal digits, text in quotes where it needs them."""
+    if isinstance(value, bytes):
+        return value.hex()
+    if not isinstance(value, str):
+        return repr(value)
+    return '"' + value.replace('"', '""') + '"' if any(c in value for c in ',"\r\n') else value

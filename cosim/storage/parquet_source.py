@@ -1,0 +1,140 @@
+"""Parquet: a column of numbers a signal, its unit in the metadata of the column. Needs pyarrow (extra `parquet`)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.extras import optional
+from cosim.storage.table_columns import parted
+from cosim.storage.table_source import Frame, Source, SourceColumn, heading_of
+
+MAGIC = b"PAR1"  # first and last bytes of every Parquet file
+UNIT = b"unit"  # key of a column's metadata
+MOST_VALUES = 200_000_000  # numbers of a file, 1.6 GB in memory
+ROWS_A_GROUP = 65_536
+
+
+class Parquet(Source):
+    """Apache Parquet, read and written by pyarrow."""
+
+    name = "Parquet"
+    suffixes = (".parquet",)
+    magic = MAGIC
+    writes = True
+
+    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+        """Read all columns; a column of another type than numbers and text has a fault instead."""
+        parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
+        content = _content(parquet, path)
+        columns = []
+        for field, column in zip(content.schema, content.columns, strict=True):
+            stated = (field.metadata or {}).get(UNIT)
+            name, unit = heading_of(field.name, None if stated is None else stated.decode(), names)
+            columns.append(_column(name, unit, column, is_text=name in text))
+        return Frame(columns, range(1, content.num_rows + 1))
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the names of the columns; none if the file cannot be read."""
+        try:
+            parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
+            return [parted(field.name)[0] for field in parquet.read_schema(path)]
+        except (InputError, OSError, ValueError):
+            return []
+
+    def check_writable(self) -> None:
+        """InputError where pyarrow is not installed."""
+        optional("pyarrow", "--format parquet")
+
+    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+        """Write columns with their units."""
+        pa = optional("pyarrow", "--format parquet")
+        parquet = optional("pyarrow.parquet", "--format parquet")
+        arrays = [_array(pa, column.values) for column in columns]
+        fields = [
+            pa.field(column.name, values.type, metadata={UNIT: column.unit.encode()})
+            for column, values in zip(columns, arrays, strict=True)
+        ]
+        table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+        with draft_of(path) as draft:
+            parquet.write_table(table, draft, row_group_size=ROWS_A_GROUP, compression="zstd", use_dictionary=False)
+
+
+PARQUET = Parquet()
+
+
+def _content(parquet: Any, path: Path) -> Any:
+    """All columns of a file as a table of pyarrow; InputError where it is not whole."""
+    again = "write it again"
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(MAGIC), 2)
+            cut = stream.read() != MAGIC
+    except OSError:
+        cut = True
+    if cut:
+        message = f"is no whole Parquet file: its end is missing, as where who wrote it was stopped; {again}"
+        raise InputError([Fault(path, 0, 0, message)])
+    try:
+        with parquet.ParquetFile(path) as file:
+            about = file.metadata
+            if about.num_rows * about.num_columns > MOST_VALUES:
+                size = f"{about.num_rows} rows of {about.num_columns} columns"
+                message = f"has {size}, more than the {MOST_VALUES:.0e} values that are read; leave out columns or rows"
+                raise InputError([Fault(path, 0, 0, message)])
+            return file.read(use_threads=False)
+    except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are made from these
+        reason = str(error).strip().partition("\n")[0][:200]
+        raise InputError([Fault(path, 0, 0, f"is no Parquet file that can be read: {reason}; {again}")]) from None
+
+
+def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn:
+    types = optional("pyarrow.types", "Parquet")
+    kind = column.type
+    if types.is_dictionary(kind):
+        column = column.cast(kind.value_type)
+        kind = column.type
+    if types.is_floating(kind) or types.is_null(kind):
+        return SourceColumn(name, unit, _doubles(column))
+    if types.is_boolean(kind) or types.is_integer(kind):
+        if is_text:
+            return SourceColumn(name, unit, [str(value) for value in column.to_pylist()])
+        if column.null_count or types.is_uint64(kind):
+            return SourceColumn(name, unit, _doubles(column))
+        return SourceColumn(name, unit, column.to_numpy().astype(np.int64))
+    if types.is_string(kind) or types.is_large_string(kind):
+        return SourceColumn(name, unit, [value or "" for value in column.to_pylist()])
+    if types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind):
+        return SourceColumn(name, unit, [(value or b"").hex() for value in column.to_pylist()])
+    return SourceColumn(name, unit, fault=_no_numbers(types, kind))
+
+
+def _doubles(column: Any) -> Array:
+    """The numbers of a column, NaN where there is none."""
+    values = column.cast("float64", safe=False).to_numpy()
+    return np.asarray(values, dtype=np.float64)
+
+
+def _no_numbers(types: Any, kind: Any) -> str:
+    """Why a type of column has no numbers, and what to write instead."""
+    if types.is_temporal(kind):
+        return f"holds moments or durations ({kind}); write seconds as numbers"
+    if types.is_decimal(kind):
+        return f"holds decimals ({kind}); write them as double"
+    if types.is_nested(kind):
+        return f"is nested ({str(kind)[:60]}); write one column a number"
+    return f"holds {kind}; write numbers"
+
+
+def _array(pa: Any, values: Any) -> Any:
+    """Values as pyarrow holds them; whole numbers beyond 63 bits are unsigned."""
+    if isinstance(values, np.ndarray):
+        return pa.array(values)
+    large = any(isinstance(value, int) and value >= 2**63 for value in values)
+    return pa.array(values, pa.uint64()) if large else pa.array(values)

@@ -1,0 +1,222 @@
+"""Formats of tables: which one a file has, and what all of them have in common. An installed package adds formats.
+
+A format is a subclass of `Source` with one object registered in the group `cosim.sources`; docs/extending.md shows one.
+"""
+
+from __future__ import annotations
+
+import functools
+from array import array
+from collections.abc import Collection, Container, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError
+from cosim.base.registry import SOURCES, load, names, resolve
+from cosim.storage.table_columns import (
+    Column,
+    Faults,
+    Heading,
+    Table,
+    Wanted,
+    choose_columns,
+    note_backwards,
+    note_infinite,
+    note_missing,
+    parted,
+)
+
+OWN = {"csv": "cosim.storage.csv_source:CSV", "parquet": "cosim.storage.parquet_source:PARQUET"}
+HEAD = 64  # bytes that tell a format
+
+
+@dataclass(frozen=True)
+class SourceColumn:
+    """A column as a file holds it.
+
+    unit:   "" where the file states none
+    values: numbers, NaN where there is none; whole numbers as integers; or a list of what is no number
+    fault:  why there are no numbers, as in "holds timestamps; write seconds"; "" where there are
+    """
+
+    name: str
+    unit: str
+    values: Array | Sequence[Any] = ()
+    fault: str = ""
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it holds numbers."""
+        return isinstance(self.values, np.ndarray) and not self.fault
+
+
+@dataclass(frozen=True)
+class Frame:
+    """All columns of a file; `lines`: of the file, one a row, 1, 2, 3 … where the format has none."""
+
+    columns: Sequence[SourceColumn] = ()
+    lines: Sequence[int] = ()
+
+    @property
+    def row_lines(self) -> Sequence[int]:
+        """The line of each row, or its number."""
+        return self.lines or range(1, len(self.columns[0].values) + 1 if self.columns else 1)
+
+
+class Source:
+    """A format of tables.
+
+    name:     as messages say it
+    suffixes: of its files, with the dot, in small letters
+    magic:    first bytes of every such file, b"" where there are none
+    writes:   results can be written in it
+    """
+
+    name = ""
+    suffixes: tuple[str, ...] = ()
+    magic = b""
+    writes = False
+
+    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+        """Read all columns; InputError where the file is not whole.
+
+        names: that are known, so that brackets in them are no unit
+        text:  columns that are text, even where it looks like numbers
+        """
+        raise NotImplementedError
+
+    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+        """Write columns, the time first; whole or not at all."""
+        raise NotImplementedError
+
+    def check_writable(self) -> None:
+        """InputError where what writes it is not installed."""
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the names of the columns; none if the file cannot be read."""
+        try:
+            return [column.name for column in self.frame(path).columns]
+        except InputError:
+            return []
+
+    def table(self, faults: Faults, wanted: Wanted) -> Table:
+        """Read the columns that are wanted as far as they go, and note the faults of all of them."""
+        table = Table(header=0)
+        try:
+            frame = self.frame(faults.path, wanted.names)
+        except InputError as error:
+            faults.found += error.faults
+            return table
+        if not frame.columns:
+            names = f"time, then {wanted.holds}" if wanted.timed else wanted.holds
+            faults.note(0, 0, f"has no columns; they are {names}")
+            return table
+        headings = [Heading(0, cell, c.name, c.unit) for cell, c in enumerate(frame.columns, 1)]
+        choose_columns(table, headings, faults, wanted)
+        if wanted.timed and "time" not in table.columns:
+            return table
+        fill(table, frame.columns, frame.row_lines, faults, timed=wanted.timed)
+        return table
+
+
+def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, *, timed: bool) -> None:
+    """Give the columns of a table their values, and note what is wrong with them."""
+    for column in table.columns.values():
+        source = columns[column.cell - 1]
+        values = np.full(len(lines), np.nan)
+        if source.numeric:
+            values[:] = source.values
+        else:
+            _note_no_numbers(table, column, source, faults)
+        if column.spare:
+            if not np.isfinite(values).all():
+                table.spoiled.add(column.name)
+        elif source.numeric:
+            _note_values(column, values, lines, faults)
+        converted: Array = column.converted(values)
+        if timed and column.name == "time" and not column.spare:
+            for row in (np.flatnonzero(np.diff(converted) <= 0.0) + 1).tolist():
+                note_backwards(faults, lines[row], float(converted[row]), float(converted[row - 1]))
+        table.values[column.name] = array("d", converted.tobytes())
+    table.lines = array("q", lines)
+    table.whole = True
+
+
+def _note_no_numbers(table: Table, column: Column, source: SourceColumn, faults: Faults) -> None:
+    if column.spare:
+        table.spoiled.add(column.name)
+    else:
+        why = source.fault or "holds text; write numbers"
+        faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", f"column {column.name} {why}")
+
+
+def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Faults) -> None:
+    for row in np.flatnonzero(np.isinf(values)).tolist():
+        note_infinite(faults, lines[row], column, f"{values[row]:g}")
+    if column.known:
+        for row in np.flatnonzero(np.isnan(values)).tolist():
+            note_missing(faults, lines[row], column)
+
+
+# -- which format ---------------------------------------------------------------------------------
+
+
+@functools.cache
+def sources() -> tuple[Source, ...]:
+    """Return the formats, those of installed packages last."""
+    own = [resolve(place) for place in OWN.values()]
+    added = [found for name in names(SOURCES) if isinstance(found := load(SOURCES, name), Source)]
+    return (*own, *added)
+
+
+def suffixes() -> tuple[str, ...]:
+    """Return the suffixes of files that hold tables, `.csv` first."""
+    return tuple(suffix for source in sources() for suffix in source.suffixes)
+
+
+def source_of(path: Path) -> Source:
+    """Return the format of a file by its first bytes, or else by its suffix; text of another suffix is CSV.
+
+    InputError where it has none of the formats.
+    """
+    by_suffix = next((s for s in sources() if path.suffix.lower() in s.suffixes), None)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+    except (OSError, ValueError):
+        head = b""
+    if by_suffix is not None and by_suffix.magic and head.startswith(by_suffix.magic):
+        return by_suffix
+    if by_head := next((s for s in sources() if s.magic and head.startswith(s.magic)), None):
+        return by_head
+    if by_suffix is not None:
+        return by_suffix
+    if b"\0" in head:
+        raise InputError([Fault(path, 0, 0, f"has none of the formats that are read: {_formats()}")])
+    return sources()[0]
+
+
+def source_named(name: str) -> Source:
+    """Return a format that results are written in, by its name or suffix; InputError where there is none."""
+    wanted = name.lower().removeprefix(".")
+    for source in sources():
+        if wanted == source.name.lower() or f".{wanted}" in source.suffixes:
+            if source.writes:
+                return source
+            message = f"{source.name} is read, not written; written are {_formats(written=True)}"
+            raise InputError([Fault(Path("--format"), 0, 0, message)])
+    raise InputError([Fault(Path("--format"), 0, 0, f'no format "{name}"; known here: {_formats(written=True)}')])
+
+
+def _formats(*, written: bool = False) -> str:
+    known = [source for source in sources() if source.writes or not written]
+    return ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in known)
+
+
+def heading_of(text: str, unit: str | None, names: Container[str]) -> tuple[str, str]:
+    """Return name and unit of a column; without a unit of its own, its name may be `name [unit]`."""
+    return parted(text, names) if unit is None else (text, unit)

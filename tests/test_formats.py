@@ -1,0 +1,291 @@
+"""Formats of tables: CSV and Parquet hold the same numbers, whichever way they are read, and each fault is named."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cosim
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.blocks.sources import playback
+from cosim.logs.log import Log, read_log
+from cosim.residuals.replay_signals import Replay
+from cosim.simulation.run_signals import Run
+from cosim.storage import csv_source
+from cosim.storage.results import Results, read_results
+from cosim.storage.table import read_columns, read_header, read_table
+from cosim.storage.table_columns import Column, Faults
+from cosim.verbs.cli import app
+from plant.hovercraft import INPUTS, OUTPUTS
+from tests.conftest import ROOT
+
+pa = pytest.importorskip("pyarrow")
+pq = pytest.importorskip("pyarrow.parquet")
+RECORDED = ROOT / "tests" / "data" / "hovercraft_10s.csv"
+TIME = np.arange(5) * 0.5
+
+
+def parquet(path: Path, columns: dict[str, Any], units: dict[str, str] | None = None) -> Path:
+    """Write a Parquet file as another tool would: with units where they are stated."""
+    arrays = [pa.array(v) if not isinstance(v, (pa.Array, pa.ChunkedArray)) else v for v in columns.values()]
+    about = [{"unit": units[n]} if units and n in units else None for n in columns]
+    fields = [pa.field(n, a.type, metadata=m) for n, a, m in zip(columns, arrays, about, strict=True)]
+    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
+    return path
+
+
+def faults_of(path: Path) -> list[str]:
+    with pytest.raises(InputError) as refused:
+        read_columns(path)
+    assert refused.value.exit_code == 2
+    return [str(fault).removeprefix(str(path)) for fault in refused.value.faults]
+
+
+def as_parquet(log: Path, path: Path) -> Path:
+    """A log as Parquet, column by column as CSV has it."""
+    read = read_results(log)
+    return parquet(path, {"time": read.time, **{name: read[name] for name in read.columns}})
+
+
+# -- two ways to read CSV ---------------------------------------------------------------------------
+
+
+def random_csv(rng: np.random.Generator) -> str:
+    """A table of odd but plain cells: signs, exponents, blanks, empty cells, line ends of Windows."""
+    spellings = ("{:r}", "{:.3g}", "{:.0f}", " {:+.17e}", "{:f} ", "", "nan", "NaN")
+    rows = []
+    for k in range(int(rng.integers(1, 30))):
+        cells = []
+        for value in rng.standard_normal(3) * 10.0 ** rng.integers(-20, 20, 3):
+            spelling = spellings[rng.integers(len(spellings))]
+            cells.append(repr(float(value)) if spelling == "{:r}" else spelling.format(value))
+        rows.append(",".join((f"{0.1 * k:.1f}", *cells)))
+    end = "\r\n" if rng.random() < 0.3 else "\n"
+    return end.join(("time,a [deg],b,c", *rows)) + (end if rng.random() < 0.7 else "")
+
+
+def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, plain = np.random.default_rng(7), csv_source._plain_numbers
+    used = 0
+    for k in range(200):
+        path = tmp_path / f"{k}.csv"
+        path.write_bytes(random_csv(rng).encode())
+
+        def choose(heading: Any) -> Column:
+            return Column(heading, math.pi / 180.0 if heading.name == "a" else 1.0, offset=1.5 * (heading.name == "b"))
+
+        tables, results = [], []
+        for way in (plain, lambda *_: None):
+            monkeypatch.setattr(csv_source, "_plain_numbers", way)
+            faults = Faults(path)
+            tables.append(read_table(faults, choose, "", ""))
+            results.append(read_results(path))
+            faults.raise_any()
+        used += plain(path, 1, 4) is not None
+        fast, slow = tables
+        assert {n: v.tobytes() for n, v in fast.values.items()} == {n: v.tobytes() for n, v in slow.values.items()}
+        assert (fast.lines, fast.header, fast.first, fast.whole) == (slow.lines, slow.header, slow.first, slow.whole)
+        assert results[0].values.tobytes() == results[1].values.tobytes()
+        assert (results[0].columns, results[0].whole, results[0].units) == (
+            results[1].columns, results[1].whole, results[1].units,
+        )  # fmt: skip
+    assert used > 190  # the fast way is taken
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,x\n0,1\n\n1,2\n", "time,x\n0,1_0\n1,2\n", 'time,x\n0,"1"\n1,2\n', "time,x\r0,1\r1,2\r",
+        "\n\ntime,x\n0,1\n1,2\n",
+        "time,x\n0,1\n1,2\n,\n",
+    ],
+)  # fmt: skip
+def test_what_is_not_plain_is_read_all_the_same(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, newline="")
+    assert list(read_columns(path).values["time"]) == [0.0, 1.0]
+    assert read_results(path).time.tolist() == [0.0, 1.0]
+
+
+def test_every_fault_of_the_rows_of_a_run_is_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,x\n0,1\n1\n2,3,4\n3,5\n")
+    with pytest.raises(InputError) as refused:
+        read_results(path)
+    assert [f.line for f in refused.value.faults] == [3, 4]
+    path.write_text("time,x\n0,1\n,2\n2,3\n1,5\n")
+    with pytest.raises(InputError) as refused:
+        read_results(path)
+    assert [f.line for f in refused.value.faults] == [3, 5]
+
+
+# -- Parquet ----------------------------------------------------------------------------------------
+
+
+def test_a_log_in_parquet_is_the_log_in_csv(tmp_path: Path) -> None:
+    both: list[Log] = [
+        read_log(path, INPUTS, OUTPUTS) for path in (RECORDED, as_parquet(RECORDED, tmp_path / "log.parquet"))
+    ]
+    csv, other = both
+    assert csv.time.tobytes() == other.time.tobytes()
+    for one, two in ((csv.inputs, other.inputs), (csv.outputs, other.outputs)):
+        assert {n: v.tobytes() for n, v in one.items()} == {n: v.tobytes() for n, v in two.items()}
+    assert (csv.units, csv.step, csv.cells) == (other.units, other.step, other.cells)
+
+
+def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> None:
+    stated = parquet(tmp_path / "a.parquet", {"time": TIME * 1e3, "psi": TIME}, {"time": "ms", "psi": "deg"})
+    named = parquet(tmp_path / "b.parquet", {"time [ms]": TIME * 1e3, "psi [deg]": TIME})
+    for path in (stated, named):
+        table = read_columns(path)
+        assert list(table.values["time"]) == TIME.tolist()
+        assert table.columns["psi"].heading.unit == "deg"
+        assert read_header(path) == ["time", "psi"]
+    assert playback("r", stated).functions[0](1.0) == pytest.approx(math.radians(1.0))
+
+
+def test_rows_of_every_kind_come_back_from_parquet_as_from_csv(tmp_path: Path) -> None:
+    values: Array = np.column_stack(
+        (TIME**3 / 3.0, [0.0, 1.0, -2.0, 3.0, 4.0], [np.nan, 1e-300, -0.0, 5e-324, 1.7e308])
+    )
+    exact: dict[str, list[Any]] = {
+        "a.text": ["on", "", "a,b", '"', "é"],
+        "a.count": [2**63 + k for k in range(5)],
+        "a.raw": [b"\x00\xff"] * 5,
+    }
+    written = Results(TIME, ("a.x", "a.n", "a.odd"), values, {"a.x": "m"}, exact, frozenset({"a.n"}))
+    read = []
+    for suffix in (".csv", ".parquet"):
+        written.write(tmp_path / f"r{suffix}")
+        read.append(read_results(tmp_path / f"r{suffix}", {"a.x": "m"}, tuple(exact)))
+    csv, other = read
+    assert csv.values.tobytes() == other.values.tobytes() == values.tobytes()
+    assert (csv.columns, csv.units, csv.exact, csv.whole) == (other.columns, other.units, other.exact, other.whole)
+    assert written.write_what_fits(tmp_path / "fits.parquet") == 5
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        ({"x": TIME}, 'the first column is "x"; it must be "time"'),
+        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x is nested (list<element: double>)"),
+        ({"time": TIME, "x": [{"y": 1.0}] * 5}, "column x is nested (struct<y: double>)"),
+        ({"time": TIME, "x": list("abcde")}, "column x holds text; write numbers"),
+        ({"time": TIME, "x": pa.array([1, 2, 3, 4, 5], pa.decimal128(5, 2))}, "column x holds decimals"),
+        ({"time": pa.array([0, 1, 2, 3, 4], pa.timestamp("ms"))}, "column time holds moments or durations"),
+        ({"time": pa.array([0, 1, 2, 3, 4], pa.duration("s"))}, "write seconds as numbers"),
+        ({"time": [0.0, None, 1.0, 1.5, 2.0], "x": TIME}, ":2:1: time has no value here"),
+        ({"time": [0.0, 1.0, 1.0, 1.5, 0.5], "x": TIME}, ":3:1: time 1 s does not increase"),
+        ({"time": TIME, "x": [1.0, None, 2.0, 3.0, 4.0]}, ":2:2: x has no value here"),
+        ({"time": TIME, "x": [1.0, math.inf, 2.0, 3.0, 4.0]}, ':2:2: "inf" in column x is not finite'),
+        ({"time": [], "x": []}, "holds no row"),
+        ({}, "has no columns"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_a_parquet_file_has_its_place(tmp_path: Path, columns: dict[str, Any], told: str) -> None:
+    path = parquet(tmp_path / "a.parquet", columns)
+    assert told in "\n".join(faults_of(path))
+
+
+def test_rows_with_a_fault_are_no_results(tmp_path: Path) -> None:
+    """A run has text and holes where a log has none, but its times are known and in order."""
+    wrong: list[dict[str, Any]] = [
+        {"x": TIME},
+        {"time": TIME, "x": [[1.0]] * 5},
+        {"time": TIME[::-1]},
+        {"time": [0.0, None]},
+        {"time": ["0", "1"]},
+    ]
+    for k, columns in enumerate(wrong):
+        with pytest.raises(InputError):
+            read_results(parquet(tmp_path / f"{k}.parquet", columns))
+
+
+def test_two_columns_of_one_name_are_a_fault(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.Table.from_arrays([pa.array(TIME)] * 3, ["time", "x", "x"]), path)
+    assert faults_of(path) == [': column "x" stands twice, first as column 2; keep one']
+
+
+def test_all_faults_of_a_parquet_file_are_told_at_once(tmp_path: Path) -> None:
+    path = parquet(tmp_path / "a.parquet", {"time": [0.0, None, 1.0], "x": ["a"] * 3, "y": [math.inf, 1.0, 2.0]})
+    assert len(faults_of(path)) == 3
+
+
+def test_nobody_is_told_of_columns_that_nobody_needs(tmp_path: Path) -> None:
+    path = parquet(tmp_path / "a.parquet", {"time": TIME, "u": TIME, "note": list("abcde"), "deep": [[1.0]] * 5})
+    table = read_columns(path, ["u"])
+    assert list(table.columns) == ["time", "u"]
+    assert table.spoiled == {"note", "deep"}
+
+
+def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
+    whole = as_parquet(RECORDED, tmp_path / "whole.parquet").read_bytes()
+    torn = tmp_path / "torn.parquet"
+    for size in (0, 3, 8, 100, len(whole) // 2, len(whole) - 1):
+        torn.write_bytes(whole[:size])
+        assert len(told := faults_of(torn)) == 1
+        assert told[0].startswith(": is no whole Parquet file")
+    torn.write_bytes(whole[: len(whole) // 2] + whole[-200:])
+    assert len(faults_of(torn)) == 1
+
+
+def test_content_tells_the_format_where_the_suffix_does_not(tmp_path: Path) -> None:
+    path = as_parquet(RECORDED, tmp_path / "log.parquet").rename(tmp_path / "log.csv")
+    assert read_log(path, INPUTS, OUTPUTS).rows == 501
+    other = tmp_path / "log.h5x"
+    other.write_bytes(b"\x01\x00\x02" * 100)
+    assert "has none of the formats that are read: CSV (.csv), Parquet (.parquet)" in faults_of(other)[0]
+
+
+# -- verbs --------------------------------------------------------------------------------------------
+
+
+def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
+    scenario = str(project / "scenarios" / "regulate.yaml")
+    csv, other = str(project / "csv"), project / "pq"
+    for arguments in (["--out", csv], ["--out", str(other)], ["--out", str(other), "--format", "parquet"]):
+        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report"])
+        assert ran.exit_code == 0, ran.output
+    assert "results.parquet" in ran.output
+    assert [p.name for p in other.glob("results.*")] == ["results.parquet"]  # none of an earlier run
+    one, two = cosim.read(csv), cosim.read(other)
+    assert isinstance(one, Run)
+    assert isinstance(two, Run)
+    assert one.results.columns == two.results.columns
+    assert one.results.values.tobytes() == two.results.values.tobytes()
+    assert one.results.units == two.results.units
+    compared = CliRunner().invoke(
+        app, ["compare", csv, str(other / "results.parquet"), "--tol", "0", "-o", str(project / "c")]
+    )
+    assert compared.exit_code == 0, compared.output
+    assert CliRunner().invoke(app, ["report", str(other)]).exit_code == 0
+    assert (other / "report.html").is_file()
+
+
+def test_a_log_in_parquet_is_checked_and_replayed(plant_fmu: Path, tmp_path: Path) -> None:
+    log = as_parquet(RECORDED, tmp_path / "log.parquet")
+    both = [[line.partition(": ")[2] for line in cosim.check(path)] for path in (log, RECORDED)]
+    assert both[0] == both[1]
+    csv = cosim.replay(RECORDED, tmp_path / "csv", plant_fmu, report=False)
+    made = cosim.replay(log, tmp_path / "pq", plant_fmu, report=False, format="parquet")
+    assert sorted(p.name for p in (tmp_path / "pq").iterdir()) == ["replay.json", "residual.parquet", "results.parquet"]
+    assert csv.results.values.tobytes() == made.results.values.tobytes()
+    assert csv.residual is not None
+    assert made.residual is not None
+    assert csv.residual.results.values.tobytes() == made.residual.results.values.tobytes()
+    read = cosim.read(tmp_path / "pq")
+    assert isinstance(read, Replay)
+    assert read.results.columns == made.results.columns
+
+
+def test_a_format_that_is_unknown_is_one_message_before_any_work(project: Path) -> None:
+    with pytest.raises(InputError, match=r'no format "xls"; known here: CSV \(.csv\), Parquet \(.parquet\)'):
+        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="xls")
+    assert not (project / "out").exists()
