@@ -339,6 +339,13 @@ def added(place: int, of_time: Callable[[Table], Table]) -> Change:
     return changed
 
 
+def rested(table: Table) -> Table:
+    """The recording goes on as it began, without thrust."""
+    again = table[: np.searchsorted(table[:, TIME], 2.0)].copy()
+    again[:, TIME] += table[-1, TIME] + table[1, TIME] - table[0, TIME]
+    return np.vstack([table, again])
+
+
 def averaged(table: Table) -> Table:
     padded = np.r_[np.full(20, table[0, Z]), table[:, Z]]
     table[:, Z] = np.convolve(padded, np.ones(21) / 21, "valid")
@@ -359,7 +366,9 @@ SHAPES: dict[str, tuple[str, Change, str]] = {
     "a clipped cell with noise": (
         "step", column(X, lambda v: np.where(v < 2.1, 2.1 + 0.002 * noise(v.size), v)), "has less noise after the step",
     ),
-    "a cell that drifts, test 1": ("thrust_line", added(Z, lambda t: -0.02 * t), "it drifts, and offset and slope"),
+    "a cell that drifts, test 1": (
+        "thrust_line", lambda t: added(Z, lambda time: -0.02 * time)(rested(t)), "it drifts, and offset and slope",
+    ),
     "a cell that drifts, test 5": ("moment", added(M, lambda t: 0.005 * t), "cell m drifts by"),
     "an unplugged cell, test 5": (
         "moment", column(M, lambda v: 1.7184 + 0.002 * noise(v.size)), "volts_m does not answer the sweep",
