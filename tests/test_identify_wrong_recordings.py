@@ -16,8 +16,9 @@ from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from plant.identification.columns import COLUMNS
 from plant.identification.equal_readings import equal_readings
+from plant.identification.misfit import misfit, odd_group
 from plant.identification.prepared import read_protocol
-from plant.identification.recordings import play_plain, runs_of
+from plant.identification.recordings import play_plain, read_recording, runs_of
 from plant.identification.workflow import identify
 from tests.test_identify import LOADS, short, written
 
@@ -117,7 +118,7 @@ def microseconds(duty: Table) -> Table:
     return 200.0 * duty
 
 
-PULSE = "a pulse of 1500 µs in a frame of 20 ms is 7.5 %"
+PULSE = "such as 7.5 for a pulse of 1500 µs in a frame of 20 ms"
 MIRRORED = "the horizontal force leans against the commanded tilt (factor -"
 CASES: dict[str, tuple[str, Change, str]] = {
     "a clipped cell, test 1": ("thrust_line", column(Z, lambda v: np.maximum(v, 2.3)), "its extreme, at"),
@@ -133,7 +134,7 @@ CASES: dict[str, tuple[str, Change, str]] = {
     ),
     "a coarse cell": ("moment", column(M, lambda v: np.round(v / 5e-3) * 5e-3), "is recorded in steps of 0.005 V"),
     "servo in µs, step": ("step", column(SERVO, microseconds), f"servo_duty is 1500 % here, beyond 0 to 100 % (duty of "
-                          f"the servo); write it in % of the frame: {PULSE}"),
+                          f"the servo); write it in % of the frame, {PULSE}"),
     "servo in µs, sines": ("frequency", column(SERVO, microseconds), "servo_duty is 1500 % here"),
     "servo in µs, test 5": ("moment", column(SERVO, microseconds), "servo_duty is 1500 % here"),
     "servo in degrees": ("step", column(SERVO, lambda v: (v - 7.5) * 22.5), "is a tilt of -169°, beyond ±120°"),
@@ -317,3 +318,108 @@ def test_a_quiet_cell_on_a_coarse_converter_is_not_stuck() -> None:
     found = equal_readings(fine, window, rest, rail)
     assert found is not None
     assert (found.kind, found.row, found.count) == ("stuck", 330, 30)
+
+
+def shifted(rows: int) -> Change:
+    """Cells that are late by a number of rows, or ahead by as many below 0."""
+
+    def changed(table: Table) -> Table:
+        places = np.clip(np.arange(len(table)) - rows, 0, len(table) - 1)
+        table[:, Z:] = table[places, Z:]
+        return table
+
+    return changed
+
+
+def added(place: int, of_time: Callable[[Table], Table]) -> Change:
+    def changed(table: Table) -> Table:
+        table[:, place] += of_time(table[:, TIME])
+        return table
+
+    return changed
+
+
+def rested(table: Table) -> Table:
+    """The recording goes on as it began, without thrust."""
+    again = table[: np.searchsorted(table[:, TIME], 2.0)].copy()
+    again[:, TIME] += table[-1, TIME] + table[1, TIME] - table[0, TIME]
+    return np.vstack([table, again])
+
+
+def averaged(table: Table) -> Table:
+    padded = np.r_[np.full(20, table[0, Z]), table[:, Z]]
+    table[:, Z] = np.convolve(padded, np.ones(21) / 21, "valid")
+    return table
+
+
+def noise(size: int) -> Table:
+    return np.asarray(np.random.default_rng(size).standard_normal(size))
+
+
+SHAPES: dict[str, tuple[str, Change, str]] = {
+    "cells ahead, step": ("step", shifted(-5), "the force moves some 0.1 s before its command"),
+    "cells ahead, thrust": ("thrust_step", shifted(-5), "the force moves some 0.1 s before its command"),
+    "cells late, step": ("step", shifted(5), "the force answers some 0.1 s late"),
+    "cells late, sines": ("frequency", shifted(5), "s late, as a pure delay does"),
+    "hum": ("step", added(X, lambda t: 0.1 * np.sin(2 * np.pi * 53 * t)), "a sine of"),
+    "a slow motor": ("thrust_step", averaged, "it is not of first order"),
+    "a clipped cell with noise": (
+        "step", column(X, lambda v: np.where(v < 2.1, 2.1 + 0.002 * noise(v.size), v)), "has less noise after the step",
+    ),
+    "a cell that drifts, test 1": (
+        "thrust_line", lambda t: added(Z, lambda time: -0.02 * time)(rested(t)), "it drifts, and offset and slope",
+    ),
+    "a cell that drifts, test 5": ("moment", added(M, lambda t: 0.005 * t), "cell m drifts by"),
+    "an unplugged cell, test 5": (
+        "moment", column(M, lambda v: 1.7184 + 0.002 * noise(v.size)), "volts_m does not answer the sweep",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SHAPES)
+def test_an_answer_of_the_wrong_shape_is_named(
+    case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    name, change, reason = SHAPES[case]
+    checked, identified = answers(good, tmp_path, name, change)
+    assert reason in checked
+    assert reason in identified
+
+
+def test_a_missing_row_is_filled_in_and_changes_the_lag_by_little(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    assert answers(good, tmp_path, "step", lambda t: np.delete(t, 100, 0), first_only=True) == ("", "")
+
+
+def test_faults_of_files_that_can_be_read_stand_beside_those_that_cannot(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    wrong = {**tables, "step0.csv": tables["step0.csv"][:5], "step1.csv": microseconds_of_servo(tables["step1.csv"])}
+    checked, _ = answers((content, wrong), tmp_path, "step", lambda t: t)
+    assert "step0.csv: holds 5 rows" in checked
+    assert "step1.csv:2:1: servo_duty is 1500 % here" in checked
+
+
+def microseconds_of_servo(table: Table) -> Table:
+    return column(SERVO, microseconds)(table.copy())
+
+
+def test_decimal_commas_are_one_line_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{t};5;7,5;0,095;3,25;2,43;1,72\n" for t in ("0", "0,02", "0,04", *(f"{k},5" for k in range(1, 9))))
+    path.write_text(";".join(HEADER) + "\n" + rows)
+    with pytest.raises(InputError) as error:
+        read_recording(path)
+    assert len(error.value.faults) == 1
+    assert "numbers have decimal commas" in str(error.value)
+
+
+def test_white_noise_is_a_misfit_or_a_group_as_seldom_as_is_said() -> None:
+    rng = np.random.default_rng(1)
+    found = [misfit(rng.standard_normal((4, 30)), np.zeros((0, 30)), 0) for _ in range(2000)]
+    assert sum(f is not None and f.significant for f in found) <= 10  # 2 are expected
+    groups = [odd_group([rng.standard_normal(6)])[1] for _ in range(500)]
+    assert sum(map(bool, groups)) <= 5
+    assert odd_group([np.array([1.0, 1.01, 3.0, 1.02, 0.99, 1.0])]) == (0, [2])

@@ -127,8 +127,10 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
         rail = _at_the_rail(pairs, error, known)
         kept = [pair for pair, out in zip(pairs, rail, strict=True) if not out]
         if len(kept) < LEAST_POINTS:
-            message = f"{len(kept)} of {len(pairs)} points are left, the others at an end of the converter's range"
-            raise ValueError(f"cells.{channel}: {message} or within their error of it; measure more points inside it")
+            message = f"{len(kept)} points are inside the converter's range, and {LEAST_POINTS} are needed"
+            if len(kept) < len(pairs):
+                message += f"; {len(pairs) - len(kept)} others are at an end of it, or within their error of it"
+            raise ValueError(f"cells.{channel}: {message}; measure more points inside it")
         left_out = [load for (load, _), out in zip(pairs, rail, strict=True) if out]
         try:
             loads, volts = zip(*kept, strict=True)

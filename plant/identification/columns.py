@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from cosim.base.text import counted
 from plant.bench import Bench
 from plant.identification.protocol import HeightTest, Test
 from plant.powertrain import servo_angle
@@ -20,7 +21,7 @@ MAX_TILT = np.radians(120.0)  # a servo turns by ±90° and some degrees; a duty
 MIN_HEIGHT_RATIO = 0.5  # height over radius of the propeller, where eq 4.28 ends
 MAX_LOWEST_HEIGHT_RATIO = 3.0  # of the lowest height of Test 2; above it Γ − 1 is below 1 %
 MAX_HEIGHT_CHANGE = 0.1  # share of the height in a window; the height is that of a fixed bench
-PULSE = "a pulse of 1500 µs in a frame of 20 ms is 7.5 %"
+PULSE = "such as 7.5 for a pulse of 1500 µs in a frame of 20 ms"
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,13 @@ class BenchColumn:
 
 
 HEIGHT_CURE = f"say its unit, {{name}} [mm]; {MAX_HEIGHT:g} m is as good as no ground"
+NEGATIVE_CURE = "write raw voltages: the tare is read at rest and taken off here"
+SPIKE_CURE = "a spike; repeat the run, or replace the reading by the mean of its neighbours"
+SPIKE_SHARE = 0.02  # of the readings: more are another unit, or a cell that stays there
 VOLTAGE_CURE = "say its unit in the column's name, {name} [mV], or `converter_range` under `parameters`"
 COLUMNS = {
-    "duty": BenchColumn("%", 0.0, 100.0, "duty of the speed controller", f"write it in % of the frame: {PULSE}"),
-    "servo_duty": BenchColumn("%", 0.0, 100.0, "duty of the servo", f"write it in % of the frame: {PULSE}"),
+    "duty": BenchColumn("%", 0.0, 100.0, "duty of the speed controller", f"write it in % of the frame, {PULSE}"),
+    "servo_duty": BenchColumn("%", 0.0, 100.0, "duty of the servo", f"write it in % of the frame, {PULSE}"),
     "height": BenchColumn("m", 0.0, MAX_HEIGHT, "height of the propeller over the ground", HEIGHT_CURE),
     "volts_z": BenchColumn("V", 0.0, None, "vertical cell", VOLTAGE_CURE),
     "volts_x": BenchColumn("V", 0.0, None, "horizontal cell", VOLTAGE_CURE),
@@ -73,9 +77,15 @@ def out_of_range(known: Bench, values: dict[str, Array]) -> Iterator[OutOfRange]
         row = _first(outside)
         value = f"{name} is {values[name][row]:.4g} {column.unit} here"
         allowed = f"beyond {column.low:g} to {high:g} {column.unit} ({column.meaning})"
+        cure = column.cure.format(name=name)
         if column.high is None:
             allowed = f"beyond the converter's 0 to {high:g} V"
-        yield OutOfRange(row, f"{value}, {allowed}; {column.cure.format(name=name)}")
+            if outside.mean() < SPIKE_SHARE:
+                allowed += f", at {counted(int(outside.sum()), 'reading')}"
+                cure = SPIKE_CURE
+            elif values[name][row] < low:
+                cure = NEGATIVE_CURE
+        yield OutOfRange(row, f"{value}, {allowed}; {cure}")
     angle = servo_angle(values["servo_duty"], known.servo_neutral, known.servo_slope)
     if not duty_found and (outside := np.abs(angle) > MAX_TILT).any():
         row = _first(outside)

@@ -11,6 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from plant.bench import Bench
 from plant.identification.cells import Cell, Cells, force_of
+from plant.identification.misfit import odd_group
 from plant.identification.recordings import Recording
 
 CONFIDENCE = 0.95
@@ -59,7 +60,7 @@ class Figure:
 
 @dataclass
 class Result:
-    """Of one test: numbers, what is to be said beside them and warned of, figures, and more for identify.json."""
+    """Of one test: numbers, notes, warnings and faults about them, figures, and more for identify.json."""
 
     test: str
     estimates: list[Estimate]
@@ -67,6 +68,8 @@ class Result:
     figures: list[Figure] = field(default_factory=list)
     more: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    odd: list[str] = field(default_factory=list)  # recordings that are out of line
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,21 @@ class Measured:
         """The recordings with as many rows in the window as the first."""
         count = self.recordings[0].rows(self.test.window).sum()
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
+
+
+def out_of_line(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> list[str]:
+    """Name recordings whose values stand apart from those of the others.
+
+    groups: what the values are, recordings and their values; all groups have the same scatter
+    """
+    place, chosen = odd_group([values for _, _, values in groups])
+    if not chosen:
+        return []
+    what, recordings, values = groups[place]
+    names = ", ".join(recordings[k].label for k in chosen)
+    told = f"{names} {'is' if len(chosen) == 1 else 'are'} out of line: {what} is {values[chosen].mean():.4g}, and "
+    told += f"{np.delete(values, chosen).mean():.4g} in the others"
+    return [f"{told}; look at height, battery, cell and clock of these runs"]
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)

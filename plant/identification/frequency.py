@@ -12,6 +12,7 @@ from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, low_pass, tilt_response
 from plant.identification.commanded import frequency_of
 from plant.identification.estimates import Figure, Measured, Result, interval, least, made, shifts_of
+from plant.identification.misfit import Misfit, misfit, residuals
 from plant.identification.protocol import SineTest
 from plant.identification.recordings import Recording
 
@@ -63,9 +64,90 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         f"The mean of nine rows costs the thesis' points {-smoothing:.2f} dB at {frequencies[-1]:g} rad/s. Ours are "
         "held against the same commands through the bench's equations: hold, dead band, sine of the angle."
     )
+    _judge(m, result, chosen, c, tables)
     if draw:
         result.figures = _figures(frequencies, tau, thesis, ours, means)
     return result
+
+
+def _judge(
+    m: Measured, result: Result, chosen: Sequence[Sequence[tuple[Recording, float]]], c: Array, tables: Array
+) -> None:
+    """Add a fault where the force is ahead of the sines, a warning where it misses the first order.
+
+    Phases and sizes are judged apart: the thrust of a run changes the size of its sine, and no phase. An error of the
+    calibration is common to all frequencies and cancels.
+    """
+    frequencies = np.array([w for _, w in chosen[0]])
+    place = int(np.argmin(np.abs(LAGS - result.estimates[0].value)))
+    slopes = np.gradient(np.log(tables), np.log(LAGS), axis=1)[:, place]
+    ratio = np.log(c / tables[:, place])
+    # noise of a phase is that of a reading over the size of the sine, and the root of the number of rows
+    rows = np.array([sum(r.time >= m.test.lead + m.test.skip) for r, _ in chosen[0]])
+    weights = np.sqrt(rows) * np.abs(c).mean(axis=0)
+    phase = misfit(
+        np.array([residuals(p * weights, (slopes.imag * weights)[:, None]) for p in ratio.imag]),
+        np.zeros((0, frequencies.size)),
+        1,
+    )
+    basis = np.column_stack((np.ones(frequencies.size), slopes.real))
+    size = misfit(np.array([residuals(s, basis) for s in ratio.real]), np.zeros((0, frequencies.size)), 2)
+    if phase is not None and phase.significant:
+        both = np.column_stack((slopes.imag, -frequencies)) * weights[:, None]
+        delay = float(np.linalg.lstsq(both, ratio.imag.mean(axis=0) * weights, rcond=None)[0][1])
+        text = f"phases miss those of first order by up to {DEGREE * float(np.abs(phase.mean / weights).max()):.2g}°"
+        if delay < 0.0:
+            result.warnings.append(
+                f"{text}, more than the scatter: the force is some {-delay:.2g} s ahead of the sines, so look at the "
+                "clocks of commands and cells"
+            )
+        else:
+            result.warnings.append(
+                f"{text}, more than the scatter: the force answers some {delay:.2g} s late, as a pure delay does; look "
+                "at the clocks of commands and cells"
+            )
+    if size is not None and size.significant:
+        most = 100.0 * float(np.abs(size.mean).max())
+        result.warnings.append(
+            f"sizes of the sines miss those of first order by up to {most:.2g} %, more than the scatter: is cell x or "
+            "its amplifier at its end, or does the battery sag?"
+        )
+    clipped = harmonics(m, chosen, result.estimates[0].value)
+    if clipped is not None and clipped.significant:
+        worst = float(np.abs(clipped.mean).max())
+        result.warnings.append(
+            f"the force has harmonics of the sines that the tilt has not, up to {worst:.2g} gf, beyond the scatter: is "
+            "cell x or its amplifier at its end, or loose?"
+        )
+
+
+def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
+    """Return the second and third harmonics [gf] that the response at a lag leaves over."""
+    shapes = [
+        low_pass(np.sin(tilt_response(m.known, r.time, r.servo_duty, np.array([tau])))[:, 0], r.step, m.test.low_pass)
+        for r, _ in chosen[0]
+    ]
+
+    def found(using: Cells) -> Array:
+        rows = []
+        for row in chosen:
+            values: list[Array] = []
+            for (r, w), shape in zip(row, shapes, strict=True):
+                force, size = m.gram * m.force(r, "x", using), min(r.time.size, shape.size)
+                along = sine(r, force, w, m.test) / sine(chosen[0][len(values)][0], shape, w, m.test)
+                rest = force[:size] - abs(along) * shape[:size]
+                times = r.time[:size]
+                use = times >= m.test.lead + m.test.skip
+                angle = w * (times[use] - m.test.lead)
+                basis = [f(k * angle) for k in (1, 2, 3) for f in (np.sin, np.cos)]
+                left = np.linalg.lstsq(np.column_stack((*basis, np.ones_like(angle))), rest[use], rcond=None)[0]
+                values.append(left[2:6] * np.sqrt(use.sum() / longest))
+            rows.append(np.concatenate(values))
+        return np.array(rows)
+
+    longest = max(int((r.time >= m.test.lead + m.test.skip).sum()) for r, _ in chosen[0])
+    each = found(m.cells)
+    return misfit(each, shifts_of(found, m.cells, "x", each), 0)
 
 
 def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:

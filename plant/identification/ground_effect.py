@@ -9,7 +9,16 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells
-from plant.identification.estimates import Figure, Measured, Result, interval, made, pseudo_values, shifts_of
+from plant.identification.estimates import (
+    Figure,
+    Measured,
+    Result,
+    interval,
+    made,
+    out_of_line,
+    pseudo_values,
+    shifts_of,
+)
 from plant.identification.protocol import HeightTest
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
@@ -53,6 +62,10 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     names = [("ground_effect_exponent", "1", thesis, m.true("ground_effect_exponent"))]
     shifts = shifts_of(exponents, m.cells, "z", each)
     result = Result("ground_effect", made(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
+    rows = {h: np.array([m.force(r, "z")[r.rows(m.test.window)].mean() for r in main[h]]) for h in main}
+    result.odd += out_of_line(
+        [(f"at {h:.4g} m the force over its mean", main[h], v / v.mean()) for h, v in rows.items() if v.size > 1]
+    )
     if dropped:
         result.notes.append(
             f"{dropped} of {count * heights.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from plant.identification import answer
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, held_lag, low_pass, tilt_response
 from plant.identification.commanded import BEFORE
-from plant.identification.estimates import Figure, Measured, Result, least, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, least, made, out_of_line, shifts_of
 from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording
 
@@ -60,6 +61,8 @@ def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
             f"rows are {step:.3g} s apart, more than the lag of {result.estimates[0].value:.3g} s: nothing of its "
             "shape is in them, and the number rests on the equation of first order; record faster"
         )
+    result.odd += out_of_line([("the lag [s]", m.recordings, each[:, 0])])
+    answer.judge(m, result, channel, lambda r: _response(m, r, LAGS, thrust=thrust), rows)
     if not thrust and m.truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
     if draw:

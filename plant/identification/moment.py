@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Measured, Result, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, made, out_of_line, shifts_of
+from plant.identification.misfit import drift
 from plant.identification.recordings import Recording
 from plant.powertrain import assembly_moment, servo_angle
 
@@ -44,6 +47,8 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         bottom += float(basis @ basis)
     names = [("assembly_arm", "m", top / bottom, m.true("assembly_arm"))]
     result = Result("moment", made(names, each, shifts_of(arms, m.cells, "m", each), "Test 5, with an offset a test"))
+    result.odd += out_of_line([("the arm [m]", m.recordings, each[:, 0])])
+    _judge(m, result, shape)
     step = known.converter_range / known.converter_levels
     volts = m.recordings[0].volts["m"][m.recordings[0].rows(window)]
     twentieths = [volts[k * volts.size // 20 : (k + 1) * volts.size // 20] for k in range(20)]
@@ -56,6 +61,46 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     if draw:
         result.figures = _figures(result, m)
     return result
+
+
+def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> None:
+    """Add a fault where the cell does not answer the sweep, a warning where it drifts."""
+    window = m.test.window
+    times = [r.time[r.rows(window)] - window[0] for r in m.recordings]
+    moments = [m.force(r, "m")[r.rows(window)] for r in m.recordings]
+    shapes = [shape(r) for r in m.recordings]
+    constant = [np.ones_like(t) for t in times]
+    sweep = drift(moments, [np.column_stack(pair) for pair in zip(constant, shapes, strict=True)])
+    if sweep is not None and not sweep.above_noise:
+        result.faults.append(
+            "volts_m does not answer the sweep of the tilt, beyond its noise: look at the cell, its plug and its wires"
+        )
+        return
+    bases = [np.column_stack(row) for row in zip(constant, shapes, times, strict=True)]
+
+    def slopes(using: Cells) -> Array:
+        """Slope of each recording over the time that the shape leaves."""
+        rows = []
+        for r, basis in zip(m.recordings, bases, strict=True):
+            rows.append(np.linalg.lstsq(basis, m.force(r, "m", using)[r.rows(window)], rcond=None)[0][-1:])
+        return np.array(rows)
+
+    calibration = shifts_of(slopes, m.cells, "m")
+    found = drift(moments, bases, float(np.sqrt((calibration**2).sum())))
+    if found is None or not found.significant:
+        return
+    # what the drift moves the arm by: the part of it that looks like the shape
+    moved = [
+        float((s - s.mean()) @ t / ((s - s.mean()) @ (s - s.mean()))) * slope
+        for s, t, slope in zip(shapes, times, found.each, strict=True)
+    ]
+    arm, shift = result.estimates[0].value, float(np.mean(moved))
+    file = m.recordings[found.worst].label
+    result.warnings.append(
+        f"cell m drifts by {found.mean * (window[1] - window[0]):.2g} N·m over the sweep (most beyond its noise in "
+        f"{file}), by which the arm is off some {shift:.2g} m of {arm:.3g} m: let the bench warm up, sweep faster, or "
+        "sweep there and back"
+    )
 
 
 def _figures(result: Result, m: Measured) -> list[Figure]:

@@ -34,13 +34,16 @@ def bounds_of(name: str) -> tuple[float, float]:
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
-    """Return a fault for each impossible number, at its test; add the warnings of its interval to its result."""
+    """Return the faults of results and one for each impossible number; add warnings of intervals to the results."""
     faults = []
     for result in results:
         for e in result.estimates:
             if reason := _impossible(e):
                 cure = CURES["lag" if e.name.startswith("lag") else e.name]
-                faults.append(protocol.yaml.fault(("tests", result.test), f"{e.name} {reason}; {cure}", key=True))
+                text = "; ".join([f"{e.name} {reason}; {cure}", *result.odd])
+                faults.append(protocol.yaml.fault(("tests", result.test), text, key=True))
+        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in result.faults]
+        result.warnings += result.odd
         result.warnings += [text for e in result.estimates for text in _doubtful(e)]
     return faults
 

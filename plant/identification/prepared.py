@@ -87,14 +87,10 @@ def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
     for name, test in protocol.file.tests.given():
         if not test.files:
             continue
-        try:
-            found[name] = read_recordings(protocol, name)
-        except InputError as error:
-            faults += error.faults
-            continue
-        faults += repeated(found[name])
+        found[name], unread = read_recordings(protocol, name)
+        faults += [*unread, *repeated(found[name])]
         if cells is not None:
-            faults += recording_faults(protocol, name, found[name], cells)
+            faults += recording_faults(protocol, name, found[name], cells, whole=not unread)
     refuse(faults)
     return found
 

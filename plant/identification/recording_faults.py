@@ -31,8 +31,13 @@ TIMED = ("step", "thrust_step", "frequency")  # tests that read a time
 SAME_NOISE = 0.9  # correlation of fourth differences; that of two runs with noise is 0 ± 0.2
 
 
-def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells) -> list[Fault]:
-    """Every fault of the recordings of a test, at their file and row."""
+def recording_faults(
+    protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells, *, whole: bool = True
+) -> list[Fault]:
+    """Return every fault of the recordings of a test, at their file and row.
+
+    whole: all files of the test could be read, so that they are also judged together
+    """
     test: Test = getattr(protocol.file.tests, name)
     faults: list[Fault] = []
     for r in recordings:
@@ -40,7 +45,7 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
         if r.path is not None and not found:  # phases were asked before they played
             found = [*_missing(protocol, name, test, r), *_wrong_height(protocol, name, test, r)]
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
-    if not faults:
+    if whole and not faults:
         faults += _of_all(protocol, name, test, recordings)
         if name == "thrust_line" and not rows_with_thrust(Measured(recordings, cells, protocol.known, test)).enough:
             cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
@@ -138,7 +143,8 @@ def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, 
             message = f"volts_{other} follows the thrust and volts_z does not, upright: {SWAPPED}"
             yield _at(protocol, r, message, 0)
         elif (force_of(r, cells, "z", test.rest)[window].mean()) < 0:
-            message = "the vertical force falls with the duty: volts_z has the wrong sign or another calibration"
+            message = "the vertical force falls with the duty: volts_z is unplugged, or has the wrong sign or another "
+            message += "calibration; look at its plug and at the points of cell z"
             yield _at(protocol, r, message, 0)
     elif name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
         yield _at(protocol, r, f"volts_m follows the tilt and volts_x does not: {SWAPPED}", 0)
@@ -186,7 +192,7 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
         yield _at(protocol, r, f"{told}; {cure}", row)
     elif not least <= factor <= most:
         told = f"the horizontal force is {factor:.3g} times the thrust of volts_z times sin α, and 1 is right"
-        cure = f"look at the points and units of cells z and x, and at `servo_slope`; {SWAPPED}"
+        cure = f"look at the plug of cell x, the points and units of cells z and x, and at `servo_slope`; {SWAPPED}"
         yield _at(protocol, r, f"{told}; {cure}", row)
 
 
@@ -207,7 +213,7 @@ def repeated(recordings: Sequence[Recording]) -> list[Fault]:
     """
     faults = []
     for k, r in enumerate(recordings):
-        before = next((q for q in recordings[:k] if _same_noise(q, r)), None)
+        before = next((q for q in recordings[:k] if q.path != r.path and _same_noise(q, r)), None)
         if before is not None and r.path is not None:
             told = f"holds the readings of {before.label} once more; a repetition is a run of its own, so leave one out"
             faults.append(Fault(Path(r.path), 0, 0, told))

@@ -26,6 +26,8 @@ from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTe
 
 LANES = 1000  # runs at once
 SECONDS = 1.0  # of a load that hangs
+SAME_STEP = 0.1  # of a step, by which the steps of an even clock differ
+MAX_MISSING = 0.02  # of the rows, single ones that are filled in
 DEGREE = np.pi / 180.0
 
 
@@ -288,11 +290,14 @@ def read_recording(path: Path) -> Recording:
         wanted = COLUMNS[heading.name].unit
         scale = factor(heading.unit, wanted)
         if scale is None:
-            cure = f"; write {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
+            cure = f"; write it in %, {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
             faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{wanted}]{cure}")
         return Column(heading, scale or 1.0, known="a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
+    if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # then all else follows from it
+        message = "numbers have decimal commas; write decimals with a point, and separate cells with commas"
+        raise InputError([Fault(path, table.header + 1, 1, message)])
     if table.whole:
         for name in (n for n in COLUMNS if n not in table.columns):
             hint = did_you_mean(name, table.columns)
@@ -300,21 +305,43 @@ def read_recording(path: Path) -> Recording:
         if table.rows < 10:
             faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least")
     faults.raise_any()
-    time = table["time"]
+    time, lines = table["time"], np.array(table.lines)
+    values = np.column_stack([table[name] for name in COLUMNS])
+    time, values, lines = _with_single_rows(time, values, lines)
     gaps = np.diff(time)
     if gaps.max() > 1.5 * np.median(gaps):
-        row = int(np.argmax(gaps)) + 1
-        cure = "rows are missing, resample"
-        message = f"{gaps.max():.3g} s pass before this row, {np.median(gaps):.3g} s before others; {cure}"
-        raise InputError([Fault(path, int(table.lines[row]), 1, message)])
-    volts = {c: table[f"volts_{c}"] for c in CHANNELS}
-    return Recording(
-        path.name, time, table["duty"], table["servo_duty"], table["height"], volts, path, np.array(table.lines)
+        row, step = int(np.argmax(gaps)) + 1, float(np.median(gaps))
+        message = (
+            f"{gaps.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock "
+        )
+        message += f"is uneven: resample to rows {step:.3g} s apart, volts by straight lines, duties held"
+        raise InputError([Fault(path, int(lines[row]), 1, message)])
+    duty, servo_duty, height, *volts = np.ascontiguousarray(values.T)
+    by_cell = dict(zip(CHANNELS, volts, strict=True))
+    return Recording(path.name, time, duty, servo_duty, height, by_cell, path, lines)
+
+
+def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
+    """Fill in single rows that are missing from an even clock: commands are held, voltages on a straight line."""
+    gaps = np.diff(time)
+    step = float(np.median(gaps))
+    missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
+    even = np.abs(np.delete(gaps, missing) - step) < SAME_STEP * step
+    if not missing.size or not even.all() or missing.size > MAX_MISSING * time.size:
+        return time, values, lines
+    middle = values[missing].copy()
+    cells = [name.startswith("volts_") for name in COLUMNS]
+    middle[:, cells] = 0.5 * (values[missing] + values[missing + 1])[:, cells]
+    after = missing + 1
+    return (
+        np.insert(time, after, 0.5 * (time[missing] + time[after])),
+        np.insert(values, after, middle, axis=0),
+        np.insert(lines, after, lines[after]),
     )
 
 
-def read_recordings(protocol: Protocol, name: str) -> list[Recording]:
-    """The recordings that a test names; InputError with the faults of all."""
+def read_recordings(protocol: Protocol, name: str) -> tuple[list[Recording], list[Fault]]:
+    """Return the recordings that a test names, as far as they can be read, and the faults of the others."""
     faults: list[Fault] = []
     found = []
     for text in getattr(protocol.file.tests, name).files:
@@ -322,5 +349,4 @@ def read_recordings(protocol: Protocol, name: str) -> list[Recording]:
             found.append(read_recording(protocol.folder / text))
         except InputError as error:
             faults += error.faults
-    refuse(faults)
-    return found
+    return found, faults

@@ -13,7 +13,8 @@ from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.identification.cells import Cell, Cells, at_rail
 from plant.identification.command_response import held_lag, low_pass
-from plant.identification.estimates import Figure, Measured, Result, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, made, out_of_line, shifts_of
+from plant.identification.misfit import drift
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
@@ -128,6 +129,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     shifts = shifts_of(lines, cells, "z", each)
     result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
+    result.odd += out_of_line([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
     result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
@@ -144,11 +146,36 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
             f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
             f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
         )
+    result.warnings += _second_tare(m, rows.dead_end, result.estimates[1].value)
     if degree > 1:
         _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
     if draw:
         result.figures = _figures(result, duty, raw, each, shifts)
     return result
+
+
+def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
+    """Return a warning where a cell without thrust reads otherwise after the window than at rest."""
+    values, bases, taken_off = [], [], [0.0]
+    for r in m.recordings:
+        delayed = _delayed(r, m.known, m.test, dead_end)
+        rest = r.rows(m.test.rest)
+        end = (r.time > m.test.window[1]) & (r.duty <= dead_end) & (delayed <= dead_end + MARGIN)
+        if not end.any():
+            return []
+        thrust = slope * (delayed - dead_end) / m.gram * _gain(r, np.ones(r.time.size, dtype=bool), m.known)
+        taken_off.append(float(thrust[end].mean()))  # and as uncertain
+        both = rest | end
+        values.append((m.force(r, "z") - np.where(end, thrust, 0.0))[both])
+        bases.append(np.column_stack((np.ones(both.sum()), end[both])))
+    found = drift(values, bases, max(taken_off))
+    if found is None or not found.significant:
+        return []
+    return [
+        f"cell z reads {m.gram * found.mean:.3g} gf more at the end, without thrust again, than at rest (most in "
+        f"{m.recordings[found.worst].label}, {m.gram * found.each[found.worst]:.3g} gf): it drifts, and offset and "
+        "slope are off by as much; record shorter ramps, or with a warm cell"
+    ]
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:

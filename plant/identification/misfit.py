@@ -1,0 +1,189 @@
+"""Tests of what a fit leaves over: the shape of a mean answer, and the drift of a cell.
+
+Each test warns of right recordings with probability `FALSE_ALARM`. It compares with the scatter of the recordings
+themselves, so that it needs no threshold: noise that is correlated from row to row counts as fewer readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array
+
+FALSE_ALARM = 1e-3  # probability of a warning of right recordings, for each test
+LEAST_FREEDOM = 4  # degrees of freedom of values that are judged as one group or two
+DRAWS = 20_000  # of normal values, for a quantile at `FALSE_ALARM`
+SHARE = 0.5  # of a misfit that one cause explains before the cause is named
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Mean residual of repetitions by row, and its covariance by scatter and calibration.
+
+    freedom: degrees of freedom of the mean residual; repetitions: their number
+    """
+
+    mean: Array
+    covariance: Array
+    freedom: float
+    repetitions: int
+
+    def size(self, residual: Array | None = None) -> float:
+        """Return the square of a residual over its covariance: of the mean, or of another one."""
+        values = self.mean if residual is None else residual
+        return float(values @ np.linalg.solve(self.covariance, values))
+
+    def is_significant(self, size: float, freedom: float) -> bool:
+        """Return whether a size is above the quantile of F that right recordings exceed by `FALSE_ALARM`."""
+        from scipy import stats
+
+        spare = self.freedom * (self.repetitions - 1)
+        return size / freedom > float(stats.f.ppf(1.0 - FALSE_ALARM, freedom, spare))
+
+    @property
+    def significant(self) -> bool:
+        """The mean answer misses the fitted shape by more than the scatter explains."""
+        return self.size() > 0.0 and self.is_significant(self.size(), self.freedom)
+
+
+def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
+    """Return the misfit of residuals, None where they have no scatter or too few rows.
+
+    each:       residuals, shape (repetitions, rows)
+    shifts:     what the error of each calibration point would move their mean by, shape (points, rows)
+    parameters: that were fitted to each repetition
+    """
+    count, rows = each.shape
+    mean = each.mean(axis=0)
+    scatter = each - mean
+    freedom = rows - parameters
+    if freedom < 1 or count < 2:
+        return None
+    variance = float((scatter**2).sum()) / (freedom * (count - 1))
+    if variance <= 0.0:
+        return None
+    covariance = variance / count * np.eye(rows) + shifts.T @ shifts
+    return Misfit(mean, covariance, max(1.0, freedom / _correlated(scatter, 2.0)), count)
+
+
+def residuals(values: Array, basis: Array) -> Array:
+    """Return what least squares over the columns of a basis leaves of values."""
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A coefficient of each recording that is 0 where nothing drifts, and its standard error by noise.
+
+    above_noise: their mean is beyond the noise of the readings; significant: and beyond scatter and calibration
+    """
+
+    each: Array
+    errors: Array
+    above_noise: bool
+    significant: bool
+
+    @property
+    def worst(self) -> int:
+        """Number of the recording whose coefficient is farthest from 0."""
+        return int(np.argmax(np.abs(self.each) / self.errors))
+
+    @property
+    def mean(self) -> float:
+        """Mean over the recordings."""
+        return float(self.each.mean())
+
+
+def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 0.0) -> Drift | None:
+    """Return the coefficient of the last column of each basis; None where the readings have no noise.
+
+    calibration: standard error of the coefficients by the calibration, which they have in common
+    """
+    from scipy import stats
+
+    each, errors, freedom = [], [], 0
+    for y, basis in zip(values, bases, strict=True):
+        if y.size <= basis.shape[1] + 1:
+            return None
+        free = residuals(basis[:, -1], basis[:, :-1])
+        left = residuals(y, basis)
+        spare = y.size - basis.shape[1]
+        variance = float(left @ left) / spare * _correlated(left[None], 1.0)
+        if variance <= 0.0 or not free @ free > 0.0:
+            return None
+        each.append(float(free @ y / (free @ free)))
+        errors.append(float(np.sqrt(variance / (free @ free))))
+        freedom += spare
+    count = len(each)
+    coefficients, noise = np.array(each), np.array(errors)
+    mean = abs(float(coefficients.mean()))
+    by_noise = float(np.sqrt((noise**2).sum())) / count
+    above_noise = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, freedom) * by_noise
+    if count < 2:
+        return Drift(coefficients, noise, bool(above_noise), significant=False)
+    scatter = float(coefficients.var(ddof=1)) / count
+    variance = scatter + calibration**2
+    spare = min((count - 1) * variance**2 / max(scatter**2, 1e-300), 1e6)  # Welch and Satterthwaite
+    beyond = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, spare) * np.sqrt(variance)
+    return Drift(coefficients, noise, bool(above_noise), bool(above_noise and beyond))
+
+
+def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
+    """Return whether readings change less from row to row than those before them, beyond chance."""
+    from scipy import stats
+
+    # differences of pairs of rows, so that each reading counts once
+    one, other = (np.concatenate([v[1::2] - v[: v.size - v.size % 2 : 2] for v in part]) for part in (before, after))
+    if min(one.size, other.size) < 2 or not one.any():
+        return False
+    ratio = float(np.mean(other**2) / np.mean(one**2))
+    return ratio < float(stats.f.ppf(FALSE_ALARM, other.size, one.size))
+
+
+def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
+    """Return the group whose values fall into two, and the numbers of the fewer of them; (0, []) where none does.
+
+    All groups have the same scatter. The statistic is the scatter within the groups, the one that splits best taken as
+    two, over that without a split; its quantile is that of normal values.
+    """
+    if sum(v.size - 1 for v in groups) < LEAST_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
+        return 0, []
+    rng = np.random.default_rng(0)
+    normal, _, _ = _split([rng.standard_normal((DRAWS, v.size)) for v in groups])
+    ratio, place, size = _split([v[None] for v in groups])
+    if ratio[0] >= float(np.quantile(normal, FALSE_ALARM)):
+        return 0, []
+    values, first = groups[int(place[0])], int(size[0])
+    order = np.argsort(values)
+    chosen = order[:first] if 2 * first <= values.size else order[first:]
+    return int(place[0]), sorted(int(k) for k in chosen)
+
+
+def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Return the scatter that the best split of one group leaves, the group, and the size of its lower part, by row."""
+    total = sum(((v - v.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) for v in groups)
+    gains, sizes = [], []
+    for v in groups:
+        low = np.cumsum(np.sort(v - v.mean(axis=1, keepdims=True), axis=1), axis=1)[:, :-1]
+        size = np.arange(1, v.shape[1])
+        gain = low**2 * (1.0 / size + 1.0 / (v.shape[1] - size))  # the upper part sums up to -low
+        best = np.argmax(gain, axis=1)
+        gains.append(np.take_along_axis(gain, best[:, None], axis=1)[:, 0])
+        sizes.append(size[best])
+    place = np.argmax(gains, axis=0)
+    rows = np.arange(place.size)
+    return 1.0 - np.array(gains)[place, rows] / total, place, np.array(sizes)[place, rows]
+
+
+def _correlated(scatter: Array, power: float) -> float:
+    """Return how many rows of correlated noise count as one: 1 of white noise.
+
+    power: 1 for the variance of a mean, 2 for that of a sum of squares; of first-order noise, by its first lag
+    """
+    size = scatter.shape[1]
+    first = float((scatter[:, 1:] * scatter[:, :-1]).sum()) / max(float((scatter**2).sum()), 1e-300)
+    near = min(first, 1.0 - 2.0 / max(size, 3)) if first > 2.0 / np.sqrt(scatter.size) else 0.0  # of white noise 0
+    return float((1.0 + near**power) / (1.0 - near**power))
