@@ -110,7 +110,7 @@ def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, left_o
 
 def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> dict[str, Cell]:
     """The cells, from loads hung on a bench that is played or from points as measured; ValueError as `cell_of`."""
-    cells, known = {}, protocol.known
+    cells = {}
     for channel in CHANNELS:
         cell, unit = protocol.file.cells[channel], load_in_si(protocol, channel)
         points = cell.points
@@ -118,26 +118,31 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
             hanging = zip(cell.loads, hung[channel], strict=True)
             points = [(load, float(r.volts[channel].mean())) for load, r in hanging]
         pairs = [(load * unit, volts) for load, volts in points]
-        error = cell.error * cell.full_scale * unit
-        outside = [v for _, v in pairs if not -RAIL_SLACK <= v / known.converter_range <= 1.0 + RAIL_SLACK]
-        if outside:
-            cure = "write volts, or `converter_range` under `parameters`"
-            message = f"a point has {outside[0]:g} V, beyond the converter's 0 to {known.converter_range:g} V; {cure}"
-            raise ValueError(f"cells.{channel}: {message}")
-        rail = _at_the_rail(pairs, error, known)
-        kept = [pair for pair, out in zip(pairs, rail, strict=True) if not out]
-        if len(kept) < LEAST_POINTS:
-            message = f"{len(kept)} points are inside the converter's range, and {LEAST_POINTS} are needed"
-            if len(kept) < len(pairs):
-                message += f"; {len(pairs) - len(kept)} others are at an end of it, or within their error of it"
-            raise ValueError(f"cells.{channel}: {message}; measure more points inside it")
-        left_out = [load for (load, _), out in zip(pairs, rail, strict=True) if out]
         try:
-            loads, volts = zip(*kept, strict=True)
-            cells[channel] = cell_of(loads, volts, error, left_out)
+            cells[channel] = _cell_inside(pairs, cell.error * cell.full_scale * unit, protocol.known)
         except ValueError as fault:
             raise ValueError(f"cells.{channel}: {fault}") from None
     return cells
+
+
+def _cell_inside(pairs: Sequence[tuple[float, float]], error: float, known: Bench) -> Cell:
+    """Return a cell from its points inside the converter's range; ValueError if they are too few."""
+    for _, volts in pairs:
+        if not -RAIL_SLACK <= volts / known.converter_range <= 1.0 + RAIL_SLACK:
+            cure = "write volts, or `converter_range` under `parameters`"
+            raise ValueError(
+                f"a point has {volts:g} V, beyond the converter's 0 to {known.converter_range:g} V; {cure}"
+            )
+    rail = _at_the_rail(pairs, error, known)
+    kept = [pair for pair, out in zip(pairs, rail, strict=True) if not out]
+    if len(kept) < LEAST_POINTS:
+        message = f"{len(kept)} points are inside the converter's range, and {LEAST_POINTS} are needed"
+        if len(kept) < len(pairs):
+            message += f"; {len(pairs) - len(kept)} others are at an end of it, or within their error of it"
+        raise ValueError(f"{message}; measure more points inside it")
+    left_out = [load for (load, _), out in zip(pairs, rail, strict=True) if out]
+    loads, volts = zip(*kept, strict=True)
+    return cell_of(loads, volts, error, left_out)
 
 
 def _at_the_rail(pairs: Sequence[tuple[float, float]], error: float, known: Bench) -> list[bool]:

@@ -135,23 +135,28 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
     result.more |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
-    if rows.idle:
-        result.warnings.append(
-            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
-            "max(0, a + b·δ) is no line there, and they are left out"
-        )
-    top = max(float(r.duty[r.rows(test.window)].max()) for r in m.recordings)
-    if rows.end < top - 1e-9:
-        result.notes.append(
-            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
-            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
-        )
+    _tell_of_rows(result, m, rows)
     result.warnings += _second_tare(m, rows.dead_end, result.estimates[1].value)
     if degree > 1:
         _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
     if draw:
         result.figures = _figures(result, duty, raw, each, shifts)
     return result
+
+
+def _tell_of_rows(result: Result, m: Measured, rows: Rows) -> None:
+    """Say which readings are left out of the line, and why."""
+    if rows.idle:
+        result.warnings.append(
+            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
+            "max(0, a + b·δ) is no line there, and they are left out"
+        )
+    top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
+    if rows.end < top - 1e-9:
+        result.notes.append(
+            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
+            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
+        )
 
 
 def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
