@@ -54,7 +54,7 @@ def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None
         read_study(tmp_path / name)
 
 
-@pytest.mark.parametrize("text", ["model: base\n", "candidates: [mass]\n"])
+@pytest.mark.parametrize("text", ["model: base\nnoise: {}\n", "candidates: [mass]\n"])
 def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: str) -> None:
     (tmp_path / "study.yaml").write_text(text)
     assert told(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']

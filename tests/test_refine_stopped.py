@@ -14,6 +14,7 @@ import pytest
 
 from cosim.refinement import workflow
 from cosim.storage.files import scratch_folder, uninterrupted
+from cosim.subject import model_subject
 from cosim.verbs.cli import entry
 from tests.test_refine_conditions import motor_study
 
@@ -37,13 +38,14 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def stopped(study: Path, out: Path, monkeypatch: pytest.MonkeyPatch, at: str, number: signal.Signals) -> int:
     """Run `cosim refine` and stop it where a step of it begins; its exit code."""
-    step = getattr(workflow, at)
+    place = model_subject if hasattr(model_subject, at) else workflow
+    step = getattr(place, at)
 
     def and_then(*arguments: Any) -> Any:
         signal.raise_signal(number)
         return step(*arguments)
 
-    monkeypatch.setattr(workflow, at, and_then)
+    monkeypatch.setattr(place, at, and_then)
     monkeypatch.setattr("sys.argv", ["cosim", "refine", str(study), "--out", str(out), "--no-report"])
     with pytest.raises(SystemExit) as left:
         entry()

@@ -23,6 +23,7 @@ from cosim import check
 from cosim.authoring.export import export_ssp
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Profile, profile_function
+from cosim.fmi.native import compiler as native_compiler
 from cosim.fmi.native.signal_source import build_source
 from cosim.simulation.workflow import run
 from cosim.storage import archive as archive_rules
@@ -460,6 +461,7 @@ def test_a_connection_that_converts_units_is_refused(tmp_path: Path) -> None:
 def test_without_a_compiler_a_reference_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = lags(tmp_path)
     monkeypatch.setenv("CC", "no-such-compiler")
+    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
     with pytest.raises(InputError, match="cannot be compiled: no C compiler is found; install gcc or clang"):
         export_ssp(source, tmp_path / "x.ssp")
     assert not (tmp_path / "x.ssp").exists()

@@ -24,6 +24,7 @@ from cosim.model.rosenbrock import step
 from cosim.model.symbolic.linearize import linearize
 from cosim.refinement.workflow import refine
 from cosim.residuals.windows import replay
+from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.motor import motor_log, motor_study
 from tests.native import NEEDS_COMPILER
@@ -147,12 +148,12 @@ def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str)
     loaded, _ = with_substep(given, [log])
     write_model(tmp_path / "model.yaml", loaded)
     (fmu,) = build_fmus(tmp_path / "built", str(tmp_path / "model.yaml"), native=kind == "native")
-    problem = build_problem(loaded.model, [log])
+    problem = build_problem(ModelSubject.of(loaded.model), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
     through, run = replay(log, fmu, start), own_run(problem, 0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - run.outputs[:, k])) < 1e-9  # A and rad/s
-    exact = own_run(build_problem(loaded.model.with_substep(1e-5, "rk4"), [log]), 0)
+    exact = own_run(build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log]), 0)
     assert np.max(np.abs(exact.outputs - run.outputs)) < 1e-5  # of steps of 10 A
 
 

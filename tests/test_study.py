@@ -75,13 +75,18 @@ def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch
     (tmp_path / "e.csv").write_bytes(flown)
     (tmp_path / "v.csv").write_bytes(2 * flown)
     monkeypatch.setattr(csv_source, "MOST_BYTES", len(flown))
-    opened = Path.open
+    opened, whole = Path.open, Path.read_bytes
+
+    def read(path: Path) -> bytes:
+        assert path.name != "v.csv"
+        return whole(path)
 
     def small(path: Path, *arguments: object, **keywords: object) -> object:
-        assert path.name != "v.csv"
+        assert path.name != "v.csv" or arguments == ("rb",)  # its first bytes say which format it has
         return opened(path, *arguments, **keywords)  # type: ignore[arg-type, call-overload]
 
     monkeypatch.setattr(Path, "open", small)
+    monkeypatch.setattr(Path, "read_bytes", read)
     (fault,) = told(study(tmp_path))
     assert "cut it into pieces" in fault
 

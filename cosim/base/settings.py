@@ -236,17 +236,9 @@ def _are_names(value: Any) -> bool:
     return isinstance(value, str) or _are(lambda each: isinstance(each, str))(value)
 
 
-def _is_signals(value: Any) -> bool:
-    """The value is a `cosim.simulation.run_signals.Signals`, which stands on a floor above."""
-    signals = ("cosim.simulation.run_signals", "Signals")
-    return any((kind.__module__, kind.__name__) == signals for kind in type(value).__mro__)
-
-
-def _is_subject(value: Any) -> bool:
-    """The value is a `cosim.subject.interface.Subject`, which stands on a floor above."""
-    return any(
-        (kind.__module__, kind.__name__) == ("cosim.subject.interface", "Subject") for kind in type(value).__mro__
-    )
+def _is_a(module: str, name: str) -> Callable[[Any], bool]:
+    """Return whether a value is of a class that stands on a floor above."""
+    return lambda value: any((kind.__module__, kind.__name__) == (module, name) for kind in type(value).__mro__)
 
 
 def _same(value: Any) -> Any:
@@ -276,8 +268,9 @@ KINDS: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any]]] = {
     "Given": (lambda value: isinstance(value, Mapping) or _are_names(value), _settings),
     "Callable": (callable, _same),
     "Progress": (callable, _same),
-    "Signals": (_is_signals, _same),
-    "Subject": (_is_subject, _same),
+    "Signals": (_is_a("cosim.simulation.run_signals", "Signals"), _same),
+    "Subject": (_is_a("cosim.subject.interface", "Subject"), _same),
+    "Observers": (_are(_is_a("cosim.master.observer", "Observer")), _same),
 }
 WANTED = {
     "None": "",
@@ -302,6 +295,7 @@ WANTED = {
     "Progress": "a function",
     "Signals": "what a function of cosim returned",
     "Subject": "an object of a subclass of cosim.subject.interface.Subject",
+    "Observers": "a list of objects of subclasses of cosim.master.observer.Observer",
 }
 
 

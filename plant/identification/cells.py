@@ -127,11 +127,11 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
 
 def _cell_inside(pairs: Sequence[tuple[float, float]], error: float, known: Bench) -> Cell:
     """Return a cell from its points inside the converter's range; ValueError if they are too few."""
-    for _, volts in pairs:
-        if not -RAIL_SLACK <= volts / known.converter_range <= 1.0 + RAIL_SLACK:
+    for _, reading in pairs:
+        if not -RAIL_SLACK <= reading / known.converter_range <= 1.0 + RAIL_SLACK:
             cure = "write volts, or `converter_range` under `parameters`"
             raise ValueError(
-                f"a point has {volts:g} V, beyond the converter's 0 to {known.converter_range:g} V; {cure}"
+                f"a point has {reading:g} V, beyond the converter's 0 to {known.converter_range:g} V; {cure}"
             )
     rail = _at_the_rail(pairs, error, known)
     kept = [pair for pair, out in zip(pairs, rail, strict=True) if not out]
