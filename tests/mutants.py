@@ -102,6 +102,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/master/own_process.py", "schedule fmu_isolation misbehaving"),
     ("cosim/master/c_loop.py", "stepping"),
     ("cosim/master/*", "blame schedule stepping master"),
+    ("cosim/coupling/*", "planning schedule stepping first_steps graph"),
     ("cosim/system/*", "planning schedule blame scenario"),
     ("cosim/simulation/*", "planning schedule scenario"),
 ]

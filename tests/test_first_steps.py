@@ -16,6 +16,7 @@ from cosim.authoring.matching import Matches, Port, matched, text
 from cosim.authoring.parts import component_name
 from cosim.base.errors import CosimError, InputError
 from cosim.blocks.component import Signal
+from cosim.coupling.algorithms import DEFAULT
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.kinds import LOG, next_step
 from cosim.storage.results import read_results
@@ -219,7 +220,7 @@ def test_what_init_offers_can_be_uncommented_where_nothing_was_connected(tmp_pat
     parts = parts_of([typed_fmu(tmp_path, name="one"), typed_fmu(tmp_path, name="two")])
     (target,) = (p for p in parts[1].ports[0] if p[1].name == "r_in")
     none = Matches((), ((target, ("one.r_out",)),))
-    written = scenario_text(tmp_path, parts, none, times_of(parts), "gauss-seidel")
+    written = scenario_text(tmp_path, parts, none, times_of(parts), DEFAULT)
     (tmp_path / "as_is.yaml").write_text(written)
     assert not ScenarioFile(tmp_path / "as_is.yaml").faults
     (tmp_path / "taken.yaml").write_text(written.replace("  # - {from", "  - {from"))

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cosim.blocks.faults import MOST, Delayed, Held, disturbed, points, steps_in, whole
+from cosim.coupling.algorithms import OWN, Algorithm, Plan
+from cosim.coupling.order import AlgebraicLoop, order_by_dependencies
 from cosim.master.master import simulate
 from cosim.simulation import metrics
-from cosim.system.order import AlgebraicLoop, stages
 from cosim.system.schedule import _every, _names_all, schedule
 from cosim.system.wiring import Transfer
 from tests.own_blocks import Block, rows_for, system_of
@@ -145,24 +146,24 @@ def test_events_act_at_their_point_before_its_row_is_kept() -> None:
 def test_a_direct_input_is_of_the_same_time_and_any_other_of_the_last() -> None:
     blocks = {"b": block("b", "u", u=True), "a": block("a", "u", u=False)}
     edges = [("a", "b", "u", "y"), ("b", "a", "u", "y")]
-    assert stages(blocks, edges, None) == (("a", "b"), (True, False), ())
+    assert order_by_dependencies(blocks, edges, None) == (("a", "b"), (True, False), ())
 
 
 def test_a_loop_of_direct_inputs_is_told_unless_an_order_is_given() -> None:
     blocks = {name: block(name, "u", u=True) for name in "abc"}
     edges = [("c", "a", "u", "y"), ("a", "b", "u", "y"), ("b", "c", "u", "y")]
     with pytest.raises(AlgebraicLoop) as loop:
-        stages(blocks, edges, None)
+        order_by_dependencies(blocks, edges, None)
     assert loop.value.cycle[0] == loop.value.cycle[-1]
     needs = {("a", "c"), ("b", "a"), ("c", "b")}
     assert all(pair in needs for pair in zip(loop.value.cycle, loop.value.cycle[1:], strict=False))
-    assert stages(blocks, edges, ["b", "c", "a"]) == (("b", "c", "a"), (True, False, True), ())
-    assert stages(blocks | {"s": block("s")}, edges, ["b", "c", "a"])[0] == ("s", "b", "c", "a")
+    assert order_by_dependencies(blocks, edges, ["b", "c", "a"]) == (("b", "c", "a"), (True, False, True), ())
+    assert order_by_dependencies(blocks | {"s": block("s")}, edges, ["b", "c", "a"])[0] == ("s", "b", "c", "a")
 
 
 def test_a_component_that_declares_nothing_gives_way_in_a_loop_and_that_is_noted() -> None:
     blocks = {"a": block("a", "u", u=True), "b": block("b", "u", u=None)}
-    order, immediate, notes = stages(blocks, [("a", "b", "u", "y"), ("b", "a", "u", "y")], None)
+    order, immediate, notes = order_by_dependencies(blocks, [("a", "b", "u", "y"), ("b", "a", "u", "y")], None)
     assert (order, immediate) == (("b", "a"), (False, True))
     assert len(notes) == 1
     assert notes[0].startswith("b does not declare")
@@ -208,6 +209,20 @@ def test_a_loop_is_a_fault_of_the_connections_with_both_cures() -> None:
     ((where, message),) = noted.faults
     assert where == ("connections",)
     assert "(order: [a, b]) or algorithm: jacobi" in message
+
+
+def test_an_algorithm_that_forgets_a_component_is_a_fault_of_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Forgetful(Algorithm):
+        name = "forgetful"
+
+        def plan(self, components: Any, edges: Any, order: Any) -> Plan:
+            return Plan(("a",), (False,) * len(edges))
+
+    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Forgetful()))
+    components, noted = {"a": block("a"), "b": block("b")}, Noted()
+    named = {name: SimpleNamespace() for name in components}
+    assert schedule(scenario(components=named, algorithm="forgetful"), components, [], noted).stages == ()  # type: ignore[arg-type]
+    assert noted.faults == [(("algorithm",), "forgetful steps a; it must step each component once")]
 
 
 # -- faults on a connection -------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from benchmarks.bench_native import native_figures
-from cosim.base.errors import Interrupted
+from cosim.base.errors import InputError, Interrupted
 from cosim.blocks.description import read_description
 from cosim.blocks.faults import disturbed
 from cosim.blocks.fmi import EXCHANGE, STEP2
@@ -27,7 +27,8 @@ from cosim.blocks.fmi_types import FMI2, FMI3, Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import Recorded
-from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, link, move, transfer
+from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, library, link, move, transfer
+from cosim.coupling.algorithms import OWN
 from cosim.fmi.native import compiler as native_compiler
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
@@ -35,6 +36,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import build_system
+from cosim.verbs.schema_verb import schema_of
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu
@@ -276,6 +278,27 @@ def test_the_rows_are_the_same_bytes_with_sources_noise_and_faults(tmp_path: Pat
     assert np.ptp(results["b.y2"]) > 0.1
 
 
+def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The example of docs/extending.md: each value is of the same time where its source comes later in the order."""
+    example = re.search(
+        r"```text\n# acme/coupling.py.*?\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL
+    )
+    assert example is not None
+    names: dict[str, Any] = {"__name__": "acme.coupling"}
+    exec(example[1], names)
+    path = two(tmp_path, algorithm="reversed", order=["r", "rec", "a", "b"])
+    with pytest.raises(InputError, match="algorithm is 'reversed': it should be 'gauss-seidel' or 'jacobi'"):
+        build_system(ScenarioFile(path))
+    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, names["REVERSED"]))
+    backwards = same(path)
+    order = [stage.component.name for stage in build_system(ScenarioFile(path)).stages]
+    assert order == ["b", "a", "rec", "r"]
+    assert not np.array_equal(backwards.values, same(two(tmp_path, order=["r", "rec", "a", "b"])).values)
+    assert "reversed steps one after the other, the last one first" in str(schema_of("scenario"))
+
+
 def test_the_rows_are_the_same_bytes_with_steps_of_their_own(tmp_path: Path) -> None:
     path = two(tmp_path, faults=[], algorithm="jacobi")
     results = same(path, "components.b.step=0.03")
@@ -455,7 +478,11 @@ def test_the_manifest_names_the_loop_and_why_it_is_in_python(
     )
     monkeypatch.setenv("CC", "none")
     monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    assert loop(path, in_process=True) == "Python: no C compiler"
+    library.cache_clear()
+    try:
+        assert loop(path, in_process=True) == "Python: no C compiler"
+    finally:
+        library.cache_clear()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the compiler here is a shell script")

@@ -1,1 +1,1 @@
-"""TODO."""
+"""A first scenario, its picture, its SSP, and one FMU without a scenario."""

@@ -19,14 +19,14 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.description import no_library, platform_of
-from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, platforms_of
+from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
+from cosim.coupling.order import AlgebraicLoop
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
 from cosim.storage.folders import check_ours, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
-from cosim.system.order import AlgebraicLoop, stages
 from cosim.system.system import System, build_system
 
 MOST_OF_ONE = 1_000_000  # steps of one FMU, which was asked for by its own times
@@ -74,15 +74,11 @@ def write_single(
     times = times_of([part], asked, most=MOST_OF_ONE)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
     matches = played.matches if played else Matches((), ())
-    lines = scenario_text(folder, [part], matches, times, "gauss-seidel", played=recorded, verb="simulate")
+    lines = scenario_text(folder, [part], matches, times, DEFAULT, played=recorded, verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as made:
-        made.write_text(lines, encoding="utf-8")
-        try:
-            build_system(ScenarioFile(made))
-        except InputError as error:
-            raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
+        _write_sound(made, lines, fmu)
         if keep:
             keep_earlier(folder, "cosim run", [path.name])
     return path, (*notes, *times.notes)
@@ -174,9 +170,19 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     if len(parts) > 1 and not matches.found and not any(candidates for _, candidates in matches.left):
         raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs, sizes))])
     times = times_of(parts)
+    algorithm = _algorithm(parts, matches.found)
     with draft_of(path) as made:
-        algorithm, system = _that_runs(made, path.parent, parts, matches, times)
-    return Draft(path, parts, matches, times, algorithm, (*_elsewhere(parts), *times.notes, *system.warnings))
+        system = _write_sound(made, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
+    return Draft(path, parts, matches, times, algorithm.name, (*_elsewhere(parts), *times.notes, *system.warnings))
+
+
+def _write_sound(made: Path, lines: str, fmu: Path) -> System:
+    """Write a scenario and return its system; InputError, with the FMU as the place, if it cannot be put together."""
+    made.write_text(lines, encoding="utf-8")
+    try:
+        return build_system(ScenarioFile(made))
+    except InputError as error:
+        raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
 
 
 def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
@@ -189,36 +195,25 @@ def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
 
 def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
     """Leave out guesses that close a loop in which each needs the other's value of the same time."""
-    blocks = {part.name: part.block for part in parts}
     sure = [m for m in matches.found if not m.guess]
-    if _loops(blocks, sure):
+    if _algorithm(parts, sure) is not DEFAULT:
         return matches
     kept = list(sure)
     for guess in (m for m in matches.found if m.guess):
-        kept += [] if _loops(blocks, [*kept, guess]) else [guess]
+        kept += [guess] if _algorithm(parts, [*kept, guess]) is DEFAULT else []
     dropped = tuple((m.target, (text(m.source), *m.others)) for m in matches.found if m not in kept)
     return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped), matches.choices)
 
 
-def _loops(blocks: Mapping[str, FmuBlock], matches: Sequence[Match]) -> bool:
+def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
+    """Return the default algorithm, or the one without order if the connections close an algebraic loop."""
+    blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:
-        stages(blocks, edges, None)
+        DEFAULT.plan(blocks, edges, None)
     except AlgebraicLoop:
-        return True
-    return False
-
-
-def _that_runs(made: Path, folder: Path, parts: Sequence[Part], matches: Matches, times: Times) -> tuple[str, System]:
-    """The algorithm under which the scenario can be put together, the file written, and what it makes."""
-    for algorithm in ("gauss-seidel", "jacobi"):
-        made.write_text(scenario_text(folder, parts, matches, times, algorithm), encoding="utf-8")
-        try:
-            return algorithm, build_system(ScenarioFile(made))
-        except InputError as error:
-            if algorithm == "jacobi" or not any("algebraic loop" in f.message for f in error.faults):
-                raise InputError([Fault(parts[0].path, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
-    raise AssertionError  # the second one returned or raised
+        return WITHOUT_ORDER
+    return DEFAULT
 
 
 def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:

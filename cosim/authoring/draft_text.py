@@ -13,6 +13,7 @@ from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import Part, Times
 from cosim.base.text import counted
 from cosim.blocks.description import unit_of
+from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."
@@ -26,7 +27,7 @@ def scenario_text(
     parts: Sequence[Part],
     matches: Matches,
     times: Times,
-    algorithm: str,
+    algorithm: Algorithm,
     *,
     played: Path | None = None,
     verb: str = "init",
@@ -42,8 +43,10 @@ def scenario_text(
         f"step: {_whole(times.step)} # s: {times.why_step}",
     ]
     lines += [f"start_time: {times.start:.12g} # s: {times.why_start}"] if times.start else []
-    if algorithm == "jacobi":
-        lines.append("algorithm: jacobi # each FMU needs another's output of the same time; or state `order: [...]`")
+    if algorithm is not DEFAULT:
+        lines.append(
+            f"algorithm: {algorithm.name} # each FMU needs another's output of the same time; or state `order: [...]`"
+        )
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)

@@ -15,12 +15,14 @@ from cosim.base.units import computed_in, parse
 from cosim.blocks.description import unit_definition, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
+from cosim.coupling.algorithms import algorithms
 from cosim.fmi.native.signal_source import Change, CompilerFailed, NoCompiler, TimeSignal, build_source
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
+from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.structure import Units
 from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
 from cosim.storage.files import FilePath, named_path
@@ -102,10 +104,11 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
         yield "tolerance is left out: importers take that of each FMU's default experiment, or none"
     if scenario.goals:
         yield "criteria are left out: SSP has no word for them"
-    if scenario.algorithm != "jacobi":
+    if scenario.algorithm != IMPORTERS.name:
         yield (
-            "libcosim, ecos and FMPy step by Jacobi, this scenario by Gauss-Seidel: hold them against "
-            "`cosim run --set algorithm=jacobi --set noise=off`"
+            f"libcosim, ecos and FMPy step by {IMPORTERS.title}, this scenario by "
+            f"{algorithms()[scenario.algorithm].title}: hold them against "
+            f"`cosim run --set algorithm={IMPORTERS.name} --set noise=off`"
         )
 
 

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Errors, units, text, arrays and entry points: what every room uses."""

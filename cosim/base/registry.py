@@ -1,4 +1,4 @@
-"""Models, report pages, array twins, formats of tables and verbs that installed packages register.
+"""Models, report pages, array twins, formats of tables, coupling algorithms and verbs that packages register.
 
 They register through entry points; each names an object of the classes below. Nothing is imported before it is asked
 for, so that a study of one model never loads another. docs/extending.md shows a package that registers something.
@@ -19,6 +19,7 @@ from cosim.base.errors import Fault, InputError
 
 MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # groups of entry points
 SOURCES = "cosim.sources"  # formats of tables: `cosim.storage.table_source.Source`
+ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.coupling.algorithms.Algorithm`
 BASE = "base"  # the model that is meant where none is named
 FORMER = "cosim-hovercraft"  # a distribution that held framework and example in one, and registers nothing
 

@@ -1,1 +1,1 @@
-"""TODO."""
+"""FMI variables, slaves, model descriptions and FMU builds."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The steps of a system: initialization, the loops in Python and C, observers."""

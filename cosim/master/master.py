@@ -1,7 +1,7 @@
 """The master: steps every component of a system over equal communication steps and records one row a step.
 
-Gauss-Seidel and Jacobi are the same loop. They differ in which transfers a stage makes right before it
-steps (`Stage.pulls`) and which wait for the end of the step (`System.held`); Jacobi makes none before.
+All coupling algorithms are the same loop. They differ in the order of the stages, in which transfers a stage makes
+right before it steps (`Stage.pulls`) and in which wait for the end of the step (`System.held`).
 A component with a longer step of its own makes it at the end of that step; until then its outputs stand still.
 """
 

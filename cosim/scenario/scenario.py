@@ -16,6 +16,7 @@ from pydantic import (
 )
 
 from cosim.blocks.profile import Profile
+from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
 from cosim.isolation.limits import Limits
 from cosim.storage.yaml_file import (
     Amount,
@@ -272,7 +273,6 @@ class Scenario(Part):
     step:        communication step [s]
     start_time:  [s]
     seed:        of every random stream; the same seed gives the same bytes
-    algorithm:   gauss-seidel steps one after the other, jacobi all from the values of the step's start
     order:       components with inputs, in the order in which they step; where their FMUs do not settle it
     noise:       on or off, of all connections
     tolerance:   relative, of the solvers; each FMU's own without
@@ -292,7 +292,7 @@ class Scenario(Part):
     step: PositiveSeconds
     start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
-    algorithm: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
+    algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # its description is that of the algorithms
     order: list[Name] | None = None
     noise: bool = True
     tolerance: Positive | None = None

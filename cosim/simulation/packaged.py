@@ -14,6 +14,7 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
+from cosim.coupling.algorithms import Jacobi
 from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
 from cosim.ssp.elements import Element
@@ -30,6 +31,7 @@ from cosim.system.system import build_system
 
 FOLDER, SCENARIO = SYSTEM, "scenario.json"  # within that of the results
 STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say
+IMPORTERS = Jacobi()  # by which libcosim, ecos and FMPy step
 
 
 def is_ssp(path: Path) -> bool:
@@ -162,7 +164,7 @@ def _scenario(
         "start_time": start,
         "duration": duration,
         "step": step,
-        "algorithm": "jacobi",  # of libcosim, ecos and FMPy
+        "algorithm": IMPORTERS.name,
         "components": components,
         "connections": connections,
     }

@@ -1,1 +1,1 @@
-"""TODO."""
+"""YAML with places, tables, results, folders, archives and the cache."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Components, wiring and order: a scenario as a row of signals."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from cosim.blocks.component import Component
 from cosim.blocks.faults import steps_in
+from cosim.coupling.algorithms import WITHOUT_ORDER, algorithms
+from cosim.coupling.order import AlgebraicLoop, Edge
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system.order import AlgebraicLoop, Edge, stages
 from cosim.system.wiring import Components, Transfer
 
 
@@ -39,19 +40,23 @@ def schedule(
     transfers: of each connection
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
-    if scenario.algorithm == "jacobi":
-        stages_ = tuple(Stage(c, every=every[name]) for name, c in components.items())
-        return Schedule(stages_, tuple(t for each in transfers for t in each))
-    if scenario.order is not None and not _names_all(scenario.order, components, diagnosis):
+    algorithm = algorithms()[scenario.algorithm]
+    stated = scenario.order if algorithm.sequential else None
+    if stated is not None and not _names_all(stated, components, diagnosis):
         return Schedule()
     try:
-        order, immediate, notes = stages(components, [_edge(c) for c in scenario.connections], scenario.order)
+        order, immediate, notes = algorithm.plan(components, [_edge(c) for c in scenario.connections], stated)
     except AlgebraicLoop as loop:
+        names = ", ".join(sorted(set(loop.cycle)))
         message = (
-            f"algebraic loop under gauss-seidel: {' → '.join(loop.cycle)}; each needs the other's value of the "
-            f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: jacobi"
+            f"algebraic loop under {algorithm.name}: {' → '.join(loop.cycle)}; each needs the other's value of the "
+            f"same time. State their order (order: [{names}]) or algorithm: {WITHOUT_ORDER.name}"
         )
         diagnosis.note(("connections",), message)
+        return Schedule()
+    if sorted(order) != sorted(components):
+        message = f"{algorithm.name} steps {', '.join(order)}; it must step each component once"
+        diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += notes
     both = list(zip(transfers, immediate, strict=True))

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Evidence, verdict and sentence of a refine."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Refined FMUs, replayed on the logs, sealed ones included."""

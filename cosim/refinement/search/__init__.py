@@ -1,1 +1,1 @@
-"""TODO."""
+"""Candidates, hypotheses and their fits."""

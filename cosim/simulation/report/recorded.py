@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from cosim.base.arrays import Array
+from cosim.coupling.algorithms import DEFAULT
 from cosim.storage.results import Results
 
 
@@ -55,8 +56,8 @@ class Run:
 
     @property
     def algorithm(self) -> str:
-        """Order of the exchange; a scenario that does not say has the first."""
-        return str(self.scenario.get("algorithm") or ("gauss-seidel" if self.links else ""))
+        """Name of the coupling algorithm; the default if the scenario states none."""
+        return str(self.scenario.get("algorithm") or (DEFAULT.name if self.links else ""))
 
     @cached_property
     def variables(self) -> dict[str, set[str]]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.text import amount, counted
+from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.verdicts import Criterion, failed
@@ -37,7 +38,7 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
             Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")
         )
     scenario, seed = run.scenario, run.manifest.get("seed")
-    found += [Badge(run.algorithm.replace("_", "-").title())] if run.algorithm else []
+    found += [Badge(_title(run.algorithm))] if run.algorithm else []
     measured = (mapping(c).get("signals") for c in mapping(scenario.get("components")).values())
     sources = (*mappings(scenario.get("connections")), *(s for found in measured for s in mapping(found).values()))
     noisy = any(mapping(mapping(source).get("noise")) for source in sources)
@@ -47,6 +48,12 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
     found += [Badge(counted(len(warnings), "warning"), "warn")] if warnings else []
     found += [Badge("uncommitted changes", "warn")] if mapping(run.manifest.get("git")).get("dirty") else []
     return found
+
+
+def _title(algorithm: str) -> str:
+    """Return the title of an algorithm, made from its name if it is not installed here."""
+    known = algorithms().get(algorithm)
+    return known.title if known else algorithm.replace("_", "-").title()
 
 
 def items_of(run: Run) -> dict[str, dict[float, str]]:

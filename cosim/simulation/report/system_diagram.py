@@ -8,6 +8,7 @@ from pathlib import PurePath
 from typing import Any
 
 from cosim.base.text import counted, written
+from cosim.coupling.algorithms import DEFAULT, Algorithm, algorithms
 from cosim.report.diagram import Box, Port, Wire, diagram
 from cosim.simulation.report.recorded import Run, mapping, mappings
 from cosim.simulation.report.run_rows import connections
@@ -40,7 +41,7 @@ class Graph:
     name: str
     about: Mapping[str, str]
     links: Sequence[Link]
-    jacobi: bool
+    algorithm: Algorithm
 
     def svg(self, *, alone: bool = True) -> str:
         """The picture; `alone` in a file of its own."""
@@ -69,8 +70,8 @@ class Graph:
 
     def _keys(self) -> list[str]:
         held = [link.held for link in self.links]
-        if self.jacobi:
-            return ["Jacobi: every component sees the values of the step's start."] if held else []
+        if not self.algorithm.sequential:
+            return [f"{self.algorithm.title}: every component sees the values of the step's start."] if held else []
         order = "Numbers are the order in which components step."
         if not any(held):
             return [order]
@@ -121,7 +122,9 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
         pair = units.get(source, ""), units.get(target, "")
         found.append(Link(source, target, pair, what, target in held or target in arrays))
     links = [link for link in found if all(end in about for end in link.ends)]
-    return Graph(str(scenario.get("name") or ""), about, links, scenario.get("algorithm") == "jacobi")
+    return Graph(
+        str(scenario.get("name") or ""), about, links, algorithms().get(str(scenario.get("algorithm")), DEFAULT)
+    )
 
 
 def _no_rows(units: Mapping[str, str]) -> Results:
