@@ -188,6 +188,7 @@ def main(count: int) -> int:
     """Make them happen; how many were not as they should be."""
     wrong: list[str] = []
     kinds: Counter[str] = Counter()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and its children do
     with tempfile.TemporaryDirectory(prefix="crash-") as folder:
         deeds_fmu(Path(folder) / "good.fmu")
         trial = Trial(Path(folder))
