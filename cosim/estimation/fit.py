@@ -29,6 +29,23 @@ PROMISE = 3.0  # times the improvement the quadratic model promises, before a fi
 
 
 @dataclass(frozen=True)
+class Patience:
+    """When a fit is given up where it is.
+
+    goal:    after `fair` iterations the quadratic model must promise an objective below it
+    reached: while the objective is above what some values of these parameters are known to reach, that model says
+             little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time
+    """
+
+    goal: float = np.inf
+    fair: int = FAIR
+    reached: float = np.inf
+
+
+ENDLESS = Patience()
+
+
+@dataclass(frozen=True)
 class Fit:
     """Result: values of all parameters, noise, NLL by log, and the information of what is free, noise last."""
 
@@ -68,6 +85,11 @@ class Fit:
         return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
 
 
+def unfitted(problem: Problem) -> Fit:
+    """Return the model as it was given, of which nothing is free."""
+    return Fit(problem.values, problem.plain, (), (), 0.0, np.zeros((0, 0)), 0, False)
+
+
 def inverse(information: Array) -> Array:
     """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
@@ -83,19 +105,15 @@ def fit(
     noise: Noise,
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
-    goal: float = np.inf,
-    fair: int = FAIR,
-    reached: float = np.inf,
+    *,
+    patience: Patience = ENDLESS,
     sensing: bool = True,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
-    A fit is given up where it is when, after `fair` iterations, the quadratic model promises no objective below `goal`.
-    While the objective is above `reached`, which some values of these parameters are known to reach, that model says
-    little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time.
     Without `sensing`, of the noise only the power of the unknown inputs is moved.
     """
-    return _Scoring(problem, tuple(free), start, noise, only, sensing).run(iterations, goal, fair, reached)
+    return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
 
 
 def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
@@ -120,6 +138,7 @@ class _Scoring:
         start: Mapping[str, float],
         noise: Noise,
         only: Sequence[int] | None,
+        *,
         sensing: bool,
     ) -> None:
         self.problem, self.free, self.only = problem, free, only
@@ -138,7 +157,7 @@ class _Scoring:
         self.damping = 1e-3
         self.enough = CONVERGED if sensing else NEARLY
 
-    def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
+    def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
         done, converged, pace, limit = 0, False, 0.0, iterations
@@ -152,10 +171,11 @@ class _Scoring:
             information = found
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
-            limit = iterations * (LONGER if before > reached else 1)  # it is far from where it will end
-            if before > reached:
+            limit = iterations
+            if before > patience.reached:  # it is far from where it will end
+                limit *= LONGER
                 hope = max(hope, pace * (limit - done))
-            if done >= fair and before - hope > goal:
+            if done >= patience.fair and before - hope > patience.goal:
                 break
             pace = self._move(gradient, information)
             converged = pace < self.enough

@@ -269,14 +269,11 @@ def _lists(
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
     """Everything wrong with a study before its logs are read; unlisted: no log to learn from is listed."""
-    lists, on_trial = content.logs, content.candidates or ()
-    faults = _unknown_names(places, content, subject)
-    faults += per_log_faults(
-        places, subject, content.per_log, content.groups, lists.estimation, lists.validation, on_trial
-    )
+    faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
+    faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
         cure = "none is left to learn from; move one to estimation"
-        sealed = f"every log is sealed, and {cure}" if lists.validation else "no log is listed; list one"
+        sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
         faults.append(places.fault(("logs", "estimation"), sealed))
     return faults
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from types import MappingProxyType
 
 import numpy as np
@@ -32,7 +33,7 @@ ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
     """The answer, its claim or that nothing is missing compared with replays of the estimation logs."""
-    within, single = _within_tolerances(a.base.fit), False
+    within, single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, found.heard)
         if missed := _missed(error["before"], floor):
@@ -86,21 +87,20 @@ def proven(
     doubt = _still_missed(error, floor) if of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt:
         return claims.withdrawn(doubt)
-    left = _left(error, floor)
-    whole = claims.name != "ambiguous" and claims.grade == "claimed"
-    if whole and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
-        if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
-            return claims.withdrawn(Doubt("unsteady", names=weak))
-        return replace(claims, grade="part", part=Part(worst, left[worst]))
-    return claims
+    if claims.name == "ambiguous" or claims.grade != "claimed":
+        return claims
+    worst, share = max(_left(error, floor).items(), key=itemgetter(1), default=("", 0.0))
+    if share <= PART:
+        return claims
+    if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
+        return claims.withdrawn(Doubt("unsteady", names=weak))
+    return replace(claims, grade="part", part=Part(worst, share))
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
     """Replays must be down to the noise with what leaves the equations as they are: a sensor's error, a number."""
-    if not (missed := _missed(error["after"], floor)):
-        return None
-    worst = max(missed, key=lambda n: missed[n])
-    return Doubt("missed", worst, missed[worst])
+    worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
+    return Doubt("missed", worst, times) if worst else None
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
@@ -128,23 +128,28 @@ def standing(claims: Claims, a: Attribution, subject: Subject, found: Found, mis
     logs do not separate several of these, the best is claimed until an experiment does.
     missed: channel → how many times what noise makes the model as it stands misses it
     """
-    search, misfit = found.search, claims.misfit
-    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
-    # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
-    stated = [search.hypothesis((c,), replace(a.base.fit, values=search.problem.values)) for c in single]
-    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
-    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
-    off = sorted((h for h in best.values() if _alone_off(search, h)), key=lambda h: h.score)
-    near = [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
+    misfit, near = claims.misfit, _alone_off(found, a.base)
     if len(near) > 1:
         names = tuple(n for h in near for n in h.names)
         experiment = experiment_for(subject, names)
         return Claims("ambiguous", near[0], names, experiment, misfit, claims.grade, apart=names)
     if near:
         return Claims(name_of(near[0].candidates, subject), near[0], misfit=misfit, grade="claimed")
-    worst, fit = max(missed, key=lambda n: missed[n], default=""), a.base.fit
+    worst, fit = max(missed.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
     moved = [x.name for x in fit.free if x.prior and not x.group and _is_far(fit.values[x.name], x.prior)]
-    return Claims("unexplained", misfit=misfit, missed=(worst, missed.get(worst, 0.0)), recalibrated=_moved(fit, moved))
+    return Claims("unexplained", misfit=misfit, missed=worst, recalibrated=_moved(fit, moved))
+
+
+def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
+    """Return the hypotheses that one number, or one gain, is off, and no other, as near as the best of them."""
+    search = found.search
+    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
+    # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
+    stated = [search.hypothesis((c,), replace(base.fit, values=search.problem.values)) for c in single]
+    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
+    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
+    off = sorted((h for h in best.values() if _is_off(search, h)), key=lambda h: h.score)
+    return [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
 
 
 def _is_far(value: float, prior: tuple[float, float]) -> bool:
@@ -157,21 +162,15 @@ def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
     return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
-def _alone_off(search: Search, h: Hypothesis) -> bool:
-    """The one number of a hypothesis is off, or its gain is none of 1, and no other number is."""
+def _is_off(search: Search, h: Hypothesis) -> bool:
+    """Whether the one number of a hypothesis is off, or its gain is none of 1, and no other number is."""
     (c,) = h.candidates
+    if _beyond(h.fit):
+        return False
     if c.kind == "parameter":
-        return outside(search, h, c) and _within_tolerances(h.fit)
-    moved = any(
-        f.neutral is not None and abs(h.fit.values[f.name] - f.neutral) > SIGNIFICANT * h.fit.sigma(f.name)
-        for f in c.free
-    )
-    return moved and _within_tolerances(h.fit)
-
-
-def _within_tolerances(f: Fit) -> bool:
-    """No base parameter is plainly further from its stated value than its tolerance."""
-    return not _beyond(f)
+        return outside(search, h, c)
+    away = {f.name: abs(h.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
+    return any(distance > SIGNIFICANT * h.fit.sigma(name) for name, distance in away.items())
 
 
 def _beyond(f: Fit) -> list[str]:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import chain, count
 from typing import TypeVar
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.fit import FAIR, Fit, fit
+from cosim.estimation.fit import FAIR, Fit, Patience, fit, unfitted
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -37,6 +38,13 @@ Item = TypeVar("Item")
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
     """By what a hypothesis is known: the names of its candidates, sorted."""
     return tuple(sorted(c.name for c in parts))
+
+
+def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
+    """Return the starts of candidates that were not moved before: as many as the candidate has that has most."""
+    starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
+    most = max([1, *(len(c.starts) for c in parts)])
+    return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
 
 
 @dataclass(frozen=True)
@@ -95,30 +103,28 @@ class Search:
         With `loosen`, the unknown inputs start no lower than where they are plain enough to move.
         `patient`: with more iterations while it is above what hypotheses within it have reached.
         """
-        free = self.free(parts)
+        problem, free = self.problem, self.free(parts)
+        start = start or unfitted(problem)
         # of the start only what this fit may move: the parts of another hypothesis go back to neutral
-        moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
-        known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
-        noise = start.noise if start is not None else self.problem.plain
-        if self.problem.trusted:
-            noise = replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
-        elif loosen:
-            noise = replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet))
-        begins = [{**known, **promised}] if promised else []
-        starts = max([1, *(len(c.starts) for c in parts)])
-        for k in range(starts if starts > 1 or not begins else 0):
-            values = dict(known)
-            for c in parts:
-                if not set(c.parameters) <= moved:
-                    values |= c.starts[min(k, len(c.starts) - 1)]
-            begins.append(values)
+        moved = {f.name for f in start.free} & {f.name for f in free}
+        known = {**problem.values, **{name: start.values[name] for name in moved}}
+        begins = [{**known, **values} for values in starts_of(parts, moved)]
+        if promised:
+            begins = [{**known, **promised}, *(begins if len(begins) > 1 else ())]
+        noise = self._noise_at_start(start.noise, loosen=loosen)
         reached = self.reached_within(parts) if patient else np.inf
         fits = []
         for values in begins:
-            fair = 1 if values == known else FAIR
-            fits.append(fit(self.problem, free, values, noise, None, iterations, goal, fair, reached, sensing))
+            patience = Patience(goal, 1 if values == known else FAIR, reached)
+            fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
+
+    def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
+        """Return the noise from which a fit starts; loosened, unknown inputs are plain enough to move."""
+        if self.problem.trusted:
+            return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
+        return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
         """What a fit of these candidates may move."""
@@ -127,21 +133,14 @@ class Search:
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(
-        self,
-        sets: Sequence[Trial],
-        start: Hypothesis,
-        stage: str,
-        margin: float,
-    ) -> list[Hypothesis]:
+    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
         """Fit sets of candidates, each from what it was promised, until they cannot come within `margin` of `start`."""
-        todo = [(parts, promised) for parts, promised in sets if key_of(parts) not in self.tried]
+        todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
 
         def one(which: Trial) -> Hypothesis:
             parts, promised = which
             goal = start.score + margin - self.cost(parts)
-            h = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
-            return h
+            return self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
 
         fitted = self._each(stage, one, todo)
         self.tried |= {h.names: h for h in fitted}

@@ -21,6 +21,7 @@ from cosim.estimation.data import unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.kernel.kernel import Data
 
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
@@ -38,6 +39,14 @@ class Missing:
     sigma: Array
     states: Array  # filtered by the base fit, all of the kernel's
 
+    def rows(self, data: Data) -> slice:
+        """Return its rows in its log."""
+        first = round((self.time[0] - data.start) / data.step)
+        return slice(first, first + len(self.time))
+
+
+Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and what was smoothed of it
+
 
 @dataclass(frozen=True, eq=False)
 class Filter:
@@ -53,9 +62,8 @@ class Steps:
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         layout = problem.layout
-        self.p = problem.numbers(
-            problem.of_log({**problem.values, **values}, index)
-        )  # an unknown input lasts as long as usual
+        # an unknown input lasts as long as usual
+        self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
@@ -84,6 +92,17 @@ def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missi
     kept = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+
+
+def smoothed_logs(problem: Problem) -> range:
+    """Return the logs of a study that are smoothed."""
+    return range(min(LOGS, len(problem.logs)))
+
+
+def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
+    """Smooth the first logs; return each, and their missing inputs and standard deviations one after the other."""
+    parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
+    return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
 def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
