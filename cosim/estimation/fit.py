@@ -73,10 +73,8 @@ class Fit:
         """Information on some parameters when all others are free too: the Schur complement of theirs."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
-        reduced: Array = (
-            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
-        )
-        return reduced
+        mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        return np.asarray(F[np.ix_(own, own)] - mended)
 
     def sigma(self, name: str) -> float:
         """Standard deviation of an estimate: from the inverse of the information, or its scatter where that is more."""
@@ -94,8 +92,7 @@ def inverse(information: Array) -> Array:
     """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
-    unscaled: Array = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
-    return unscaled
+    return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def fit(
@@ -180,24 +177,18 @@ class _Scoring:
             pace = self._move(gradient, information)
             converged = pace < self.enough
             done += 1
-        values, noise = self._unpack(self.theta)
-        return Fit(
-            values,
-            noise,
-            self.free,
-            self.scored.by_log,
-            self._penalty(self.theta),
-            information / np.outer(self.size, self.size),
-            done,
-            converged,
-        )
+        unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
+        return Fit(*self._unpack(self.theta), self.free, self.scored.by_log, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
-        n = len(self.free)
-        moved = {f.name: float(v) for f, v in zip(self.free, theta[:n], strict=True)}
+        moved = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
+        return {**self.known, **moved}, self.noise.like(self._noise_vector(theta))
+
+    def _noise_vector(self, theta: Array) -> Array:
+        """Return all of the noise in one row."""
         vector = self.fixed.copy()
-        vector[self.moved] = theta[n:]
-        return {**self.known, **moved}, self.noise.like(vector)
+        vector[self.moved] = theta[len(self.free) :]
+        return vector
 
     def _within(self, theta: Array) -> Array:
         """The nearest within the limits; what may not be below another is raised to it."""
@@ -211,9 +202,7 @@ class _Scoring:
 
     def _penalty(self, theta: Array) -> float:
         pairs = zip(self.free, theta[: len(self.free)], strict=True)
-        noise = self.fixed.copy()
-        noise[self.moved] = theta[len(self.free) :]
-        of_noise = self.problem.limits.penalty(noise)
+        of_noise = self.problem.limits.penalty(self._noise_vector(theta))
         of_values = float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
         return self.problem.scatter * (of_noise + of_values)
 

@@ -32,6 +32,7 @@ from cosim.system.system import System
 # the step; how many steps of the run it spans, and its length, 0.0 of one from communication point to communication
 # point; and the transfers before it
 Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
+Progress = Callable[[int], None]  # told at which communication point a run is
 Round = tuple[Active, ...]  # the last makes no step: its transfers are those that wait for the end of the step
 PROGRESS_EVERY = 50
 LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
@@ -49,7 +50,7 @@ def simulate(
     system: System,
     steps: int,
     h: float,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     rows: Rows | None = None,
     *,
     in_c: bool = True,
@@ -71,14 +72,7 @@ class Master:
     """
 
     def __init__(
-        self,
-        system: System,
-        steps: int,
-        h: float,
-        progress: Callable[[int], None] | None,
-        rows: Rows,
-        *,
-        in_c: bool = True,
+        self, system: System, steps: int, h: float, progress: Progress | None, rows: Rows, *, in_c: bool = True
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components = [stage.component for stage in system.stages]
@@ -226,9 +220,9 @@ class Master:
             found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
         return min(found, default=NEVER)
 
-    def _after(self, progress: Callable[[int], None] | None) -> tuple[Callable[[int], None], ...]:
+    def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
         """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
-        calls: list[Callable[[int], None]] = []
+        calls: list[Progress] = []
         if self.system.events:
             calls.append(self._change)
         if self.beside:
@@ -276,12 +270,7 @@ class Master:
 
 
 def results_of(
-    system: System,
-    time: Array,
-    table: Array,
-    kept: Sequence[tuple[Any, ...]],
-    notes: Sequence[str] = (),
-    loop: str = "",
+    system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
     """Results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}

@@ -113,9 +113,8 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
                 continue
             own = {f.name for c in h.candidates for f in c.free}
             stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
-            settled = fit(
-                problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
-            )
+            values, only = {**h.fit.values, **stays}, [left_out]
+            settled = fit(problem, settling, values, h.fit.noise, only, SCREEN_ITERATIONS, sensing=False)
             objectives.append(settled.objective)
         return objectives[0] - objectives[1], missed
 
@@ -131,9 +130,8 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
     def one(left_out: int) -> list[Array]:
         others = [k for k in logs if k != left_out]
         learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [
-            open_loop(problem, horizon, f.values, f, left_out) for f in (unseen(problem, f, left_out) for f in learnt)
-        ]
+        known = [unseen(problem, f, left_out) for f in learnt]
+        return [open_loop(problem, horizon, f.values, f, left_out) for f in known]
 
     return in_scatter(_nearer(in_parallel(one, list(logs))))
 
@@ -203,17 +201,11 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     run = problem.run(values, f.noise, index, states=True)
     p = problem.numbers(problem.of_log(values, index))
     missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
-    for k, row in enumerate(range(first, rows - length, length)):
-        if k >= len(missed):
-            break
-        first_row = max(0, row - BACK)
-        part, back, start = (
-            data.rows(first_row, row + length + 1),
-            row - first_row,
-            problem.undisturbed(run.states[row]),
-        )
+    for replay, row in zip(missed, range(first, rows - length, length), strict=False):
+        back = min(row, BACK)
+        part, start = data.rows(row - back, row + length + 1), problem.undisturbed(run.states[row])
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
-        missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
+        replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
     return np.where(np.abs(missed) < 1e30, missed, np.nan)
 
 

@@ -38,20 +38,12 @@ def decided(found: Found) -> Attribution:
     if best.candidates:
         best = replace(best, fit=scattered(search.problem, best.fit))
     rivals = _rivals(search, best)
-    ranking = tuple(sorted(search.tried.values(), key=lambda h: h.score))
+    tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
+    reasons = Reasons(base, best, tried, rivals, search, kept.dropped).all()
+    total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
+    given, noise = as_given(search.problem, base.fit), noise_gain(search.problem, best.fit)
     return Attribution(
-        base,
-        as_given(search.problem, base.fit),
-        ranking,
-        best,
-        rivals,
-        _support(search, best, base) if best.candidates else Support(0.0, 0.0),
-        kept.support,
-        noise_gain(search.problem, best.fit),
-        Reasons(base, best, ranking, rivals, search, kept.dropped).all(),
-        found.hidden,
-        found.effects,
-        kept.fuller,
+        base, given, tried, best, rivals, total, kept.support, noise, reasons, found.hidden, found.effects, kept.fuller
     )
 
 

@@ -167,10 +167,7 @@ def _is_off(search: Search, h: Hypothesis) -> bool:
     (c,) = h.candidates
     if _beyond(h.fit):
         return False
-    if c.kind == "parameter":
-        return outside(search, h, c)
-    away = {f.name: abs(h.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
-    return any(distance > SIGNIFICANT * h.fit.sigma(name) for name, distance in away.items())
+    return outside(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
 
 
 def _beyond(f: Fit) -> list[str]:

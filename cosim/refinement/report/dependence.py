@@ -29,15 +29,10 @@ class Regressor:
 
 def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str, Regressor]:
     """Return time, states that are filtered, commands, their rates, sums and differences, products of velocities."""
-    names = problem.layout.states
-    time = np.concatenate([m.time for _, m in parts])
-    states = np.vstack([m.states for _, m in parts])
-    known = [Regressor("time", "s", time)]
-    base = [q for q in subject.states if q.name in names and _is_own(subject, q.name)]
-    reached = {names[k] for k in problem.layout.stochastic}
-    for q in base:
-        if q.name in reached:
-            known.append(Regressor(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
+    signals, reached = signals_of(problem, parts), problem.layout.uncertain
+    own = [q for q in subject.states if q.name in reached and _is_own(subject, q.name)]
+    known = [Regressor("time", "s", signals["time"])]
+    known += [Regressor(q.name, q.unit, _turned(signals[q.name], q.unit)) for q in own]
     speeds = [s for s in known if s.unit in {"m/s", "rad/s"}]
     products = [
         Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
@@ -131,17 +126,9 @@ def nameless(
     known = subject.nameless(signal)
     if known is None:
         return None
-    evaluate, depends = known
-    states = [q for q in subject.states if _is_own(subject, q.name)]
-    called = ["time", *(q.name for q in states), *(f"command {q.name}" for q in subject.inputs)]
-    unit_of = dict(zip(called, ["s", *(q.unit for q in (*states, *subject.inputs))], strict=True))
-    columns: dict[str, list[Array]] = {name: [] for name in called}
-    names, values = problem.layout.states, []
-    for index, m in parts:
-        u = problem.logs[index].u[m.rows(problem.logs[index])]
-        x = [m.states[:, names.index(q.name)] for q in states]
-        values.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
-        for name, column in zip(called, (m.time, *x, *u.T), strict=True):
-            columns[name].append(column)
+    (evaluate, depends), signals = known, signals_of(problem, parts)
+    units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
+    units |= {f"command {q.name}": q.unit for q in subject.inputs}
+    values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)
     chosen = depends[0] if depends else "time"
-    return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(values)
+    return Regressor(chosen, units[chosen], signals[chosen]), coefficient * values

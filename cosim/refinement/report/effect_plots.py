@@ -122,7 +122,7 @@ def _left(r: Refinement) -> Shown:
     drawn = nameless(subject, problem, parts, first) if first else None
     if first is None or drawn is None:
         return _picture(subject, parts, column, choose(regressors(subject, problem, parts), (), value[:, column]))
-    term = at_best(problem, best, smoothed_logs(problem), column, drawn[1], value[:, column])
+    term = at_best(problem, best, column, drawn[1], value[:, column])
     picture = _picture(subject, parts, column, drawn[0])
     return replace(picture, effect=first["signal"], term=term, recorded=residual.get("share"))
 

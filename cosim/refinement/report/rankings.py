@@ -9,7 +9,6 @@ from typing import Any
 
 from cosim.base.text import amount, display, joined, plain
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.model.quantities import Parameter
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -84,7 +83,7 @@ def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
 def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
     gain = _gain(row)
     chosen = tuple(row["names"]) == tuple(claimed)
-    declared = _declared(r)
+    declared = r.study.subject.declared
     fitted = ", ".join(
         f"{_short(n, row['names'])} = {_value(float(v), declared[n].unit if n in declared else '')}"
         for n, v in row["parameters"].items()
@@ -119,11 +118,6 @@ def _value(value: float, unit: str, digits: int = 4) -> str:
 # -- parameters -------------------------------------------------------------------------------
 
 
-def _declared(r: Refinement) -> Mapping[str, Parameter]:
-    """Every parameter by name."""
-    return r.study.subject.declared
-
-
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
     """What was added, and what was recalibrated with it."""
     hypothesis = r.verdict.claimed or r.attribution.base
@@ -155,7 +149,7 @@ def _stays(r: Refinement, hypothesis: Hypothesis) -> bool:
 
 def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> ParameterRow:
     """Return the row of an estimate."""
-    declaration, value = _declared(r)[free.name], hypothesis.fit.values[free.name]
+    declaration, value = r.study.subject.declared[free.name], hypothesis.fit.values[free.name]
     unit = declaration.unit
     sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
     shaping = "." in free.name and declaration.neutral is None

@@ -32,6 +32,11 @@ class Hypothesis:
         """It says something of sensors and nothing of the plant."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
+    def is_away(self, c: Candidate, times: float) -> bool:
+        """Whether a parameter of a candidate is more than so many standard deviations from neutral."""
+        away = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
+        return any(distance > times * self.fit.sigma(name) for name, distance in away.items())
+
 
 def leading(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
     """Return the hypothesis with the best score, of equal ones the first."""

@@ -151,8 +151,8 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     return added[min(unscored(data), rows - 1) : rows - 1]
 
 
-def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
-    """A term in one equation at the size at which it takes away most of what is lacking there.
+def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
+    """Return a term in one equation at the size at which it takes away most of what is lacking on the first logs.
 
     What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
     that points the other way takes away nothing.
@@ -162,7 +162,8 @@ def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: A
         if f.prior is None:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
             moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
-            rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
+            added = [claimed(problem, here, moved, k)[:, column] for k in smoothed_logs(problem)]
+            rows.append(np.concatenate(added) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T
         term = term - basis @ least_squares(basis, term)

@@ -147,11 +147,9 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     """Return the signals over which shapes may be local, at the rows of some logs."""
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
-    signals: dict[str, Array] = {"time": np.concatenate([m.time for _, m in parts])}
-    for name, values in zip(layout.states, states.T, strict=True):
-        if not name.startswith((DISTURBANCE, CONSTANT)):
-            signals[name] = values
-    return signals | {f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}
+    time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
+    known = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
+    return {"time": time, **known, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:

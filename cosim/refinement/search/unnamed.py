@@ -23,7 +23,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.missing import Filter, at_best, claimed, missing, smoothed_logs
+from cosim.refinement.search.missing import Filter, at_best, claimed, smoothed
 from cosim.refinement.search.shapes import Shape, promising
 from cosim.subject.candidates import Free
 
@@ -271,14 +271,12 @@ def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
 
     On the first logs. None where a filter has diverged.
     """
-    without = Filter(at.values, at.noise)
-    with_it = Filter({**at.values, **u.values}, at.noise)
-    logs = smoothed_logs(problem)
+    without, with_it = Filter(at.values, at.noise), Filter({**at.values, **u.values}, at.noise)
     with np.errstate(invalid="ignore", over="ignore"):
-        parts = [missing(problem, without, k) for k in logs]
-        column = parts[0].equations.index(u.equation)
-        lacking = np.concatenate([m.value[:, column] for m in parts])
-        term = np.concatenate([claimed(problem, without, with_it, k)[:, column] for k in logs])
-        left = float(np.mean((lacking - at_best(problem, at, logs, column, term, lacking)) ** 2))
+        parts, value, _ = smoothed(problem, without)
+        column = parts[0][1].equations.index(u.equation)
+        lacking = value[:, column]
+        term = np.concatenate([claimed(problem, without, with_it, k)[:, column] for k, _ in parts])
+        left = float(np.mean((lacking - at_best(problem, at, column, term, lacking)) ** 2))
         power = float(np.mean(lacking**2))
     return 1.0 - left / power if np.isfinite(left) and 0.0 < power < np.inf else None
