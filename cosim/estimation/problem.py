@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,8 +69,12 @@ class Scored:
     @property
     def by_log(self) -> tuple[float, ...]:
         """NLL of each log."""
-        sums = [float(part.sum()) for part in np.split(self.terms, np.cumsum(self.counts)[:-1])]
+        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
         return tuple(v if np.isfinite(v) else np.inf for v in sums)
+
+    def of_each_log(self, numbers: Any) -> list[Any]:
+        """Return numbers of all measurements log by log."""
+        return np.split(numbers, np.cumsum(self.counts)[:-1])
 
 
 @dataclass

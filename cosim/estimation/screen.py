@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -168,11 +169,8 @@ class Choice:
         self.test, self.neutral = test, neutral
         self.terms = {t.candidate.name: t for t in every if len(t.rows)}
         self.standing = {c.name: c for c in standing}
-        self.places: dict[str, slice] = {}
-        count = 0
-        for name, t in self.terms.items():
-            self.places[name] = slice(count, count + len(t.rows))
-            count += len(t.rows)
+        edges = accumulate((len(t.rows) for t in self.terms.values()), initial=0)
+        self.places = {name: range(*ends) for name, ends in zip(self.terms, pairwise(edges), strict=True)}
         rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
         self.products, self.against = rows @ rows.T, rows @ test.residual
         self.square = float(test.residual @ test.residual)
@@ -184,7 +182,7 @@ class Choice:
         """
         gone = [name for name in self.standing if name not in names]
         back = self._back(gone)
-        places = [k for name in names for k in range(self.places[name].start, self.places[name].stop)]
+        places = [k for name in names for k in self.places[name]]
         # r without the parts that go: r + R·back
         against = self.against + self.products @ back
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
@@ -207,8 +205,7 @@ class Choice:
         """Steps from where parts are to neutral."""
         back = np.zeros(len(self.against))
         for name in gone:
-            terms, place = self.terms[name], self.places[name]
-            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+            for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
                 ((parameter, size),) = step.items()
                 back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
         return back
@@ -219,18 +216,18 @@ class Choice:
         values: dict[str, float] = {}
         within = True
         for name in names:
-            terms, place = self.terms[name], self.places[name]
-            found = {f.name: self.test.values[f.name] for f in terms.candidate.free}
-            sigma = dict.fromkeys(found, 0.0)
-            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+            terms = self.terms[name]
+            estimates = {f.name: self.test.values[f.name] for f in terms.candidate.free}
+            sigma = dict.fromkeys(estimates, 0.0)
+            for k, step in zip(self.places[name], terms.steps, strict=True):
                 for parameter, size in step.items():
-                    found[parameter] += taken[k] * size
+                    estimates[parameter] += taken[k] * size
                     sigma[parameter] += spread[k] * abs(size)
             for f in terms.candidate.free:
                 slack = BEYOND * sigma[f.name]
-                low = max(f.low, found.get(f.above, f.low))
-                there = f.neutral is None or low - slack <= found[f.name] <= f.high + slack
+                low = max(f.low, estimates.get(f.above, f.low))
+                there = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
                 # of an effect that the model has, too much may be taken away: none is left
                 within = within and (there or self.neutral[f.name] != f.neutral)
-                values[f.name] = float(np.clip(found[f.name], low, f.high))
+                values[f.name] = float(np.clip(estimates[f.name], low, f.high))
         return values, within

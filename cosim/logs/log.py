@@ -170,22 +170,12 @@ class LogReader:
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
         if self.timed:
             outputs, unwrapped = _unwrapped(outputs, units, time)
-        return Log(
-            self.faults.path,
-            time,
-            {name: columns[name] for name in self.inputs},
-            outputs,
-            units,
-            usual_step(time),
-            {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless,
-            unwrapped,
-            self.table.header,
-            self._unread(),
-            dict(self.called),
-            self.undeclared,
-            {name: column.cell for name, column in self.table.columns.items()},
-            not self.timed,
-        )
+        inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
+        cells = {name: column.cell for name, column in self.table.columns.items()}
+        written = {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless
+        path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.called)
+        known = (path, time, inputs, outputs, units, step, written, unwrapped)
+        return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
         """Columns that are not read → one that may have been meant: of the model, and not in the file."""

@@ -43,7 +43,7 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
-    for part in np.split(scored.rows, np.cumsum(scored.counts)[:-1]):
+    for part in scored.of_each_log(scored.rows):
         block = first + part // rows
         numbers.append(block)
         first = int(block.max()) + 1 if block.size else first
@@ -57,8 +57,7 @@ def number_of_blocks(problem: Problem, f: Fit) -> int:
 
 def correlated(scored: Scored) -> float:
     """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
-    parts = np.split(scored.errors / np.sqrt(scored.variances), np.cumsum(scored.counts)[:-1])
-    rows = np.split(scored.rows, np.cumsum(scored.counts)[:-1])
+    parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
         series = np.bincount(at, np.nan_to_num(part))
@@ -78,9 +77,14 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
-    gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], costs + worse.penalty - better.penalty)
+    return by_block(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
+
+
+def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
+    """Return a gain, and what is known beside it, over its scatter from block to block of time."""
+    terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
+    gains = np.bincount(block, terms - others).astype(np.float64)
+    return in_scatter(gains[np.bincount(block) > 0], known)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:

@@ -142,9 +142,7 @@ class Search:
             goal = start.score + margin - self.cost(parts)
             return self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
 
-        fitted = self._each(stage, one, todo)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each(stage, one, todo)
 
     def fit_again(
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
@@ -157,9 +155,7 @@ class Search:
                 return fitted
             return self._without_noise(self._otherwise(fitted))
 
-        fitted = self._each("fitting the best further", one, hypotheses)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each("fitting the best further", one, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
         """Fit hypotheses to the end, from where they are and with the noise of another."""
@@ -167,12 +163,10 @@ class Search:
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
 
-        fitted = self._each("fitting what comes near the best", one, hypotheses)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each("fitting what comes near the best", one, hypotheses)
 
     def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
-        """Fits side by side, in the order of `todo`; each that is done is told."""
+        """Fit side by side, in the order of `todo`; keep every hypothesis, and tell of each that is done."""
         done = count()
         self.progress(stage, 0.0)
 
@@ -181,15 +175,20 @@ class Search:
             self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
             return h
 
-        return in_parallel(told, todo)
+        fitted = in_parallel(told, todo)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
 
     def _otherwise(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
         plain = self.problem.plain
         power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
-        start = replace(h.fit, noise=replace(h.fit.noise, power=power, memory=plain.memory))
+        return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
+
+    def _further(self, h: Hypothesis, noise: Noise) -> Hypothesis:
+        """Return the hypothesis fitted from another noise where that leads further, else as it is."""
         goal = h.fit.objective - DONE
-        other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+        other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
@@ -200,13 +199,9 @@ class Search:
                 continue
             power = h.fit.noise.power.copy()
             power[k] = least[k]
-            start = replace(h.fit, noise=replace(h.fit.noise, power=power))
-            if self.problem.scored(h.fit.values, start.noise).nll > h.fit.nll + NEEDED:
-                continue
-            goal = h.fit.objective - DONE
-            other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
-            if other.fit.objective < goal:
-                h = replace(other, ended=h.ended)
+            noise = replace(h.fit.noise, power=power)
+            if self.problem.scored(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
+                h = self._further(h, noise)
         return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
