@@ -94,12 +94,12 @@ def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool
 
 
 def surely(search: Search, f: Fit) -> float:
-    """How many times its scatter a gain must be for chance to be unlikely, with so many candidates on trial."""
+    """Return how many times its scatter a gain must be for chance to be unlikely, with so many candidates."""
     return beyond_chance(search.problem, f, search.on_trial)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
-    """The hypothesis without each of its parts, fitted to the end."""
+    """Fit the hypothesis without each of its parts to the end."""
 
     def one(c: Candidate) -> Hypothesis:
         left = tuple(other for other in h.candidates if other.name != c.name)
@@ -125,7 +125,7 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
-    """Why a part does not stand; empty where it does."""
+    """Return the reason why a part is not borne out; empty where it is."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
     if limits := _limits(h, [c], search.problem.values):
@@ -144,7 +144,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
 
 
 def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
-    """The interval of a base parameter is wholly beyond its tolerance."""
+    """Whether the interval of a base parameter is wholly beyond its tolerance."""
     (name,) = c.parameters
     held = {f.name: f.prior for f in search.free(()) if f.prior}
     if name not in held:
@@ -153,13 +153,13 @@ def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
 
 
 def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
-    """The 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
+    """Whether the 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
     mean, sigma = prior
     return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
 
 
 def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
-    """Other hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
+    """Return hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
     if not best.candidates:
         return ()
     near = [
@@ -217,13 +217,13 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
 
 
 def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> float:
-    """Log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
+    """Return the log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
     away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
     return 0.5 * float(away @ h.fit.marginal(c.parameters) @ away)
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Log-likelihood that the unknown input of each forced equation gains in a fit."""
+    """Return the log-likelihood that the unknown input of each forced equation gains in a fit."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
@@ -252,7 +252,7 @@ class Reasons:
     dropped: Mapping[str, str]
 
     def all(self) -> dict[tuple[str, ...], str]:
-        """By the names of each."""
+        """Return the reasons by the names of each hypothesis."""
         return {h.names: self._reason(h) for h in self.tried if h.names != self.best.names}
 
     def _reason(self, h: Hypothesis) -> str:

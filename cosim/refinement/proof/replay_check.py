@@ -32,16 +32,16 @@ ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
-    """The answer, its claim or that nothing is missing compared with replays of the estimation logs."""
+    """Compare the answer, its claim or that nothing is missing, with replays of the estimation logs."""
     within, single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, found.heard)
         if missed := _missed(error["before"], floor):
             explained = within and not _missed(error["recalibrated"], floor)
-            claims = claims if explained else standing(claims, a, study.subject, found, missed)
+            claims = claims if explained else single_number(claims, a, study.subject, found, missed)
             single = True
     elif claims.name == "parameter_error" and claims.claimed and (others := _beyond(claims.claimed.fit)):
-        otherwise = standing(claims, a, study.subject, found, {})
+        otherwise = single_number(claims, a, study.subject, found, {})
         further = _moved(claims.claimed.fit, others)
         claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
     if claims.claimed is None:
@@ -49,13 +49,13 @@ def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Fo
     error, floor = _replay_errors(study, a, claims, problem, found.heard)
     if single and (doubt := _still_missed(error, floor)):
         return claims.withdrawn(doubt)
-    return proven(claims, error, floor, a.support, recalibrated=within)
+    return checked_claim(claims, error, floor, a.support, recalibrated=within)
 
 
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
-    """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
+    """Return errors of replays before, recalibrated and after, and the last's floor, by the kernel."""
     subject, settings = study.subject, study.settings
     refined = refined_subject(subject, settings, claims.claimed)
     variants = variants_of(subject, settings, a, claims.claimed, refined)
@@ -67,7 +67,7 @@ def _replay_errors(
 # -- a claim ----------------------------------------------------------------------------------
 
 
-def proven(
+def checked_claim(
     claims: Claims,
     error: ErrorOf,
     floor: Channels,
@@ -75,7 +75,7 @@ def proven(
     *,
     recalibrated: bool = True,
 ) -> Claims:
-    """The answer, its claim one of a part where replays still miss much, and none where they are no better for it.
+    """Grade a claim as one of a part where replays still miss much; withdraw it where they are no better for it.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it.
     recalibrated: the base model is, within its tolerances; else it is no alternative
@@ -113,7 +113,7 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
 
 
 def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
-    """Channel → share of the excess error that a claim leaves, where there was an excess."""
+    """Return the share of the excess error that a claim leaves on each channel with an excess."""
     shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
@@ -121,11 +121,11 @@ def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
 # -- that nothing is missing ------------------------------------------------------------------
 
 
-def standing(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
-    """`no_effect`, taken back where the model explains the logs only recalibrated beyond its tolerances.
+def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
+    """Claim a single number where the model explains the logs only recalibrated beyond its tolerances.
 
-    Then the one number that is off is claimed, or the gain of an input: what leaves all others within theirs. Where the
-    logs do not separate several of these, the best is claimed until an experiment does.
+    What is claimed, the one number that is off or the gain of an input, leaves all others within theirs. Where the logs
+    do not separate several of these, the best is claimed until an experiment does.
     missed: channel → how many times what noise makes the model as it stands misses it
     """
     misfit, near = claims.misfit, _alone_off(found, a.base)
@@ -158,7 +158,7 @@ def _is_far(value: float, prior: tuple[float, float]) -> bool:
 
 
 def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
-    """Base parameters of a fit, stated and fitted."""
+    """Return base parameters of a fit, stated and fitted."""
     return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
@@ -171,10 +171,10 @@ def _is_off(search: Search, h: Hypothesis) -> bool:
 
 
 def _beyond(f: Fit) -> list[str]:
-    """Base parameters that are plainly further from their stated values than their tolerances."""
+    """Return base parameters that are plainly further from their stated values than their tolerances."""
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:
-    """Channels on which replays miss clearly more than noise makes, and how many times that."""
+    """Return channels on which replays miss clearly more than noise makes, and how many times that."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

@@ -57,21 +57,21 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> Found:
-        """Base fit, rounds, finalists."""
+        """Fit the base, then rounds of sets, then the finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._timed(self._heard(search.hypothesis((), None)))
+        base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
         search.tried[()] = base
         search.reached = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
-        best, idle = self._scattered(base), 0
+        best, idle = self._rescore(base), 0
         for number in range(ROUNDS):
-            proposed = self._proposed(best)
+            proposed = self._proposals(best)
             if not proposed:
                 break
             stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
-            reduced = search.fit_all(self._reduced(fitted), best, "leaving out what does nothing", NEAR)
+            reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, leading((best, *fitted, *reduced))
             if best.score > before - DONE:
                 idle += 1
@@ -79,21 +79,21 @@ class Attributor:
                     break
             else:
                 idle = 0
-                best = self._leading(self._settled(best))
-        return self._decided(base, best)
+                best = self._leader(self._with_own_noise(best))
+        return self._finish(base, best)
 
-    def _settled(self, h: Hypothesis) -> Hypothesis:
-        """The best with noise of its own; what was fitted beside it with that of the last is taken to gain as much."""
+    def _with_own_noise(self, h: Hypothesis) -> Hypothesis:
+        """Fit the best with noise of its own; hypotheses fitted with that of the last are taken to gain as much."""
         search = self.search
         (settled,) = search.fit_again([h], SETTLING)
-        settled = self._timed(settled)
+        settled = self._with_stamp_errors(settled)
         further = h.score - settled.score
         search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
         search.tried[settled.names] = settled
-        return self._scattered(settled)
+        return self._rescore(settled)
 
-    def _scattered(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, and what candidates cost beside it where equations are trusted: what is left is not white."""
+    def _rescore(self, h: Hypothesis) -> Hypothesis:
+        """Score anew what candidates cost where equations are trusted: what the hypothesis leaves is not white."""
         search = self.search
         if not search.problem.trusted:
             return h
@@ -103,12 +103,12 @@ class Attributor:
         }
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
-    def _leading(self, best: Hypothesis) -> Hypothesis:
-        """The best, or what has been tried and leads now that candidates cost otherwise."""
+    def _leader(self, best: Hypothesis) -> Hypothesis:
+        """Return the best, or the hypothesis that leads now that candidates cost otherwise."""
         return leading((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
-    def _heard(self, base: Hypothesis) -> Hypothesis:
-        """The base fit; with the stated noise of sensors in which the logs show next to none: it may stand for more."""
+    def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
+        """Fit with the stated noise those sensors in which the logs show next to none: it may stand for more."""
         search, problem = self.search, self.search.problem
         low = base.fit.noise.like(problem.limits.low).sensors
         silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
@@ -120,8 +120,8 @@ class Attributor:
         start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
         return search.hypothesis((), start)
 
-    def _timed(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, fitted with stamps that err where innovations are larger the faster readings change."""
+    def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
+        """Fit with time stamps that err where innovations are larger the faster readings change."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = stamps_err(problem, h.fit)
@@ -134,7 +134,7 @@ class Attributor:
         timed = search.hypothesis(h.candidates, start, loosen=False)
         return timed if timed.fit.objective < h.fit.objective else h
 
-    def _proposed(self, best: Hypothesis) -> list[Trial]:
+    def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return the sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
@@ -174,8 +174,8 @@ class Attributor:
                 likely = combinations(ranked[: AMONG // 2], 2)
                 yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
-    def _reduced(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Of each fit, what is left without the parts that gain less than they cost."""
+    def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
+        """Return each fit without the parts that gain less than they cost."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -184,7 +184,7 @@ class Attributor:
                 sets[key_of(kept)] = kept, {n: h.fit.values[n] for c in kept for n in c.parameters}
         return list(sets.values())
 
-    def _decided(self, base: Hypothesis, best: Hypothesis) -> Found:
+    def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
         """Fit base, best and what comes near it to the end, at the model's own substeps; return the best of these."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
@@ -193,13 +193,13 @@ class Attributor:
             (again,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
         else:
             (again,) = (best,) = search.fit_again([best])
-        best = self._scattered(best)
-        if (ahead := self._leading(best)) is not best:
+        best = self._rescore(best)
+        if (ahead := self._leader(best)) is not best:
             best = leading((best, *search.fit_again([ahead])))
-        best = self._replaced(self._enlarged(best))
+        best = self._with_replacement(self._with_addition(best))
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
-            beside = [h for h in self._beside(best) if h.names and not h.ended]
+            beside = [h for h in self._finalists(best) if h.names and not h.ended]
             before, best = best, leading((again, best, *search.fit_alike(beside, best)))
             if best is before:
                 break
@@ -207,8 +207,8 @@ class Attributor:
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
         return Found(search, best, hidden, tuple(self.candidates))
 
-    def _enlarged(self, best: Hypothesis) -> Hypothesis:
-        """The best, or one that has more.
+    def _with_addition(self, best: Hypothesis) -> Hypothesis:
+        """Return the best, or a larger hypothesis.
 
         Beside unknown inputs that last as those of the best do, another effect that lasts gains little.
         """
@@ -217,13 +217,13 @@ class Attributor:
         return leading((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
-        """The problem with substeps that are fine enough for the base model and for the best."""
+        """Return the problem with substeps that are fine enough for the base model and for the best."""
         enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
         return replace(self.fine, logs=logs)
 
-    def _replaced(self, best: Hypothesis) -> Hypothesis:
+    def _with_replacement(self, best: Hypothesis) -> Hypothesis:
         """Return the best, or one with another candidate in place of one of its parts."""
         search, ended = self.search, list[Hypothesis]()
         if len(best.candidates) > MOST_REPLACED:
@@ -256,8 +256,8 @@ class Attributor:
             for c in (c for c in others if c.name in likely):
                 yield (*rest, c), {**without.fit.values, **promises[c.name].values}
 
-    def _beside(self, best: Hypothesis) -> list[Hypothesis]:
-        """What comes near the best and is not more, or less, of the same."""
+    def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses close to the best that do not contain it and are not contained in it."""
         names = set(best.names)
         near = [h for h in self.search.tried.values() if h.score - best.score < NEAR]
         other = [h for h in near if not (set(h.names) >= names or set(h.names) <= names)]

@@ -127,7 +127,7 @@ class Search:
         return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
-        """What a fit of these candidates may move."""
+        """Return the parameters that a fit of these candidates may move."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
@@ -153,7 +153,7 @@ class Search:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
             if only or self.problem.trusted or not fitted.ended:
                 return fitted
-            return self._without_noise(self._otherwise(fitted))
+            return self._without_noise(self._from_plain_inputs(fitted))
 
         return self._each("fitting the best further", one, hypotheses)
 
@@ -179,8 +179,8 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
-    def _otherwise(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
+    def _from_plain_inputs(self, h: Hypothesis) -> Hypothesis:
+        """Return the hypothesis, or it fitted from unknown inputs that are plain enough to move."""
         plain = self.problem.plain
         power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
         return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
@@ -192,7 +192,7 @@ class Search:
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, or one fitted without some unknown input where that leads further: a fit is slow there."""
+        """Return the hypothesis, or it fitted without some unknown input: near none of it a fit is slow."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
@@ -205,11 +205,11 @@ class Search:
         return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
-        """What candidates cost a hypothesis."""
+        """Return the score that candidates cost a hypothesis."""
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def reached_within(self, parts: Parts) -> float:
-        """Objective that some of the parts reach without the others: all together can do no worse when fitted."""
+        """Return the objective that some of the parts reach without the others: all together can do no worse."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.reached)
