@@ -51,21 +51,12 @@ def build_problem(
     begins = origins(subject, layout, logs, data, settings)
     groups = [origin.group for origin in begins]
     own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
+    values |= {f.name: values[f.parameter] for f in own}
+    x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
+    r, late = np.array([_variance(subject, name, noise) for name in measured]), _late(subject, measured)
+    known, free = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
-        kernel,
-        data,
-        readings,
-        x0=[start_state(subject, d, measured, layout.states) for d in data],
-        P0=np.empty((0, 0)),
-        r=np.array([_variance(subject, name, noise) for name in measured]),
-        values=values | {f.name: values[f.parameter] for f in own},
-        settle=settle,
-        settings=settings,
-        late=_late(subject, measured),
-        stated=np.isin(measured, [*subject.sensor_variance]),
-        adjusted=~np.isin(measured, [*noise]),
-        own=own,
-        origins=begins,
+        kernel, data, readings, x0, P0, r, values, settle, settings, late, known, free, own=own, origins=begins
     )
     return replace(problem, P0=start_covariance(subject, problem))
 

@@ -85,7 +85,7 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
     chosen = tuple(row["names"]) == tuple(claimed)
     declared = r.study.subject.declared
     fitted = ", ".join(
-        f"{_short(n, row['names'])} = {_value(float(v), declared[n].unit if n in declared else '')}"
+        f"{_short(n, row['names'])} = {amount(float(v), declared[n].unit if n in declared else '', 4)}"
         for n, v in row["parameters"].items()
     )
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
@@ -93,7 +93,7 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
 
 
 def _why(r: Refinement, row: Mapping[str, Any]) -> str:
-    """Why a hypothesis is, or is not, the answer."""
+    """Return the reason why a hypothesis is, or is not, the answer."""
     if r.verdict.name == "ambiguous" and row["why"] == "claimed":
         return "fits best, by a hair"
     return str(row["why"])
@@ -111,15 +111,11 @@ def _short(name: str, owners: Sequence[str]) -> str:
     return own or "value"
 
 
-def _value(value: float, unit: str, digits: int = 4) -> str:
-    return amount(value, unit, digits)
-
-
 # -- parameters -------------------------------------------------------------------------------
 
 
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
-    """What was added, and what was recalibrated with it."""
+    """Return the tables of what was added, and of what was recalibrated with it."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
     added: list[ParameterRow] = []
@@ -158,16 +154,16 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
     digits = _digits(value, sigma)
-    neutral = f"{_value(known, unit)}{' (start)' if shaping else ''}"
+    neutral = f"{amount(known, unit, 4)}{' (start)' if shaping else ''}"
 
     def at(x: float) -> float:
         return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
 
-    lowest = _bare(low, unit, digits) if unit else _value(low, "", digits)
-    interval = f"{lowest} … {_value(high, unit, digits)}"
-    bounds = f"{_bare(free.low, unit, 3)} … {_value(free.high, unit, 3)}"
+    lowest = _bare(low, unit, digits) if unit else amount(low, "", digits)
+    interval = f"{lowest} … {amount(high, unit, digits)}"
+    bounds = f"{_bare(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
     places = at(known), at(low), round(at(high) - at(low), 2), at(value)
-    return ParameterRow(free.name, neutral, _value(value, unit, digits), interval, bounds, *places)
+    return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places)
 
 
 def _bare(value: float, unit: str, digits: int) -> str:
