@@ -110,7 +110,7 @@ COMPRESSED = {
     f"cosim/{name}"
     for name in (
         *("blocks", "estimation", "kernel", "logs", "master", "refinement", "report", "residuals", "simulation"),
-        *("storage", "system", "verbs"),
+        *("storage", "verbs"),
     )
 }
 
