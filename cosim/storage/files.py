@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import stat
@@ -31,6 +32,8 @@ __all__ = [
     "release_stops",
     "scratch_folder",
     "uninterrupted",
+    "write_json",
+    "write_text",
 ]
 
 FilePath = str | os.PathLike[str]
@@ -43,6 +46,17 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text, whole or not at all."""
+    with atomic_write(path) as stream:
+        stream.write(text)
+
+
+def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = True) -> None:
+    """Write JSON that ends in a line break, whole or not at all."""
+    write_text(path, json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n")
 
 
 def check_text(names: Iterable[str]) -> None:
