@@ -109,7 +109,7 @@ MOST_BRANCHES = 14  # cyclomatic complexity of a function
 COMPRESSED = {
     f"cosim/{name}"
     for name in (
-        *("blocks", "estimation", "kernel", "logs", "master", "refinement", "report", "residuals"),
+        *("estimation", "kernel", "logs", "master", "refinement", "report"),
         *("storage", "verbs"),
     )
 }

@@ -82,10 +82,10 @@ class CompiledSteps:
             self._ways(system.held, every),
             run.row,
             run.rows.table,
-            system.start,
-            run.h,
-            run.rows.made,
-            run.rows.doing,
+            begin=system.start,
+            h=run.h,
+            made=run.rows.made,
+            doing=run.rows.doing,
         )
         self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
         self._values: list[Array] = []
