@@ -110,7 +110,7 @@ COMPRESSED = {
     f"cosim/{name}"
     for name in (
         *("estimation", "kernel", "logs", "master", "refinement", "report"),
-        *("storage", "verbs"),
+        *("verbs",),
     )
 }
 
