@@ -123,6 +123,7 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),
         **native.parts,
+        "fmi.c": part("fmi.c"),
         layer: part(layer),
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": _config(native, ""),
