@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.loading.file import load_model
 from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import FmuComponent, Scenario
-from cosim.storage import folders
+from cosim.storage import folders, table_source
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.yaml_file import YamlFile
@@ -199,3 +199,16 @@ def test_an_earlier_run_of_an_ssp_is_repeated_with_its_own_fmus(tmp_path: Path) 
     found = with_files_beside(scenario, kept.parent.parent).components["a"]
     assert isinstance(found, FmuComponent)
     assert found.fmu == "system/a.fmu"
+
+
+def test_rows_in_the_format_of_a_package_are_kept_too(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Acme(table_source.Source):
+        name, suffixes, writes = "Acme", (".acme",), True
+
+    known = table_source.sources()
+    monkeypatch.setattr(table_source, "sources", lambda: (*known, Acme()))
+    (results / "results.csv").rename(results / "results.acme")
+    (results / "results.xlsx").write_text("a sheet of the user")
+    assert keep_earlier(results, "cosim run") == results / "runs" / "0001"
+    assert "results.acme" in files_in(results / "runs" / "0001")
+    assert (results / "results.xlsx").exists()

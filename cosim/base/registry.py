@@ -62,7 +62,7 @@ class Page:
     """A report page about runs that have a component with certain variables.
 
     variables: names that the component has
-    subject:   place of a function of (run, drawing) that returns the `Subject` on the page
+    subject:   place of a function of (run, drawing) that returns the `ComponentPage`
     figures:   place of a function of (run, folder) that draws PNG files, "" for those of any run
     """
 

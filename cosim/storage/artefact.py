@@ -52,7 +52,8 @@ class Artefact:
     taken_as:    kind in whose place a file of this kind is accepted
     verb:        command that leaves one, such as "cosim refine"
     marks:       names of files that this verb alone leaves in a folder, the telling one first
-    files:       names or patterns of all files that the verb leaves in the folder
+    files:       names or patterns of the files that the verb leaves in the folder, besides
+    tables:      names, without an ending, of files of rows in any format
     folder:      noun phrase for such a folder
     folder_step: what to do with the folder; {file} is its path
     sources:     keys of the first mark that say what it was made from
@@ -75,6 +76,7 @@ class Artefact:
     verb: str = ""
     marks: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
     folder: str = ""
     folder_step: str = ""
     sources: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import uninterrupted, write_text
 from cosim.storage.folder_lock import take_folder
+from cosim.storage.table_source import suffixes
 
 RESULTS = Path("results")
 EARLIER = "runs"  # within a folder of results: those of earlier runs, 0001 and so on
@@ -139,7 +140,8 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     folder.
     """
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
-    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *also))
+    tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
+    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
     paths = dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file())
     if not paths:
         return None

@@ -48,7 +48,10 @@ Compile = Annotated[
     typer.Option("--compile", help="Compile and run the sources of FMUs that have no library for this machine."),
 ]
 Format = Annotated[
-    str, typer.Option("--format", help="Of the rows: csv, or parquet, which needs the extra of that name.")
+    str,
+    typer.Option(
+        "--format", help="Of the rows: csv, parquet, which needs the extra of that name, or one of a package."
+    ),
 ]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
