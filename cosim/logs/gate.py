@@ -55,14 +55,13 @@ def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
 
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
-    """The findings that make a log unusable, as faults of its file."""
-    return [
-        Fault(
-            log.path, log.header, log.cells.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence
-        )
-        for f in findings
-        if f.severity == "fault"
-    ]
+    """Return the findings that make a log unusable, as faults of its file."""
+    faults = []
+    for f in findings:
+        if f.severity == "fault":
+            text = f"{f.channel}: {f.sentence}" if f.channel else f.sentence
+            faults.append(Fault(log.path, log.header, log.cells.get(f.channel, 1), text))
+    return faults
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:

@@ -298,14 +298,10 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
     """Return the content of refine.json."""
     judged, static = study.subject.horizon, study.subject.static
     rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None
-    claimed, floors = claims.claimed, proof.floors
+    claimed, floors, sets = claims.claimed, proof.floors, proof.played.items()
 
     def errors(horizon: float) -> Errors:
-        sizes = {
-            name: {part: known(rmse(played[horizon])) for part, played in parts.items()}
-            for name, parts in proof.played.items()
-        }
-        return Errors(**sizes)
+        return Errors(**{name: {part: known(rmse(e[horizon])) for part, e in parts.items()} for name, parts in sets})
 
     return Record(
         study=str(study.path or ""),
@@ -358,7 +354,6 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
     """What was added, most important first: that whose loss alone would cost most."""
     declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
-
     return [
         EffectEntry(
             name=c.name,

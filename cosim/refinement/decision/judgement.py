@@ -162,34 +162,21 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
     """Return hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
     if not best.candidates:
         return ()
-    near = [
-        h
-        for h in search.tried.values()
-        if h.ended
-        and h.score - best.score < NEAR
-        and (len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL)
-        and not set(h.names) <= set(best.names)
-        and not set(h.names) >= set(best.names)
-    ]
+    near = [h for h in search.tried.values() if h.ended and h.score - best.score < NEAR and h.is_apart(best)]
+    near = [h for h in near if len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL]
     rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
     # one with more than another, and no better for it, is no rival of its own
-    simplest = [h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k])]
-    return tuple(simplest)
+    return tuple(h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k]))
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if h.score - best.score < RIVAL:
         return True
-    weight = search.problem.scatter
-    if any(
-        _with_tolerance(h, t, weight) + search.cost(h.candidates)
-        < _with_tolerance(best, t, weight) + search.cost(best.candidates)
-        for t in TOLERANCES
-    ):
+    weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)
+    if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # that a richer one costs more counts against it, or one that holds the best as a special case always were a rival
-    richer = max(0.0, search.cost(h.candidates) - search.cost(best.candidates))
-    return steadiness(search.problem, best.fit, h.fit, richer) < UNSURE
+    return steadiness(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
