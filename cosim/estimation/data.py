@@ -54,7 +54,7 @@ def _as_table(log: Log, layout: Layout) -> Data:
 
 
 def folds(logs: Sequence[Data]) -> list[Data]:
-    """Tables in parts, of which each can be left out in turn: row by row, or rows spread evenly where there are many.
+    """Return tables in parts that can be left out in turn: row by row, or rows spread evenly where there are many.
 
     Rows in which nothing is measured are left away.
     """
@@ -68,7 +68,7 @@ def folds(logs: Sequence[Data]) -> list[Data]:
 
 
 def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
-    """The mean of each command over each equal step, where it was given at times between: its impulse is exact."""
+    """Return the mean of each command over each equal step, where commands change in between: the impulse is exact."""
     edges = np.arange(len(u) + 1, dtype=np.float64)
     given = (log.time - log.time[0]) / log.step
     commands = u[grid]

@@ -70,7 +70,7 @@ class Fit:
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
-        """Information on some parameters when all others are free too: the Schur complement of theirs."""
+        """Return the information on some parameters when all others are free too: the Schur complement of theirs."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
@@ -89,7 +89,7 @@ def unfitted(problem: Problem) -> Fit:
 
 
 def inverse(information: Array) -> Array:
-    """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
+    """Return the pseudo-inverse, each parameter in its own unit, or the least identifiable would be dropped."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
     return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))

@@ -54,9 +54,9 @@ def build_problem(
     values |= {f.name: values[f.parameter] for f in own}
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
     r, late = np.array([_variance(subject, name, noise) for name in measured]), _late(subject, measured)
-    known, free = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
+    stated, adjusted = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
-        kernel, data, readings, x0, P0, r, values, settle, settings, late, known, free, own=own, origins=begins
+        kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
     )
     return replace(problem, P0=start_covariance(subject, problem))
 

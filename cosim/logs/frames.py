@@ -22,7 +22,7 @@ BLOCK = 0.5  # [s] over which a signal's change is held against the integral of 
 
 
 def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
+    """Yield findings on degrees for radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
 
     traits: what the model says of its signals. Without, names alone say what is a rate, and they are not relied on.
     """
@@ -106,7 +106,7 @@ def degrees_or(log: Log, name: str) -> str:
 
 
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
-    """Angles too large to be radians, and jumps of a turn that were not undone; bounds: as the model declares them."""
+    """Yield findings on angles too large to be radians, and on jumps of a turn; bounds: as the model declares them."""
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
     cure, stated = degrees_or(log, name), bool(log.written.get(name))

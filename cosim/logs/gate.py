@@ -30,7 +30,7 @@ def gate(
     traits: Traits | None = None,
     spikes: Spikes | None = None,
 ) -> list[Finding]:
-    """Everything there is to say about a log, faults first.
+    """Return all findings on a log, faults first.
 
     rate:   step the model is made for [s], None where it has none
     strict: a log slower than `rate` is a fault, not a warning
@@ -171,7 +171,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
-    """RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
+    """Note RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     power[0] = 0.0
     below = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
@@ -208,7 +208,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
-    """A slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
+    """Warn of a slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
     starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
     runs = np.diff(starts)
     usual = float(np.median(runs))
@@ -226,7 +226,7 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
-    """A warning of each channel that has spikes."""
+    """Warn of each channel that has spikes."""
     for name, rows in spikes.items():
         off = out_of_line(log, log.outputs[name])[rows]
         first, worst = float(log.time[rows[0]]), float(off.max())

@@ -190,7 +190,7 @@ class LogReader:
     # -- header -------------------------------------------------------------------------------
 
     def _column(self, heading: Heading) -> Column | None:
-        """How a column is read: in the unit of the model."""
+        """Return how a column is read, in the unit of the model; None of one that is not."""
         self.seen.setdefault(heading.name, heading.cell)
         written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
@@ -262,7 +262,7 @@ class LogReader:
     # -- rows ---------------------------------------------------------------------------------
 
     def _check_values(self) -> None:
-        """What only the whole column shows: too few rows, nothing measured, values that no sensor ever read."""
+        """Note faults that only whole columns show: too few rows, nothing measured, values that no sensor ever read."""
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
             seen = "no row" if table.rows == 0 else "one row"

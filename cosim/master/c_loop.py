@@ -115,7 +115,7 @@ class CompiledSteps:
     # -- within -------------------------------------------------------------------------------
 
     def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[Way]:
-        """Transfers for C; those that are held are made when their target steps."""
+        """Return transfers for C; those that are held are made when their target steps."""
         ways = []
         for t in transfers:
             links = [linked.link() for linked in self.run.links(t)]

@@ -152,7 +152,7 @@ class Master:
             self.done = self.made[0]
 
     def _step_in_python(self) -> None:
-        """All steps. What is called in here decides the time that a run takes."""
+        """Make all steps. What is called in here decides the time that a run takes."""
         row, h, begin, after = self.view, self.h, self.system.start, self.after
         table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
@@ -221,7 +221,7 @@ class Master:
         return min(found, default=NEVER)
 
     def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
+        """Return the calls at the end of a step that is asked for, before its row is kept: only what this run needs."""
         calls: list[Progress] = []
         if self.system.events:
             calls.append(self._change)
@@ -272,7 +272,7 @@ class Master:
 def results_of(
     system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
-    """Results of a run, by its rows and what stands beside them."""
+    """Return the results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)

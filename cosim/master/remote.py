@@ -75,7 +75,7 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -
 
 
 def _early(system: System, h: float, done: int) -> EndedEarly:
-    """The end of a run that an observer asked for."""
+    """Return the early end of a run that an observer asked for."""
     return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
 
 
@@ -206,7 +206,7 @@ def simulate_apart(
 
 
 def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
-    """An error of no kind of ours, with the call in which it came."""
+    """Return an error of no kind of ours, with the call in which it came."""
     component, at, call = Clock(watch, counters).place()
     words = " ".join(str(error).split())[:LONGEST_WORDS]
     return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
@@ -218,7 +218,7 @@ def _disk_full(time: float, count: int, rows: int) -> DiskFull:
 
 
 def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
-    """A folder with the file of the rows, beside the results or, where there is no room, elsewhere; and for how many.
+    """Return a folder with the file of the rows, beside the results or, without room, elsewhere; and for how many.
 
     For all of them, or as many as a full disk takes. DiskFull where that is none.
     """

@@ -351,7 +351,7 @@ def known(channels: Mapping[str, float]) -> dict[str, float]:
 
 
 def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
-    """What was added, most important first: that whose loss alone would cost most."""
+    """Return what was added, most important first: the part whose loss alone would cost most."""
     declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
     return [

@@ -268,7 +268,7 @@ def _lists(
 
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
-    """Everything wrong with a study before its logs are read; unlisted: no log to learn from is listed."""
+    """Return all faults of a study before its logs are read; unlisted: no log to learn from is listed."""
     faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
     faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
@@ -399,7 +399,7 @@ def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Latencies of sensors in the model.yaml, by which too little of a log is left to be judged."""
+    """Yield faults of latencies in the model.yaml, by which too little of a log is left to be judged."""
     for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
         seconds = loaded.sensors.get(name, 0.0)
         lasts: dict[Path, float] = {}

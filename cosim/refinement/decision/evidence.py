@@ -56,7 +56,7 @@ def number_of_blocks(problem: Problem, f: Fit) -> int:
 
 
 def correlated(scored: Scored) -> float:
-    """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
+    """Return the rows within which normalised errors forget each other: their autocorrelation summed until it is none."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
@@ -69,7 +69,7 @@ def correlated(scored: Scored) -> float:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time.
+    """Return a gain, priors included, over the scatter of that in log-likelihood from block to block of time.
 
     costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
     """
@@ -94,7 +94,7 @@ def in_scatter(gains: Array, known: float = 0.0) -> float:
 
 
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
+    """Return the gain of `better` on logs left out, by likelihood, and by open-loop predictions over their scatter.
 
     What one claims and the other does not is as the other logs have it, or as the model has it. For the likelihood the
     rest, what both claim, base parameters and noise, settles on the log itself, for both alike: logs that excite little
@@ -192,7 +192,7 @@ def _padded(missed: Array, rows: int) -> Array:
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
-    """Measured − predicted, shape (replays, rows, outputs), NaN where nothing is; each from the filtered state.
+    """Return measured − predicted, shape (replays, rows, outputs), NaN for nothing; each from the filtered state.
 
     Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
     """

@@ -147,7 +147,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 
 def second_sentence(r: Refinement) -> str:
-    """The error of the channel that fell most, on sealed runs where there are any."""
+    """Tell the error of the channel that fell most, on sealed runs where there are any."""
     part = judged(r)
     what = "rows" if r.problem.table else "runs"
     where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
@@ -183,7 +183,7 @@ def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
-    """How far the model as it stands is from its noise floor."""
+    """Tell how far the model as it stands is from its noise floor."""
     worst, ratio = "", 0.0
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)

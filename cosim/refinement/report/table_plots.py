@@ -76,7 +76,7 @@ def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
 
 
 def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
-    """An output over the first input that varies, and its residual over each."""
+    """Draw an output over the first input that varies, and its residual over each."""
     log = of["before"][0][0]
     models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
     models = models if r.verdict.claimed else [("model", "true", "after")]

@@ -94,7 +94,7 @@ def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -
 
 
 def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
-    """Groups without logs, files that are no logs of the study or stand in two groups."""
+    """Yield faults of groups without logs, and of files that are no logs of the study or stand in two groups."""
     folder, owner = places.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
     for group, members in groups.items():

@@ -173,7 +173,7 @@ class _Terms:
         return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
-        """Local shapes, and what each of their coefficients changes."""
+        """Return local shapes, and what each of their coefficients changes."""
         shapes, self.tried = promising(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
@@ -187,7 +187,7 @@ class _Terms:
         return in_parallel(term, shapes)
 
     def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
-        """Simple terms, and local ones that promise plainly more than any simple one of their equation.
+        """Return simple terms, and local ones that promise plainly more than any simple one of their equation.
 
         Of local ones of an equation each must be worth its cost beside those that promise more.
         """
