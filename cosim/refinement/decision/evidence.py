@@ -56,7 +56,7 @@ def number_of_blocks(problem: Problem, f: Fit) -> int:
 
 
 def correlated(scored: Scored) -> float:
-    """Return the rows within which normalised errors forget each other: their autocorrelation summed until it is none."""
+    """Return the rows within which normalised errors forget each other: the sum of their autocorrelation."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
